@@ -657,6 +657,25 @@ class CameraClock:
 
 
 @dataclass(frozen=True, slots=True)
+class ClockEvidence:
+    """Disagreement of a camera with the others, were its offset another one; all other clocks are as found.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera.
+    offsets_s
+        Offsets that were compared near the one that was found, ascending; see ``CameraClock.offset_s``.
+    disagreement
+        Share of the moving joints that disagree, 0 to 1, at each of these offsets.
+    """
+
+    camera: str
+    offsets_s: tuple[float, ...]
+    disagreement: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Synchronization:
     """Clocks of all cameras, measured from the motion of people.
 
@@ -668,11 +687,14 @@ class Synchronization:
         Reasons not to rely on the clocks, each with a code and a remedy; none: they are certain.
     warnings
         Doubts that do not forbid to use the clocks.
+    evidence
+        Of each camera, in the cameras' order.
     """
 
     clocks: tuple[CameraClock, ...]
     refusals: tuple[Problem, ...] = ()
     warnings: tuple[Problem, ...] = ()
+    evidence: tuple[ClockEvidence, ...] = ()
 
     @property
     def is_certain(self) -> bool:

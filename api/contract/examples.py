@@ -355,6 +355,7 @@ _MOTION: dict[str, Any] = {
             "clock": [[0, 0.0, 0.0], [2, 0.08, 0.08]],
         }
     ],
+    "clocks": None,
     "is_refined": False,
     "floor": {"height_m": 0.0, "slope_x": 0.0, "slope_y": 0.0},
     "reprojection_error_px": {"median": 3.1, "p95": 8.2, "by_camera": {"cam_0": 3.1}, "by_joint": {"nose": 3.1}},

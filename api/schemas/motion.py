@@ -79,6 +79,19 @@ class MotionCamera(ResponseModel):
     )
 
 
+class MotionClock(ResponseModel):
+    """Clock of a camera, measured: `session time = offset_s + rate * own time`; and how well other offsets fit."""
+
+    camera: str = Field(description="Name of the camera.")
+    offset_s: float = Field(description="Session time of the first frame.")
+    sigma_s: float | None = Field(description="Largest standard deviation of the session times; null if unknown.")
+    rate: float = Field(description="Rate of the clock; 1 for the first camera.")
+    offsets_s: tuple[float, ...] = Field(description="Offsets that were compared, near the one that was found.")
+    disagreement: tuple[float, ...] = Field(
+        description="Share of the moving joints that disagree with the other cameras at each of these offsets."
+    )
+
+
 class MotionFloor(ResponseModel):
     """Floor: its height at x and y is `height_m + slope_x x + slope_y y`."""
 
@@ -108,6 +121,9 @@ class MotionDescription(ResponseModel):
     record: MotionRecord
     people: tuple[MotionPerson, ...] = Field(description="People, in the order of their records.")
     cameras: tuple[MotionCamera, ...] = Field(description="Cameras of the session.")
+    clocks: tuple[MotionClock, ...] | None = Field(
+        default=None, description="Measured clocks of all cameras; null if the declared times were taken."
+    )
     is_refined: bool = Field(description="Whether the cameras were refined.")
     floor: MotionFloor | None = Field(description="Floor; null if no foot was ever seen.")
     reprojection_error_px: dict[str, float | dict[str, float | None] | None] = Field(

@@ -15,6 +15,7 @@ from pipeline.data import (
     CameraBump,
     CameraClock,
     CameraMove,
+    ClockEvidence,
     DamagedVideo,
     Detections,
     Doubt,
@@ -126,6 +127,10 @@ def decode_clocks(content: bytes) -> Synchronization:
     return Synchronization(
         tuple(CameraClock(**clock) for clock in document["clocks"]),
         warnings=tuple(Problem(**problem) for problem in document["warnings"]),
+        evidence=tuple(
+            ClockEvidence(one["camera"], tuple(one["offsets_s"]), tuple(one["disagreement"]))
+            for one in document["evidence"]
+        ),
     )
 
 

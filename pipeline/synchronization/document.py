@@ -21,6 +21,13 @@ def sync_document(synchronization: Synchronization) -> dict[str, Any]:
         "certain": synchronization.is_certain,
         "refusals": _problems(synchronization.refusals),
         "warnings": _problems(synchronization.warnings),
+        "evidence": {
+            one.camera: {
+                "offsets_s": [round(value, 4) for value in one.offsets_s],
+                "disagreement": [round(value, 4) for value in one.disagreement],
+            }
+            for one in synchronization.evidence
+        },
     }
 
 

@@ -67,7 +67,7 @@ def remaining_offsets(
     --------
     ``[one for one in remaining_offsets(...) if one.is_wrong]`` are the cameras to warn of.
     """
-    found = synchronize(cameras, times, detections, joints, dict.fromkeys(times, 0.0)).synchronization
+    found = synchronize(cameras, times, detections, joints, dict.fromkeys(times, 0.0))
     if not found.is_certain:
         return ()
     late_s = []

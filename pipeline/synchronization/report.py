@@ -1,24 +1,23 @@
 """Plots of a synchronisation: the error of each camera over its offset, as SVG documents."""
 
-from math import isfinite
-from typing import Any
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import ceil, floor, inf, isfinite
+from statistics import median
 
-import numpy as np
-from jaxtyping import Float
-
-from pipeline.data import CameraClock
-from pipeline.synchronization.synchronize import CameraEvidence, Synchronized
+from pipeline.data import CameraClock, ClockEvidence, Synchronization
 
 _WIDTH, _HEIGHT, _MARGIN = 640, 240, 36
 _HALF_S = 2.5
 
+_Place = Callable[[float], float]
 
-def error_pictures(synchronized: Synchronized) -> dict[str, str]:
+
+def error_pictures(synchronization: Synchronization) -> dict[str, str]:
     """SVG documents by file name, such as ``sync_cam_1.svg``: a camera's error over its offset."""
-    clocks = synchronized.synchronization.clocks
     return {
         f"sync_{_file_name(clock.camera)}.svg": _error_svg(clock, evidence)
-        for clock, evidence in zip(clocks, synchronized.evidence, strict=True)
+        for clock, evidence in zip(synchronization.clocks, synchronization.evidence, strict=True)
     }
 
 
@@ -26,11 +25,8 @@ def _file_name(camera: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in camera)
 
 
-def _error_svg(clock: CameraClock, evidence: CameraEvidence) -> str:
+def _error_svg(clock: CameraClock, evidence: ClockEvidence) -> str:
     found_s = clock.offset_s
-    offsets_s = evidence.shifts_s + clock.start_s
-    is_shown = np.abs(offsets_s - found_s) <= _HALF_S
-    offsets_s, error = offsets_s[is_shown], evidence.error[is_shown]
     low_s, high_s = found_s - _HALF_S, found_s + _HALF_S
 
     def across(value_s: float) -> float:
@@ -41,10 +37,11 @@ def _error_svg(clock: CameraClock, evidence: CameraEvidence) -> str:
 
     marks = "".join(
         f'<text x="{across(float(second)):.0f}" y="{_HEIGHT - 14}" text-anchor="middle">{second} s</text>'
-        for second in range(int(np.ceil(low_s)), int(np.floor(high_s)) + 1)
+        for second in range(ceil(low_s), floor(high_s) + 1)
     )
     spread_s = clock.sigma_s if isfinite(clock.sigma_s) else 0.0
     band = across(found_s - spread_s), across(found_s + spread_s)
+    line = _line(evidence.offsets_s, evidence.disagreement, across, down)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" font-size="12" '
         f'font-family="sans-serif"><title>Error over the offset: {found_s:.4f} s found</title>'
@@ -56,17 +53,17 @@ def _error_svg(clock: CameraClock, evidence: CameraEvidence) -> str:
         f'stroke="#bbb"/>{marks}'
         f'<rect x="{band[0]:.1f}" y="{down(1.0):.0f}" width="{max(band[1] - band[0], 1.0):.1f}" '
         f'height="{down(0.0) - down(1.0):.0f}" fill="#d62728" fill-opacity="0.5"/>'
-        f'<path d="{_line(offsets_s, error, across, down)}" fill="none" stroke="#1f4e79" stroke-width="1.5"/></svg>\n'
+        f'<path d="{line}" fill="none" stroke="#1f4e79" stroke-width="1.5"/></svg>\n'
     )
 
 
-def _line(
-    offsets_s: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], across: Any, down: Any
-) -> str:  # fmt: skip
+def _line(offsets_s: Sequence[float], shares: Sequence[float], across: _Place, down: _Place) -> str:
     """Path of a curve; it is broken where nothing was compared."""
-    step_s = float(np.median(np.diff(offsets_s))) if len(offsets_s) > 1 else 0.0
+    step_s = median(later - offset_s for offset_s, later in pairwise(offsets_s)) if len(offsets_s) > 1 else 0.0
     parts = []
-    for number, (value_s, share) in enumerate(zip(offsets_s.tolist(), error.tolist(), strict=True)):
-        is_new = number == 0 or value_s - offsets_s[number - 1] > 1.5 * step_s
+    before_s = -inf
+    for value_s, share in zip(offsets_s, shares, strict=True):
+        is_new = value_s - before_s > 1.5 * step_s
         parts.append(f"{'M' if is_new else 'L'}{across(value_s):.1f},{down(share):.1f}")
+        before_s = value_s
     return "".join(parts)

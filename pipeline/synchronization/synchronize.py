@@ -2,13 +2,13 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
-from pipeline.data import Camera, CameraClock, Detections, FrameTimes, Synchronization, read_only
+from pipeline.data import Camera, CameraClock, ClockEvidence, Detections, FrameTimes, Synchronization, read_only
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.synchronization.checks import find_doubts
@@ -26,39 +26,9 @@ _DECLARED_REACH, _PROPOSED_REACH, _FINAL_REACH, _LAG_STEP = 125, 25, 75, 2
 _PARTNERS = 6
 # Takes that are long enough for rates of clocks to matter and to be measured.
 _MIN_DRIFT_S = 30.0
+# Evidence is kept around the offset that was found.
+_SHOWN_S = 2.5
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraEvidence:
-    """Error of a camera over shifts of its clock, all other clocks being as found.
-
-    Parameters
-    ----------
-    shifts_s
-        Ascending, relative to the declared times.
-    error
-        Share of the moving joints that disagree, 0 to 1; NaN where nothing is compared.
-    """
-
-    shifts_s: Float[np.ndarray, " shifts"]
-    error: Float[np.ndarray, " shifts"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Synchronized:
-    """Result of a synchronisation.
-
-    Parameters
-    ----------
-    synchronization
-        Clocks and doubts.
-    evidence
-        Of each camera, in the cameras' order.
-    """
-
-    synchronization: Synchronization
-    evidence: tuple[CameraEvidence, ...]
 
 
 def synchronize(
@@ -69,7 +39,7 @@ def synchronize(
     starts_s: Mapping[str, float],
     on_share: OnShare = ignore,
     near_s: Mapping[str, float] = NOTHING_KNOWN,
-) -> Synchronized:
+) -> Synchronization:
     """Measure the cameras' clocks from the motion of people whom several cameras see.
 
     Bodies are followed in each camera by itself. Two cameras agree at a lag of their clocks if joints in motion lie on
@@ -120,8 +90,8 @@ def synchronize(
     clocks = starting_as_declared(times, clocks, starts_s)
     refusals, warnings = find_doubts(cameras, times, motions, splits, clocks, offsets)
     on_share(1.0)
-    evidence = tuple(_evidence(number, curves, offsets, late_s) for number in range(len(cameras)))
-    return Synchronized(Synchronization(clocks, refusals, warnings), evidence)
+    evidence = tuple(_evidence(number, clock, curves, offsets, late_s) for number, clock in enumerate(clocks))
+    return Synchronization(clocks, refusals, warnings, evidence)
 
 
 def corrected_times(times: Mapping[str, FrameTimes], synchronization: Synchronization) -> dict[str, FrameTimes]:
@@ -207,9 +177,9 @@ def _late_s(times: Mapping[str, FrameTimes], clocks: Sequence[CameraClock]) -> f
 
 
 def _evidence(
-    number: int, curves: Sequence[PairCurve], offsets: Int[np.ndarray, " cameras"], late_s: float
-) -> CameraEvidence:
-    """Share of the moving joints that disagree, by shift of a camera."""
+    number: int, clock: CameraClock, curves: Sequence[PairCurve], offsets: Int[np.ndarray, " cameras"], late_s: float
+) -> ClockEvidence:
+    """Share of the moving joints that disagree, by offset of a camera."""
     cost: dict[int, float] = {}
     weight: dict[int, float] = {}
     for curve in curves:
@@ -220,6 +190,10 @@ def _evidence(
             if curve.weight[k] > 0:
                 cost[shift] = cost.get(shift, 0.0) + float(curve.cost[k] * curve.weight[k])
                 weight[shift] = weight.get(shift, 0.0) + float(curve.weight[k])
-    shifts = np.array(sorted(weight), np.int64)
-    error = np.array([cost[shift] / weight[shift] for shift in shifts.tolist()])
-    return CameraEvidence(read_only(shifts * STEP_S - late_s), read_only(error))
+    offset_s = {shift: shift * STEP_S - late_s + clock.start_s for shift in sorted(weight)}
+    shown = [shift for shift, value_s in offset_s.items() if abs(value_s - clock.offset_s) <= _SHOWN_S]
+    return ClockEvidence(
+        clock.camera,
+        tuple(offset_s[shift] for shift in shown),
+        tuple(cost[shift] / weight[shift] for shift in shown),
+    )

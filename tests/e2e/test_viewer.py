@@ -1,6 +1,7 @@
 """Viewer in a real browser: drawing, keyboard, strips, plots, videos in step, pairs, problems."""
 
 import base64
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,7 @@ NUM_FRAMES, RATE_HZ = 120, 25
 # Numbers of frames are drawn as bits: columns of this width, black or white.
 BITS, BIT_PX, HEIGHT_PX = 8, 40, 180
 
-MOUNT = """async ({ jobs, clock, video }) => {
+MOUNT = """async ({ jobs, clock, video, clocks }) => {
   const { mount, mountPair } = await import("/portal/viewer/mount.js");
   const { ApiSource } = await import("/portal/viewer/source.js");
   const place = document.createElement("div");
@@ -34,6 +35,7 @@ MOUNT = """async ({ jobs, clock, video }) => {
     source.description = async () => {
       const description = await read();
       if (clock !== null) Object.assign(description.cameras[0], { clock, size_px: [320, 180], video: "a.mp4" });
+      if (clocks !== null) description.clocks = clocks;
       return description;
     };
     source.video = async (camera) => (camera.name === "a" && url !== null ? { url, startS: 0 } : null);
@@ -67,8 +69,16 @@ class Shown:
     live: Live
     job_ids: list[str]
 
-    def mount(self, count: int = 1, *, clock: list[Any] | None = None, video: str | None = None) -> None:
-        self.page.evaluate(MOUNT, {"jobs": self.job_ids[:count], "clock": clock, "video": video})
+    def mount(
+        self,
+        count: int = 1,
+        *,
+        clock: list[Any] | None = None,
+        video: str | None = None,
+        clocks: list[dict[str, Any]] | None = None,
+    ) -> None:
+        jobs = self.job_ids[:count]
+        self.page.evaluate(MOUNT, {"jobs": jobs, "clock": clock, "video": video, "clocks": clocks})
         expect(self.page.locator(".look-viewer[data-ready=true]").first).to_be_visible(timeout=30_000)
 
     @property
@@ -223,6 +233,32 @@ def test_figures_and_plots(shown: Shown) -> None:
     shown.page.get_by_label("Plot", exact=True).select_option("angles")
     # The walker's elbows are bent by 0.9 rad all the time.
     expect(shown.page.locator(".u-series", has_text="Left elbow").locator(".u-value")).to_have_text("52 °")
+
+
+def test_measured_clocks_are_shown_with_their_evidence(shown: Shown) -> None:
+    shown.mount()
+    expect(shown.page.get_by_role("tab", name="Clocks")).to_have_count(0)
+    offsets_s = np.arange(-50, 51) / 20
+    found = (("a", 0.0, 1.0, None), ("b", 0.48, 1.0 - 2e-5, 0.0021))
+    clocks = [
+        {
+            "camera": name, "offset_s": offset_s, "rate": rate, "sigma_s": sigma_s,
+            "offsets_s": (offsets_s + offset_s).tolist(), "disagreement": (1 - np.exp(-(offsets_s**2))).tolist(),
+        }
+        for name, offset_s, rate, sigma_s in found
+    ]  # fmt: skip
+    shown.mount(clocks=clocks)
+    shown.page.get_by_role("tab", name="Clocks").click()
+    expect(shown.page.get_by_text("b starts at 0.480 s ± 2.1 ms, clock fast by 20.0 ppm")).to_be_visible()
+    expect(shown.page.get_by_text("a starts at 0.000 s standard deviation unknown")).to_be_visible()
+    curve = shown.page.get_by_role("img", name="b: disagreement over the offset")
+    # The valley of the curve is under the mark of the offset that was found.
+    points = curve.locator(".look-curve").get_attribute("d") or ""
+    x_px, _ = max((point.split(",") for point in re.split("[ML]", points)[1:]), key=lambda point: float(point[1]))
+    mark = curve.locator(".look-found")
+    middle_px = float(mark.get_attribute("x") or 0) + float(mark.get_attribute("width") or 0) / 2
+    assert float(x_px) == pytest.approx(middle_px, abs=1.0)
+    assert points.count("M") == 1
 
 
 def test_video_and_skeleton_are_in_step(shown: Shown, numbered_video: str) -> None:

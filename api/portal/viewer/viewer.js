@@ -4,6 +4,7 @@ import { el } from "./dom.js";
 import { graphics } from "./graphics.js";
 import { listenToKeys } from "./keys.js";
 import { MotionStore } from "./motion/store.js";
+import { clocksPanel } from "./panels/clocks.js";
 import { camerasTable, peopleTable, warningList } from "./panels/figures.js";
 import { Plots } from "./panels/plots.js";
 import { Strips } from "./panels/strips.js";
@@ -124,6 +125,7 @@ export class Viewer {
     this.strips = new Strips(description, player, { announce: (text) => this.say(text), onperson: (person, isShown) => this.#setShown(person, isShown) });
     this.plots = new Plots(this.store, player);
     const warnings = warningList(description);
+    const clocks = clocksPanel(description);
     this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" },
       el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.status), this.wall.element),
       this.isLeader ? transport(player) : null, this.strips.element,
@@ -131,6 +133,7 @@ export class Viewer {
         { id: "people", label: "People", element: peopleTable(description, player, this.strips.spots) },
         { id: "plots", label: "Plots", element: this.plots.element, onshow: () => this.plots.draw(true) },
         { id: "cameras", label: "Cameras", element: camerasTable(description) },
+        ...(clocks ? [{ id: "clocks", label: "Clocks", element: clocks }] : []),
         ...(warnings ? [{ id: "warnings", label: `Warnings (${description.warnings.length})`, element: warnings }] : []),
       ]));
     element.replaceChildren(this.element);

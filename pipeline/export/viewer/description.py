@@ -3,11 +3,12 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
 
-from pipeline.data import Camera, FrameTimes, Reconstruction
+from pipeline.data import Camera, FrameTimes, Reconstruction, Synchronization
 from pipeline.export.colors import color_rgb
 from pipeline.export.viewer.clocks import knots
 from pipeline.export.viewer.frames import (
@@ -104,6 +105,7 @@ class ViewerMotion:
             "record": self._describe_record(),
             "people": list(self._describe_people()),
             "cameras": [_describe_camera(camera, self._footage.get(camera.name)) for camera in take.cameras],
+            "clocks": None if take.synchronization is None else list(_describe_clocks(take.synchronization)),
             "is_refined": take.refinement is not None and take.refinement.refined,
             "floor": None
             if take.animation.floor is None
@@ -205,6 +207,19 @@ def _describe_camera(camera: Camera, footage: Footage | None) -> dict[str, Any]:
         "video": None if footage is None else footage.video,
         "clock": [] if footage is None else _describe_clock(footage),
     }
+
+
+def _describe_clocks(synchronization: Synchronization) -> Iterator[dict[str, Any]]:
+    """Measured clocks with the evidence for them; a standard deviation that is not finite is ``None``."""
+    for clock, evidence in zip(synchronization.clocks, synchronization.evidence, strict=True):
+        yield {
+            "camera": clock.camera,
+            "offset_s": round(clock.offset_s, 6),
+            "sigma_s": round(clock.sigma_s, 6) if isfinite(clock.sigma_s) else None,
+            "rate": round(clock.rate, 9),
+            "offsets_s": [round(value_s, 4) for value_s in evidence.offsets_s],
+            "disagreement": [round(share, 4) for share in evidence.disagreement],
+        }
 
 
 def _describe_clock(footage: Footage) -> list[list[int | float]]:

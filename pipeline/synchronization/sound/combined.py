@@ -9,7 +9,7 @@ from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.synchronization.checks import precision_doubts
 from pipeline.synchronization.sound.offsets import SoundOffsets
-from pipeline.synchronization.synchronize import Synchronized, starting_as_declared, synchronize
+from pipeline.synchronization.synchronize import starting_as_declared, synchronize
 
 # Motion and sound may differ so much: sound and pictures of phones are some hundredths apart, and sound takes its way.
 _MAX_APART_S = 0.1
@@ -24,7 +24,7 @@ def synchronize_with_sound(
     starts_s: Mapping[str, float],
     sound: SoundOffsets,
     on_share: OnShare = ignore,
-) -> Synchronized:
+) -> Synchronization:
     """Measure the cameras' clocks as ``synchronize`` does, with the help of sound.
 
     Motion alone comes first. If it is certain, sound has to agree within a tenth of a second. If it is not (it repeats
@@ -35,11 +35,10 @@ def synchronize_with_sound(
     shift_s = {name: value - starts_s[name] for name, value in sound.offset_s.items()}
     if len(shift_s) < 2:
         return found
-    if found.synchronization.is_certain:
-        apart = tuple(_contradictions(found.synchronization.clocks, shift_s, times))
-        return replace(found, synchronization=replace(found.synchronization, refusals=apart)) if apart else found
+    if found.is_certain:
+        return replace(found, refusals=tuple(_contradictions(found.clocks, shift_s, times)))
     near = synchronize(cameras, times, detections, joints, starts_s, on_share, near_s=shift_s)
-    if near.synchronization.is_certain and not any(_contradictions(near.synchronization.clocks, shift_s, times)):
+    if near.is_certain and not any(_contradictions(near.clocks, shift_s, times)):
         return near
     if len(shift_s) < len(cameras):
         return found
@@ -50,8 +49,8 @@ def synchronize_with_sound(
         message = (
             "The offsets are those of the sound alone, since motion does not tell them: +-3 ms a metre of its way."
         )
-        warnings = (Problem("sync_by_sound", message, hint=found.synchronization.refusals[0].hint), *warnings)
-    return replace(found, synchronization=Synchronization(clocks, refusals, warnings))
+        warnings = (Problem("sync_by_sound", message, hint=found.refusals[0].hint), *warnings)
+    return replace(found, clocks=clocks, refusals=refusals, warnings=warnings)
 
 
 def _contradictions(

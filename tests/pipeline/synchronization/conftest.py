@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data import Camera, Detections, FrameTimes
+from pipeline.data import Camera, Detections, FrameTimes, Synchronization
 from pipeline.joints import JointSet
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 from pipeline.simulation.scenes import Scene, find_scene, record
-from pipeline.synchronization.synchronize import Synchronized, synchronize
+from pipeline.synchronization.synchronize import synchronize
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Take:
     joints: JointSet
     start_s: tuple[float, ...]
 
-    def synchronized(self) -> Synchronized:
+    def synchronized(self) -> Synchronization:
         """Measured clocks."""
         return synchronize(self.cameras, self.times, self.detections, self.joints, dict.fromkeys(self.times, 0.0))
 

@@ -18,7 +18,7 @@ def test_no_clock_is_wrong_by_half_a_frame_unnoticed(number: int) -> None:
     rate_hz = SCENES[name].clock.frame_rate_hz
     first_frames = np.random.default_rng(number).integers(0, int(rate_hz) + 1, num_views).tolist()
     take = cut_take(shortened(name, duration_s), number, first_frames)
-    found = take.synchronized().synchronization
+    found = take.synchronized()
     offset_s = np.array([clock.offset_s for clock in found.clocks])
     errors_s = np.abs((offset_s - offset_s[0]) - (np.array(take.start_s) - take.start_s[0]))
     assert not found.is_certain or found.warnings or errors_s.max() < 0.5 / rate_hz

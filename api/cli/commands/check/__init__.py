@@ -108,7 +108,7 @@ def _as_declared(session: Session, config: ReconstructionConfig, on_progress: On
 def _on_measured_clocks(session: Session, config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
     """Findings about the clocks, and about people at a few instants if the clocks are certain."""
     detections, joints = all_bodies(session, config, on_progress)
-    clocks = measured_clocks(session, detections, joints, on_progress)[0].synchronization
+    clocks = measured_clocks(session, detections, joints, on_progress)[0]
     findings = list(clock_findings(clocks))
     if clocks.is_certain:
         session = on_measured_clocks(session, clocks)

@@ -5,7 +5,7 @@ from contextlib import nullcontext
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections
+from pipeline.data import Detections, Synchronization
 from pipeline.joints import JointSet
 from pipeline.progress import OnProgress, Progress
 from pipeline.stages.association import Session
@@ -16,7 +16,6 @@ from pipeline.stages.plan import SYNCHRONIZE
 from pipeline.synchronization.motions import excerpt
 from pipeline.synchronization.sound.combined import synchronize_with_sound
 from pipeline.synchronization.sound.offsets import SoundOffsets
-from pipeline.synchronization.synchronize import Synchronized
 
 _PERCENT = 100
 
@@ -32,7 +31,7 @@ def all_bodies(
 
 def measured_clocks(
     session: Session, detections: Mapping[str, Detections], joints: JointSet, on_progress: OnProgress
-) -> tuple[Synchronized, SoundOffsets]:
+) -> tuple[Synchronization, SoundOffsets]:
     """Clocks from the motion of the bodies and the sound of the videos, and what the sound alone told."""
     sound = SoundOffsets()
     if not isinstance(session, KeypointSession):

@@ -23,11 +23,11 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.data import Synchronization
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.stages.association import Session
 from pipeline.synchronization.document import sound_document, sync_document
 from pipeline.synchronization.report import error_pictures
-from pipeline.synchronization.synchronize import Synchronized
 
 
 def command(
@@ -66,7 +66,7 @@ def command(
         for sentence in () if as_json else session.warnings:
             warn(sentence)
         found, sound = measured_clocks(session, detections, joints, bars.update)
-        document = sync_document(found.synchronization) | {"sound": sound_document(sound)}
+        document = sync_document(found) | {"sound": sound_document(sound)}
         if report is not None:
             _write_report(report, document, found)
     if as_json:
@@ -90,7 +90,7 @@ def _check_sources(
         raise InputError(problems)
 
 
-def _write_report(folder: Path, document: Mapping[str, Any], found: Synchronized) -> None:
+def _write_report(folder: Path, document: Mapping[str, Any], found: Synchronization) -> None:
     files = {"sync.json": json.dumps(document, indent=1) + "\n", **error_pictures(found)}
     try:
         folder.mkdir(parents=True, exist_ok=True)

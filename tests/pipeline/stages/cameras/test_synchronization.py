@@ -80,7 +80,7 @@ def test_the_session_is_as_long_as_its_cameras_recorded_together() -> None:
     first = take.cameras[0].name
     times = {**take.times, first: replace(take.times[first], time_s=take.times[first].time_s[:110])}
     session = replace(session_of(take), times=times, timebase=session_timebase(times))
-    clocks = take.synchronized().synchronization
+    clocks = take.synchronized()
     measured = on_measured_clocks(session, clocks)
     assert session.timebase.num_frames == 110
     assert measured.timebase.num_frames == 125
