@@ -250,7 +250,7 @@ def test_measured_clocks_are_shown_with_their_evidence(shown: Shown) -> None:
     shown.mount(clocks=clocks)
     shown.page.get_by_role("tab", name="Clocks").click()
     expect(shown.page.get_by_text("b starts at 0.480 s ± 2.1 ms, clock fast by 20.0 ppm")).to_be_visible()
-    expect(shown.page.get_by_text("a starts at 0.000 s standard deviation unknown")).to_be_visible()
+    expect(shown.page.get_by_text("a starts at 0.000 s, standard deviation unknown")).to_be_visible()
     curve = shown.page.get_by_role("img", name="b: disagreement over the offset")
     # The valley of the curve is under the mark of the offset that was found.
     points = curve.locator(".look-curve").get_attribute("d") or ""

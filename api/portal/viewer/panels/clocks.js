@@ -14,10 +14,10 @@ export function clocksPanel({ clocks }) {
 }
 
 function caption({ camera, offset_s: offsetS, sigma_s: sigmaS, rate }) {
-  const spread = sigmaS === null ? "standard deviation unknown" : `± ${figure(sigmaS * 1000, 1)} ms`;
+  const spread = sigmaS === null ? ", standard deviation unknown" : ` ± ${figure(sigmaS * 1000, 1)} ms`;
   const drift = (1 - rate) * 1e6;
   const fast = Math.abs(drift) < 0.05 ? "" : `, clock ${drift > 0 ? "fast" : "slow"} by ${figure(Math.abs(drift), 1)} ppm`;
-  return [el("b", {}, camera), ` starts at ${figure(offsetS, 3)} s ${spread}${fast}`];
+  return [el("b", {}, camera), ` starts at ${figure(offsetS, 3)} s${spread}${fast}`];
 }
 
 function curve({ camera, offset_s: foundS, sigma_s: sigmaS, offsets_s: offsetsS, disagreement }) {
