@@ -1,12 +1,14 @@
 """Draw skeletons over a camera's frame."""
 
-from collections.abc import Mapping, Sequence
+import unicodedata
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data import Camera, Timebase, Track3D
+from pipeline.data import Camera, SkeletonMotion, Timebase, Track3D
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.geometry.camera import project
 from pipeline.joints import FINGER_JOINTS, JointSet
@@ -14,6 +16,8 @@ from pipeline.joints import FINGER_JOINTS, JointSet
 _BLACK: Rgb = (0, 0, 0)
 # cv2 draws with this many fractional bits.
 _SHIFT = 4
+_MAX_LABEL = 24
+NO_NAMES: Mapping[int, str] = MappingProxyType({})
 
 
 def _drawable(points_px: Float[np.ndarray, "joints 2"], size_px: tuple[int, int]) -> dict[int, tuple[int, int]]:
@@ -61,8 +65,12 @@ def draw_skeletons(
     camera: Camera,
     people_m: Mapping[int, Float[np.ndarray, "joints 3"]],
     joints: JointSet,
+    names: Mapping[int, str] = NO_NAMES,
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Draw the people of an instant over a camera's picture, each in their own colour with their number above.
+    """Draw the people of an instant over a camera's picture, each in their own colour with a label above.
+
+    The label is the person's name, without accents and at most 24 characters of it; of people without a name, and with
+    one in letters that the drawing does not have, the number.
 
     Fingers are drawn thinner than the rest of the body.
 
@@ -72,6 +80,8 @@ def draw_skeletons(
         Picture of the instant, of size ``camera.size_px``; not changed.
     people_m
         Joint positions in world coordinates (metres) by person's number; NaN joints are left out.
+    names
+        Names of people by number.
     """
     image = np.ascontiguousarray(image_rgb).copy()
     thickness = max(2, round(np.hypot(*camera.size_px) / 600))
@@ -90,14 +100,26 @@ def draw_skeletons(
             cv2.circle(image, point, (width[joint] + 1) << _SHIFT, _BLACK, -1, cv2.LINE_AA, _SHIFT)
             cv2.circle(image, point, width[joint] << _SHIFT, color, -1, cv2.LINE_AA, _SHIFT)
         if points:
-            _label(image, str(number), min(points.values(), key=lambda point: point[1]), color, thickness)
+            label = _drawable_text(names.get(number, "")) or str(number)
+            _label(image, label, min(points.values(), key=lambda point: point[1]), color, thickness)
     return image
+
+
+def given_names(motions: Iterable[SkeletonMotion]) -> dict[int, str]:
+    """Names that people were given, by number."""
+    return {one.track_id: one.name for one in motions if one.name != f"person-{one.track_id}"}
+
+
+def _drawable_text(name: str) -> str:
+    """Name in the letters that cv2 draws, those of ASCII, without accents; empty if it has others."""
+    plain = "".join(one for one in unicodedata.normalize("NFKD", name) if not unicodedata.combining(one))
+    return plain[:_MAX_LABEL] if plain.isascii() and plain.isprintable() else ""
 
 
 def _label(
     image: UInt8[np.ndarray, "height width 3"], text: str, above: tuple[int, int], color: Rgb, thickness: int
 ) -> None:
-    """Write a number centred above a point, in place."""
+    """Write a label centred above a point, in place."""
     scale = 0.35 * thickness
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
     origin = ((above[0] >> _SHIFT) - width // 2, (above[1] >> _SHIFT) - 5 * thickness)

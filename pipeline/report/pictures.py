@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 
 from pipeline.calibration.sizes import scaled
 from pipeline.data import Camera
-from pipeline.export.overlay import draw_skeletons
+from pipeline.export.overlay import NO_NAMES, draw_skeletons
 from pipeline.joints import JointSet
 from pipeline.report.motion import Motion
 
@@ -80,6 +80,7 @@ def draw_picture(
     camera: Camera,
     people_m: Mapping[int, Float[np.ndarray, "joints 3"]],
     joints: JointSet,
+    names: Mapping[int, str] = NO_NAMES,
 ) -> tuple[tuple[int, int], bytes]:
     """Draw people over a camera's picture.
 
@@ -87,6 +88,8 @@ def draw_picture(
     ----------
     image_rgb
         Picture of the camera's size; ``None``: a dark ground.
+    names
+        Names that people were given, by number.
 
     Returns
     -------
@@ -97,6 +100,8 @@ def draw_picture(
     if image_rgb is None:
         image_rgb = np.full((height, width, 3), _BACKGROUND, np.uint8)
     ground = cv2.resize(np.ascontiguousarray(image_rgb), (width, height), interpolation=cv2.INTER_AREA)
-    drawn = draw_skeletons(ground.astype(np.uint8, copy=False), scaled(camera, (width, height)), people_m, joints)
+    drawn = draw_skeletons(
+        ground.astype(np.uint8, copy=False), scaled(camera, (width, height)), people_m, joints, names
+    )
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     return (width, height), bytes(jpeg)

@@ -3,7 +3,7 @@
 import { html, noChange } from "../vendor/lit-html/lit-html.js";
 import { Directive, directive } from "../vendor/lit-html/directive.js";
 
-export { html, nothing, render } from "../vendor/lit-html/lit-html.js";
+export { html, nothing, render, svg } from "../vendor/lit-html/lit-html.js";
 export { live } from "../vendor/lit-html/directives/live.js";
 export { ref } from "../vendor/lit-html/directives/ref.js";
 export { repeat } from "../vendor/lit-html/directives/repeat.js";

@@ -13,7 +13,7 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
 from pipeline.data import Reconstruction
 from pipeline.errors import PipelineError
-from pipeline.export.overlay import draw_skeletons, people_at
+from pipeline.export.overlay import draw_skeletons, given_names, people_at
 from pipeline.stages.inputs import Context, on_clocks
 from pipeline.stages.output import ResultFile
 from pipeline.video.decode import decode
@@ -93,12 +93,14 @@ def draw_video(
     size_px = even_size_px(of_take.size_px, LONG_SIDE_PX)
     small, time_s = scaled(of_take, size_px), times.time_s[frames.start : frames.stop]
 
+    names = given_names(take.motions)
+
     def drawn() -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
         with closing(decode(video, frames.start, frames.stop)) as decoded:
             for frame, image_rgb in decoded:
                 picture = cv2.resize(np.ascontiguousarray(image_rgb), size_px, interpolation=cv2.INTER_AREA)
                 people_m = people_at(take.tracks, timebase, float(times.time_s[frame]))
-                yield frame - frames.start, draw_skeletons(picture, small, people_m, take.joints)
+                yield frame - frames.start, draw_skeletons(picture, small, people_m, take.joints, names)
                 on_frame()
 
     with closing(drawn()) as pictures:

@@ -15,7 +15,7 @@ from pipeline.data import Reconstruction
 from pipeline.detect.entries import entry_of
 from pipeline.edits import document_of
 from pipeline.errors import InputError
-from pipeline.export.overlay import people_at
+from pipeline.export.overlay import given_names, people_at
 from pipeline.progress import OnShare
 from pipeline.quality.report import all_checks, quality_report
 from pipeline.report.motion import motion_of
@@ -96,7 +96,8 @@ def _picture(context: Context, session: Session, take: Reconstruction, camera: s
         )
         if image_rgb is None:
             return None
-    size_px, jpeg = draw_picture(image_rgb, of_take, people_at(take.tracks, take.timebase, time_s), take.joints)
+    people_m = people_at(take.tracks, take.timebase, time_s)
+    size_px, jpeg = draw_picture(image_rgb, of_take, people_m, take.joints, given_names(take.motions))
     return Picture(moment, camera, time_s, size_px, jpeg)
 
 

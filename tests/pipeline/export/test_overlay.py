@@ -55,6 +55,24 @@ def test_fingers_are_thinner_than_arms() -> None:
     np.testing.assert_array_equal(image[finger[1], finger[0]], color_rgb(1))
 
 
+def test_a_name_stands_in_place_of_the_number() -> None:
+    person_m = {7: standing(0.0)[1]}
+
+    def drawn(name: str | None) -> np.ndarray:
+        return draw_skeletons(GREY, CAMERA, person_m, COCO_17, {} if name is None else {7: name})
+
+    anna, number = drawn("Anna"), drawn(None)
+    above = slice(0, int(np.nanmin(project(CAMERA, person_m[7])[:, 1])) - 10)
+    # Four letters are wider than one digit, and nothing else changes.
+    widths = [np.ptp(np.nonzero((image[above] != GREY[above]).any((0, 2)))[0]) for image in (anna, number)]
+    assert widths[0] > 2 * widths[1]
+    np.testing.assert_array_equal(anna[above.stop + 12 :], number[above.stop + 12 :])
+    np.testing.assert_array_equal(drawn("Änna".replace("n", "n\u0301")), drawn("Anna"))
+    for other in ("\u5c71", "Anna\n", ""):
+        np.testing.assert_array_equal(drawn(other), number)
+    np.testing.assert_array_equal(drawn("A" * 64), drawn("A" * 24))
+
+
 def test_people_have_different_colours() -> None:
     people_m = {1: standing(-0.7)[2], 2: standing(0.7)[0]}
     both = draw_skeletons(GREY, CAMERA, people_m, COCO_17)
