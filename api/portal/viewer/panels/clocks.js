@@ -1,4 +1,4 @@
-// Measured clocks: a table of the offsets, and for each camera how well other offsets would fit.
+// Measured clocks: the offset of each camera, and how well other offsets would fit.
 
 import { html, render, svg } from "../../shared/lit.js";
 import { el, figure } from "../dom.js";
