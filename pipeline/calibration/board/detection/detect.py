@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from pipeline.calibration.board.detection.corners import align_corners
+from pipeline.calibration.board.detection.numbering import number_corners
+from pipeline.calibration.board.detection.squares import find_grids
 from pipeline.calibration.board.spec import Board
 
 # Larger pictures are shrunk for the search of chessboards; corners are then refined in the full picture.
@@ -103,11 +105,22 @@ def _first_cell_is_white(gray: np.ndarray, grid: np.ndarray) -> bool:
 
 
 def _find_charuco(gray: np.ndarray, board: Board) -> Found | None:
-    found = _charuco_corners(gray, board)
+    corners_px = _charuco_corners(gray, board)
+    found = None if corners_px is None else _aligned(gray, corners_px, board)
+    if found is None:
+        found = _find_by_squares(gray, board)
     if found is None:
         mirrored = _charuco_corners(np.ascontiguousarray(gray[:, ::-1]), board)
-        return None if mirrored is None else Found(mirrored, np.nan, is_mirrored=True)
-    return _aligned(gray, found, board)
+        found = None if mirrored is None else Found(mirrored, np.nan, is_mirrored=True)
+    return found
+
+
+def _find_by_squares(gray: np.ndarray, board: Board) -> Found | None:
+    """Find a ChArUco board whose markers can't be read one by one: blurred, noisy or small."""
+    for grid in find_grids(gray):
+        if (corners_px := number_corners(gray, grid, board)) is not None:
+            return _aligned(gray, corners_px, board)
+    return None
 
 
 def _charuco_corners(gray: np.ndarray, board: Board) -> np.ndarray | None:
