@@ -125,7 +125,8 @@ def _bits(board: Board) -> tuple[Float[np.ndarray, "rows columns bits bits"], Bo
     size = dictionary.markerSize
     bits = np.zeros((board.rows, board.cols, size, size))
     has_marker = np.zeros((board.rows, board.cols), bool)
-    for number, points_m in zip(board.charuco.getIds().ravel(), board.charuco.getObjPoints(), strict=True):
+    numbers, places_m = np.asarray(board.charuco.getIds()).ravel(), np.asarray(board.charuco.getObjPoints())
+    for number, points_m in zip(numbers, places_m, strict=True):
         column, row = np.floor(points_m.mean(0)[:2] / board.square_m).astype(int)
         bits[row, column] = cv2.aruco.Dictionary.getBitsFromByteList(dictionary.bytesList[number : number + 1], size)
         has_marker[row, column] = True

@@ -21,7 +21,9 @@ _SMOOTHING_PX = 1.6
 # Contrast of a saddle, of 255, and the number of saddles that are kept, the strongest.
 _MIN_CONTRAST, _MAX_SADDLES = 12.0, 600
 _NUM_SEEDS = 48
+# Strength of a corner, as a share of that of the corner from which the grid grows: corners of a board are alike.
 _MIN_STRENGTH = 0.4
+# Grids of a picture, the largest: one is the board, others are of bits or of the background.
 _MAX_GRIDS = 3
 # Neighbours among which the next corner along an edge is looked for, and its direction's tolerance as a cosine.
 _NUM_NEIGHBOURS, _MIN_COSINE = 16, 0.94
@@ -29,6 +31,8 @@ _NUM_NEIGHBOURS, _MIN_COSINE = 16, 0.94
 _MAX_MISS_SQUARES, _MIN_AGREEMENT = 0.28, 0.6
 # A grid has at least three corners each way, so that a homography fits by evidence.
 _MIN_SIDE = 3
+# Steps along a row and a column that are nearly parallel tell no grid.
+_MIN_SINE = 0.05
 # Cells around, each way, from which the place of the next one is predicted.
 _AROUND = 2
 _HOMOGRAPHY_SQUARES = 0.2
@@ -170,9 +174,14 @@ def _next(saddles: _Saddles, tree: KDTree, seed: int, along: np.ndarray, across:
 
 
 def _agreement(saddles: _Saddles, number: int, along: np.ndarray, across: np.ndarray) -> float:
-    """1 or -1 if a saddle's edges run along the grid, by the side on which it is bright; nearer to 0 if they are turned."""
-    scale = saddles.strength[number] * abs(along[0] * across[1] - along[1] * across[0])
-    return float(along @ saddles.hessian[number] @ across / max(scale, np.finfo(float).tiny))
+    """Agreement of a saddle's edges with steps of a grid: 1 or -1 where they run along it, 0 where they are turned.
+
+    The sign tells the side on which the saddle is bright.
+    """
+    area = abs(along[0] * across[1] - along[1] * across[0])
+    if area < _MIN_SINE * np.linalg.norm(along) * np.linalg.norm(across):
+        return 0.0
+    return float(along @ saddles.hessian[number] @ across / (saddles.strength[number] * area))
 
 
 def _expected(
