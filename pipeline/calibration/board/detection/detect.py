@@ -105,32 +105,33 @@ def _first_cell_is_white(gray: np.ndarray, grid: np.ndarray) -> bool:
 
 
 def _find_charuco(gray: np.ndarray, board: Board) -> Found | None:
-    corners_px = _charuco_corners(gray, board)
+    corners_px, has_marker = _charuco_corners(gray, board)
     found = None if corners_px is None else _aligned(gray, corners_px, board)
-    if found is None:
+    if found is None and has_marker:
         found = _find_by_squares(gray, board)
     if found is None:
-        mirrored = _charuco_corners(np.ascontiguousarray(gray[:, ::-1]), board)
+        mirrored, _ = _charuco_corners(np.ascontiguousarray(gray[:, ::-1]), board)
         found = None if mirrored is None else Found(mirrored, np.nan, is_mirrored=True)
     return found
 
 
 def _find_by_squares(gray: np.ndarray, board: Board) -> Found | None:
-    """Find a ChArUco board whose markers can't be read one by one: blurred, noisy or small."""
+    """Find a ChArUco board of which few markers can be read one by one: blurred, noisy or small."""
     for grid in find_grids(gray):
         if (corners_px := number_corners(gray, grid, board)) is not None:
             return _aligned(gray, corners_px, board)
     return None
 
 
-def _charuco_corners(gray: np.ndarray, board: Board) -> np.ndarray | None:
-    detector = cv2.aruco.CharucoDetector(board.charuco)
-    corners, ids, _, _ = detector.detectBoard(gray)
+def _charuco_corners(gray: np.ndarray, board: Board) -> tuple[np.ndarray | None, bool]:
+    """Corners by the markers that can be read one by one, ``None`` if there are too few; and whether one can be read."""
+    corners, ids, _, markers = cv2.aruco.CharucoDetector(board.charuco).detectBoard(gray)
+    has_marker = markers is not None and len(markers) > 0
     if ids is None or len(ids) < _MIN_CORNERS:
-        return None
+        return None, has_marker
     corners_px = np.full((board.num_corners, 2), np.nan)
     corners_px[ids.ravel()] = corners.reshape(-1, 2)
-    return corners_px if _spread(corners_px) else None
+    return (corners_px if _spread(corners_px) else None), has_marker
 
 
 def _spread(corners_px: np.ndarray) -> bool:

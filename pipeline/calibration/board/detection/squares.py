@@ -56,7 +56,7 @@ class SquareGrid:
     Parameters
     ----------
     corners_px
-        Pixels by row and column, NaN where no corner was found. Columns run to the right of rows, as seen from in front.
+        Pixels by row and column, NaN where no corner was found. Columns run to the right of rows, seen from in front.
     picture_from_grid
         Homography from columns and rows to pixels.
     """
