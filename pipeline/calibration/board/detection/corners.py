@@ -125,7 +125,9 @@ def _align(
         if np.linalg.norm(place_px - start_px) > max(1.0, _MAX_MOVE_SQUARES * side_px):
             return nowhere
         if length_px < _SMALL_STEP_PX:
-            correlation = np.corrcoef(columns @ solution, window.picture)[0, 1]
+            # Not by matmul, whose kernels may warn of values beyond the array.
+            fitted = (columns * solution).sum(1)
+            correlation = np.corrcoef(fitted, window.picture)[0, 1]
             return place_px if correlation >= _MIN_CORRELATION else nowhere
     return nowhere
 

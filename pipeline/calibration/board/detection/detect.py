@@ -53,7 +53,7 @@ def is_exchanged(image: UInt8[np.ndarray, "height width 3"], board: Board) -> bo
     if board.kind == "chessboard" or board.cols == board.rows:
         return False
     gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    found = _charuco_corners(gray, board.exchanged)
+    found, _ = _charuco_corners(gray, board.exchanged)
     return found is not None and _aligned(gray, found, board.exchanged) is not None
 
 
@@ -124,7 +124,7 @@ def _find_by_squares(gray: np.ndarray, board: Board) -> Found | None:
 
 
 def _charuco_corners(gray: np.ndarray, board: Board) -> tuple[np.ndarray | None, bool]:
-    """Corners by the markers that can be read one by one, ``None`` if there are too few; and whether one can be read."""
+    """Corners by the markers that can be read one by one, ``None`` if too few; and whether there is such a marker."""
     corners, ids, _, markers = cv2.aruco.CharucoDetector(board.charuco).detectBoard(gray)
     has_marker = markers is not None and len(markers) > 0
     if ids is None or len(ids) < _MIN_CORNERS:
