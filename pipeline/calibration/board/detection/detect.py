@@ -53,7 +53,7 @@ def is_exchanged(image: UInt8[np.ndarray, "height width 3"], board: Board) -> bo
     if board.kind == "chessboard" or board.cols == board.rows:
         return False
     gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    found, _ = _charuco_corners(gray, board.exchanged)
+    found = _charuco_corners(gray, board.exchanged)
     return found is not None and _aligned(gray, found, board.exchanged) is not None
 
 
@@ -105,12 +105,12 @@ def _first_cell_is_white(gray: np.ndarray, grid: np.ndarray) -> bool:
 
 
 def _find_charuco(gray: np.ndarray, board: Board) -> Found | None:
-    corners_px, has_marker = _charuco_corners(gray, board)
+    corners_px = _charuco_corners(gray, board)
     found = None if corners_px is None else _aligned(gray, corners_px, board)
-    if found is None and has_marker:
+    if found is None:
         found = _find_by_squares(gray, board)
     if found is None:
-        mirrored, _ = _charuco_corners(np.ascontiguousarray(gray[:, ::-1]), board)
+        mirrored = _charuco_corners(np.ascontiguousarray(gray[:, ::-1]), board)
         found = None if mirrored is None else Found(mirrored, np.nan, is_mirrored=True)
     return found
 
@@ -123,15 +123,14 @@ def _find_by_squares(gray: np.ndarray, board: Board) -> Found | None:
     return None
 
 
-def _charuco_corners(gray: np.ndarray, board: Board) -> tuple[np.ndarray | None, bool]:
-    """Corners by the markers that can be read one by one, ``None`` if too few; and whether there is such a marker."""
-    corners, ids, _, markers = cv2.aruco.CharucoDetector(board.charuco).detectBoard(gray)
-    has_marker = markers is not None and len(markers) > 0
+def _charuco_corners(gray: np.ndarray, board: Board) -> np.ndarray | None:
+    """Corners by the markers that can be read one by one; ``None`` if they are too few."""
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(board.charuco).detectBoard(gray)
     if ids is None or len(ids) < _MIN_CORNERS:
-        return None, has_marker
+        return None
     corners_px = np.full((board.num_corners, 2), np.nan)
     corners_px[ids.ravel()] = corners.reshape(-1, 2)
-    return (corners_px if _spread(corners_px) else None), has_marker
+    return corners_px if _spread(corners_px) else None
 
 
 def _spread(corners_px: np.ndarray) -> bool:
