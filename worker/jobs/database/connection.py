@@ -5,6 +5,7 @@ import functools
 import json
 import os
 import sqlite3
+import threading
 import time
 import weakref
 from collections.abc import Iterator, Mapping
@@ -34,6 +35,8 @@ _PRIMARY_CODE = 0xFF
 # Message of Python's driver for text of a damaged page; the error has no code.
 _NOT_TEXT = "Could not decode to UTF-8"
 
+# Alembic keeps its context in globals of the process: two threads can't migrate two databases at once.
+_ONE_MIGRATION = threading.Lock()
 _MIGRATION_LOCK = 0x6D63_6170  # any number, the same in every process
 
 
@@ -204,7 +207,8 @@ class Database:
                 require_known_schema(revision)
             config = _migrations()
             config.attributes["connection"] = connection
-            command.upgrade(config, "head")
+            with _ONE_MIGRATION:
+                command.upgrade(config, "head")
 
     def close(self) -> None:
         """Close the connections that are not in use."""
