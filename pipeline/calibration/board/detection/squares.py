@@ -66,7 +66,7 @@ class SquareGrid:
 
     @property
     def is_found(self) -> Bool[np.ndarray, "rows columns"]:
-        """Whether a corner was found."""
+        """Places at which a corner was found."""
         return np.isfinite(self.corners_px).all(-1)
 
 
@@ -220,6 +220,6 @@ def _grid(saddles: _Saddles, cells: dict[_Cell, int], factor: float) -> SquareGr
 
 
 def _is_left_handed(at: Int[np.ndarray, "cells 2"], xy_px: Float[np.ndarray, "cells 2"]) -> bool:
-    """Whether rows run to the left of columns in the picture."""
+    """Return whether rows run to the left of columns in the picture."""
     design = np.column_stack([np.ones(len(at)), at])
     return bool(np.linalg.det(np.linalg.lstsq(design, xy_px, rcond=None)[0][1:]) < 0)
