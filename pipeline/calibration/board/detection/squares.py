@@ -20,6 +20,7 @@ _LARGEST_PX, _SHRUNK = 1280, (1.0, 0.7, 0.5, 0.36, 0.25)
 _SMOOTHING_PX = 1.6
 # Contrast of a saddle, of 255, and the number of saddles that are kept, the strongest.
 _MIN_CONTRAST, _MAX_SADDLES = 12.0, 600
+# Strongest saddles from which grids are grown.
 _NUM_SEEDS = 48
 # Strength of a corner, as a share of that of the corner from which the grid grows: corners of a board are alike.
 _MIN_STRENGTH = 0.4
@@ -35,6 +36,7 @@ _MIN_SIDE = 3
 _MIN_SINE = 0.05
 # Cells around, each way, from which the place of the next one is predicted.
 _AROUND = 2
+# Distance from a homography of the whole grid, in squares, from which on a saddle is no corner of the board.
 _HOMOGRAPHY_SQUARES = 0.2
 
 _Cell = tuple[int, int]
