@@ -16,7 +16,15 @@ from pipeline.config import (
 )
 from pipeline.data import Reconstruction, Timebase
 from pipeline.errors import InputError, Problem
-from pipeline.export.person_files import SKELETONS, KeptFiles, people_of, replacing, spoilt, write_person
+from pipeline.export.person_files import (
+    SKELETONS,
+    KeptFiles,
+    PersonOfTake,
+    people_of,
+    replacing,
+    spoilt,
+    write_person,
+)
 from pipeline.export.resample import resample, resampled_timebase
 from pipeline.export.writers import skeletons_json
 from pipeline.progress import OnShare, ignore, part_of, split
@@ -97,18 +105,16 @@ def write_results(
         If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
     check_exports(reconstruction.timebase, exports, frame_rate_hz)
-    shown = reconstruction if frame_rate_hz is None else resample(reconstruction, frame_rate_hz)
+    shown = _at_rate(reconstruction, frame_rate_hz)
     folder.mkdir(parents=True, exist_ok=True)
-    formats = tuple(dict.fromkeys(exports))
-    far_mm: dict[str, list[float | None]] = {name: [] for name in (SKELETONS, *formats)}
+    far_mm: dict[str, list[float | None]] = {name: [] for name in (SKELETONS, *exports)}
     num_frames = [track.num_frames for track in shown.tracks]
     on_people = split(part_of(on_share, 0.0, 0.9), num_frames)
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
         for person, on_person in zip(people_of(shown), on_people, strict=True):
-            stem = f"person-{person.track.track_id}"
-            tracks.append(Path(tracks_folder) / f"{stem}.{SKELETONS}")
-            paths = {SKELETONS: tracks[-1], **{str(export): folder / f"{stem}.{export}" for export in formats}}
+            paths = _paths(person, folder, Path(tracks_folder), exports)
+            tracks.append(paths[SKELETONS])
             for name, distance_mm in write_person(person, paths, preset, kept, on_person):
                 far_mm[name].append(distance_mm)
                 if name != SKELETONS:
@@ -129,6 +135,45 @@ def write_results(
         pass
     on_share(1.0)
     yield path
+
+
+def keep_people(
+    reconstruction: Reconstruction,
+    rows: slice,
+    folder: Path,
+    exports: Collection[Export],
+    preset: Preset,
+    frame_rate_hz: float | None,
+    on_share: OnShare,
+    kept: KeptFiles,
+) -> None:
+    """Write the files of some people into a folder and keep them, for ``write_results`` with the same choices.
+
+    Parameters
+    ----------
+    rows
+        Rows of the people among the tracks.
+    """
+    shown = _at_rate(reconstruction, frame_rate_hz)
+    people = list(people_of(shown))[rows]
+    on_people = split(on_share, [person.track.num_frames for person in people])
+    for person, on_person in zip(people, on_people, strict=True):
+        paths = _paths(person, folder, folder, exports)
+        for _ in write_person(person, paths, preset, kept, on_person):
+            pass
+        for path in paths.values():
+            path.unlink()
+
+
+def _at_rate(reconstruction: Reconstruction, frame_rate_hz: float | None) -> Reconstruction:
+    return reconstruction if frame_rate_hz is None else resample(reconstruction, frame_rate_hz)
+
+
+def _paths(person: PersonOfTake, folder: Path, parts_folder: Path, exports: Collection[Export]) -> dict[str, Path]:
+    """Paths of a person's files by format, and of the part of ``skeletons.json``."""
+    stem = f"person-{person.track.track_id}"
+    of_files = {str(export): folder / f"{stem}.{export}" for export in exports}
+    return {SKELETONS: parts_folder / f"{stem}.{SKELETONS}", **of_files}
 
 
 def _require_equal(part: Path, path: Path, pieces: Iterable[bytes]) -> None:

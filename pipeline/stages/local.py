@@ -35,6 +35,7 @@ from pipeline.stages.plan import (
     OVERLAY,
     REPORT,
     STAGE_BY_NAME,
+    WRITE,
     PlannedStage,
     SessionFacts,
     Task,
@@ -114,7 +115,7 @@ def reconstruct(
         tempfile.TemporaryDirectory(prefix="multicap-") as scratch,
     ):
         codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
-        left_out = {EXPORT} if files is not None else {EXPORT, OVERLAY, REPORT}
+        left_out = {WRITE, EXPORT} | (set() if files is not None else {OVERLAY, REPORT})
         stages = [one for one in plan(facts, config, codes, config.chunk_frames) if one.name not in left_out]
         job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch), files)
         for stage in stages:

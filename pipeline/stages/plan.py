@@ -23,7 +23,8 @@ from pipeline.video.playback.choices import ProxyChoices
 
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
-IDENTIFY, FIT, EDIT, REFIT, EXPORT = "identify", "fit", "edit", "refit", "export"
+IDENTIFY, FIT, EDIT, REFIT = "identify", "fit", "edit", "refit"
+WRITE, EXPORT = "write_people", "export"
 OVERLAY, REPORT = "draw_overlay", "write_report"
 FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
 CHECK = "check_session"
@@ -45,8 +46,8 @@ LOOKED_AT_FRAMES = 12
 _FRAMES_A_UNIT = 10
 # Rate of the frames in which clustering measures bones.
 _MEASURED_HZ = 5
-# Stages that keep pieces of their outputs for other edits.
-_WITH_PIECES = (REFIT, EXPORT)
+# Stages that keep pieces of their outputs for other edits, with the stage on whose code and choices the pieces depend.
+_PIECES_OF = {REFIT: REFIT, WRITE: EXPORT, EXPORT: EXPORT}
 # Fields of the configuration on which no output depends.
 _WITHOUT_EFFECT = {"chunk_frames", "processes"}
 
@@ -369,10 +370,19 @@ STAGES = (
         is_reusable=False,
     ),
     Stage(
+        WRITE,
+        "Write files of edited people",
+        cut="people",
+        follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
+        choices=("exports", "bvh", "output_rate_hz"),
+        function="write_people_of_part",
+        is_planned=_is_edited,
+    ),
+    Stage(
         EXPORT,
         "Write files",
         cut="whole",
-        follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
+        follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT, WRITE),
         choices=("exports", "bvh", "output_rate_hz"),
         function="export",
         is_reusable=False,
@@ -476,8 +486,7 @@ def plan(
     # Cameras that were not synchronised took the wanted frames at other declared times.
     cut_by_camera = replace(cut, frames=whole) if _is_synchronizing(facts, config) else cut
     choices = effective_choices(config)
-    # A choice that no stage names counts for all stages, so that no output of another choice is ever reused.
-    unassigned = choices.keys() - {name for stage in STAGES for name in stage.choices}
+    unassigned = _unassigned(choices)
     keys: dict[str, str] = {}
     stages = []
     for stage in STAGES:
@@ -487,13 +496,24 @@ def plan(
             keys[stage.name] = _hash([stage.name, codes[stage.name], own, inputs])
             of_stage = cut_by_camera if stage.cut == "camera ranges" else cut
             tasks = _tasks(stage, keys[stage.name], facts, of_stage, _cameras(facts, config))
-            if stage.name in _WITH_PIECES:
-                before = [keys[name] for name in stage.follows if name in keys and name not in {EDIT, REFIT}]
-                editing = [codes[name] for name in (EDIT, REFIT)]
-                piece_key = _hash([stage.name, codes[stage.name], own, before, editing])
+            if stage.name in _PIECES_OF:
+                piece_key = _piece_key(STAGE_BY_NAME[_PIECES_OF[stage.name]], keys, codes, choices)
                 tasks = tuple(replace(task, piece_key=piece_key) for task in tasks)
             stages.append(PlannedStage(stage.name, tasks, codes[stage.name]))
     return tuple(stages)
+
+
+def _piece_key(stage: Stage, keys: Mapping[str, str], codes: Mapping[str, str], choices: Mapping[str, Any]) -> str:
+    """Key of all that pieces of a stage's output depend on but the edits of people."""
+    after_edits = {EDIT, REFIT, WRITE}
+    own = {name: choices[name] for name in (*stage.choices, *_unassigned(choices))}
+    before = [keys[name] for name in stage.follows if name in keys and name not in after_edits]
+    return _hash([stage.name, codes[stage.name], own, before, [codes[name] for name in (EDIT, REFIT)]])
+
+
+def _unassigned(choices: Mapping[str, Any]) -> set[str]:
+    """Choices that no stage names: they count for all stages, so that no output of another choice is ever reused."""
+    return choices.keys() - {name for stage in STAGES for name in stage.choices}
 
 
 def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from pipeline.detect.profiles.detection import load_detector, open_detection
 from pipeline.detect.profiles.look import look_at_people
 from pipeline.detect.profiles.sizes import RULES, CameraSizes
 from pipeline.errors import InputError, PipelineError, Problem, listed
-from pipeline.export.results import METRICS, write_results
+from pipeline.export.results import METRICS, keep_people, write_results
 from pipeline.findings import Finding
 from pipeline.hands.attach import has_hands, without_fingers
 from pipeline.joints import without_hands
@@ -91,6 +91,7 @@ from pipeline.stages.plan import (
     LENGTHS,
     LOOK,
     LOOKED_AT_FRAMES,
+    PERSON_PARTS,
     POSES,
     STAGE_BY_NAME,
     FrameCut,
@@ -406,6 +407,15 @@ def write_report(task: Task, context: Context) -> Output:
     return _made([report_file(context, _on_share(task, context))])
 
 
+def write_people_of_part(task: Task, context: Context) -> Output:
+    """Write the files of a part of the people whom ``export`` finds again."""
+    config, kept = context.config, FilesInPieces(Pieces(task, context), context.scratch)
+    choices = config.exports, config.bvh, config.output_rate_hz
+    rows = slice(task.index, None, PERSON_PARTS)
+    keep_people(assemble(context), rows, context.scratch, *choices, _on_share(task, context), kept)
+    return Output(b"", pieces=kept.pieces.made)
+
+
 def export(task: Task, context: Context) -> Output:
     """Write the result files, and an index of them."""
     reconstruction = assemble(context)
@@ -478,6 +488,7 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
         refit_skeletons,
         draw_overlay,
         write_report,
+        write_people_of_part,
         export,
     )
 }

@@ -10,7 +10,7 @@ import pytest
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import ASSOCIATE, CHECK, DETECT, EDIT, EXPORT, FIT, IDENTIFY, LOOK, REFIT
+from pipeline.stages.plan import ASSOCIATE, CHECK, DETECT, EDIT, EXPORT, FIT, IDENTIFY, LOOK, REFIT, WRITE
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
@@ -70,6 +70,10 @@ def refit(work: Work) -> Output:
     return Output(work.outputs(FIT)[0] + work.outputs(EDIT)[0])
 
 
+def write(work: Work) -> Output:
+    return Output(work.outputs(REFIT)[work.claim.index])
+
+
 @dataclass
 class Bench:
     """Store with a session, and runners that work on it."""
@@ -88,6 +92,7 @@ class Bench:
             FIT: fit,
             EDIT: edit,
             REFIT: refit,
+            WRITE: write,
             EXPORT: export,
         }
     )

@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.edits import PeopleEdit, Remove, Rename
 from pipeline.stages.output import Output
-from pipeline.stages.plan import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT
+from pipeline.stages.plan import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT, WRITE
 from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, Bench
 from worker.chunk import Work
 from worker.jobs.errors import Conflict
@@ -49,7 +49,7 @@ def test_edits_run_their_own_stages_alone(bench: Bench, done: Job) -> None:
 
     bench.stages |= {name: noted(function) for name, function in bench.stages.items()}
     bench.runner().work(60.0)
-    assert run == [EDIT, *PERSON_PARTS * [REFIT], EXPORT]
+    assert run == [EDIT, *PERSON_PARTS * [REFIT], *PERSON_PARTS * [WRITE], EXPORT]
     assert bench.store.jobs.get(done.id).state is JobState.SUCCEEDED
     assert bench.result(done.id) == expected(ANNA)
 

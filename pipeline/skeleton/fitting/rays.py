@@ -9,6 +9,7 @@ from pipeline.data import Camera
 from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.joints import JointSet
+from pipeline.skeleton.fitting.ray_kernels import squared_distances, sum_normal_equations
 
 # Noise of a detector across a ray.
 _SIGMA_M = 0.015
@@ -47,11 +48,9 @@ class Rays:
             [rays_in_world(camera, undistort_px(camera, points_px[:, k])) for k, camera in enumerate(cameras)], axis=1
         )
         is_seen = (score > _MIN_SCORE) & np.isfinite(rays).all(-1)
-        rays = np.where(is_seen[..., None], rays, 0.0)
+        self._rays = np.where(is_seen[..., None], rays, 0.0)
         self._centers_m = np.array([center_in_world(camera) for camera in cameras])
         self._weight = np.where(is_seen, score**3, 0.0) / _SIGMA_M**2
-        # Projections onto the planes perpendicular to the rays.
-        self._across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
         self._pairs = tuple(_pairs(joints))
 
     def normal_equations(
@@ -66,14 +65,8 @@ class Rays:
         scale_m
             Scale c of the function of Geman and McClure.
         """
-        across = self._across[:, :, joint]
-        off_m = np.einsum("fcab,fcb->fca", across, xyz_m[:, None] - self._centers_m)
-        scale_m2 = scale_m**2
-        robust = self._weight[:, :, joint] * (scale_m2 / ((off_m**2).sum(-1) + scale_m2)) ** 2
-        return (
-            np.einsum("fc,fcab->fab", robust, across),
-            np.einsum("fc,fcab,cb->fa", robust, across, self._centers_m),
-        )
+        robust = self._weight[:, :, joint] * (scale_m**2 / (self._off_m2(joint, xyz_m) + scale_m**2)) ** 2
+        return self._summed(joint, robust)
 
     def precision(
         self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
@@ -83,21 +76,20 @@ class Rays:
         The noise of the detector is that of the joint's own residuals in frames that two views see, in relation to
         what the scores promise. For joints with few observations, it is closer to the promise.
         """
-        across, weight = self._across[:, :, joint], self._weight[:, :, joint]
-        off_m2 = (np.einsum("fcab,fcb->fca", across, xyz_m[:, None] - self._centers_m) ** 2).sum(-1)
+        weight, off_m2 = self._weight[:, :, joint], self._off_m2(joint, xyz_m)
         robust = weight * (scale_m**2 / (off_m2 + scale_m**2)) ** 2
         is_seen = weight > 0
         counted = is_seen & (is_seen.sum(1, keepdims=True) > 1)
         # Of the squared distance to a ray, each of two axes has a half.
         residual = float((robust * off_m2)[counted].sum()) / 2
         noise = (residual + _NUM_PROMISED) / (int(counted.sum()) + _NUM_PROMISED)
-        return np.asarray(np.einsum("fc,fcab->fab", robust, across) / noise)
+        return self._summed(joint, robust)[0] / noise
 
     def exchange_sides(self, xyz_m: Float[np.ndarray, "frames joints 3"], scale_m: float) -> None:
         """Exchange the left and right limb of a view in frames in which they clearly fit better when exchanged."""
         for left, right in self._pairs:
             exchanged = self._fit_exchanged(xyz_m, left, right, scale_m**2)
-            for seen in (self._across, self._weight):
+            for seen in (self._rays, self._weight):
                 swapped = seen[:, :, [*right, *left]]
                 here = exchanged.reshape(*exchanged.shape, *(1,) * (seen.ndim - 2))
                 seen[:, :, [*left, *right]] = np.where(here, swapped, seen[:, :, [*left, *right]])
@@ -106,13 +98,26 @@ class Rays:
         self, xyz_m: Float[np.ndarray, "frames joints 3"], left: list[int], right: list[int], scale_m2: float
     ) -> Bool[np.ndarray, "frames cameras"]:
         def cost(of: list[int], seen_as: list[int]) -> Float[np.ndarray, "frames cameras"]:
-            from_center_m = xyz_m[:, None, of] - self._centers_m[:, None]
-            off_m2 = (np.einsum("fcjab,fcjb->fcja", self._across[:, :, seen_as], from_center_m) ** 2).sum(-1)
+            off_m2 = np.stack([self._off_m2(ray, xyz_m[:, joint]) for joint, ray in zip(of, seen_as, strict=True)], -1)
             lost = self._weight[:, :, seen_as] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m2)
             return np.asarray(np.nan_to_num(lost).sum(-1))
 
         both, other_way = [*left, *right], [*right, *left]
         return cost(both, both) - cost(both, other_way) > _CLEARLY
+
+    def _off_m2(self, joint: int, xyz_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames cameras"]:
+        """Squared distances of positions to the rays of a joint."""
+        off_m2 = np.empty(self._weight.shape[:2])
+        squared_distances(self._rays[:, :, joint], self._centers_m, xyz_m, off_m2)
+        return off_m2
+
+    def _summed(
+        self, joint: int, weight: Float[np.ndarray, "frames cameras"]
+    ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3"]]:
+        """Normal equations of a joint with the weights of its rays."""
+        normal, right = np.empty((len(weight), 3, 3)), np.empty((len(weight), 3))
+        sum_normal_equations(self._rays[:, :, joint], self._centers_m, weight, normal, right)
+        return normal, right
 
 
 def _pairs(joints: JointSet) -> Iterator[tuple[list[int], list[int]]]:

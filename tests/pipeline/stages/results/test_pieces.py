@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -13,10 +13,12 @@ from pipeline.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
 from pipeline.export.person_files import PersonOfTake, people_of
-from pipeline.export.results import write_results
+from pipeline.export.results import keep_people, write_results
 from pipeline.export.writers import bvh
+from pipeline.progress import ignore
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
+from pipeline.stages.local import reconstruct, session_facts
+from pipeline.stages.plan import EXPORT, PERSON_PARTS, STAGE_BY_NAME, WRITE, plan
 from pipeline.stages.results import refit
 from pipeline.stages.results.kept_files import FilesInPieces
 from pipeline.stages.results.pieces import Pieces
@@ -60,8 +62,10 @@ def fail(*_: object) -> NoReturn:
     raise AssertionError
 
 
-def files(take: Reconstruction, folder: Path, pieces: Pieces) -> Mapping[str, bytes]:
-    paths = list(write_results(take, folder, FORMATS, kept=FilesInPieces(pieces, folder)))
+def files(
+    take: Reconstruction, folder: Path, pieces: Pieces, frame_rate_hz: float | None = None
+) -> Mapping[str, bytes]:
+    paths = list(write_results(take, folder, FORMATS, "default", frame_rate_hz, kept=FilesInPieces(pieces, folder)))
     return {path.name: path.read_bytes() for path in paths}
 
 
@@ -95,6 +99,33 @@ def test_files_are_written_once_and_renamed_people_anew(
     fresh = files(renamed, tmp_path / "fresh", KeptPieces())
     assert files(renamed, tmp_path / "kept", pieces) == fresh
     assert {name for name in fresh if fresh[name] != first[name]} == {"skeletons.json", "person-2.glb"}
+
+
+def test_parts_of_the_people_are_written_ahead_at_any_rate(
+    session: KeypointSession, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, pieces, rate_hz = edited(session, cache, Rename(person=2, name="Zoë")), KeptPieces(), 10.0
+    fresh = files(take, tmp_path / "fresh", KeptPieces(), rate_hz)
+    for number in range(PERSON_PARTS):
+        folder = tmp_path / f"part-{number}"
+        folder.mkdir()
+        kept = FilesInPieces(pieces, tmp_path)
+        keep_people(take, slice(number, None, PERSON_PARTS), folder, FORMATS, "default", rate_hz, ignore, kept)
+        assert not list(folder.iterdir())
+    monkeypatch.setattr(bvh, "encode", fail)
+    assert files(take, tmp_path / "found", pieces, rate_hz) == fresh
+
+
+def test_stages_that_write_and_find_files_name_their_pieces_alike(session: KeypointSession) -> None:
+    def piece_keys(**choices: Any) -> list[str]:
+        config = dataclasses.replace(ReconstructionConfig(), **choices)
+        stages = plan(session_facts(session, ("digest",)), config, dict.fromkeys(STAGE_BY_NAME, "code"))
+        return [task.piece_key for stage in stages if stage.name in {WRITE, EXPORT} for task in stage.tasks]
+
+    unedited = piece_keys()
+    edits = piece_keys(edits=(Rename(person=1, name="Anna"),))
+    assert edits == unedited * (PERSON_PARTS + 1)
+    assert len({*unedited, *piece_keys(exports=("bvh", "glb")), *piece_keys(output_rate_hz=10.0)}) == 3
 
 
 def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> None:
