@@ -1,7 +1,7 @@
 """Write the result files of a reconstruction; the service's results have the same names."""
 
 import tempfile
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from pipeline.calibration.write import encode as encode_calibration
@@ -30,9 +30,11 @@ from pipeline.export.writers import skeletons_json
 from pipeline.progress import OnShare, ignore, part_of, split
 from pipeline.quality.report import encode as encode_metrics
 from pipeline.quality.report import quality_report
+from pipeline.quality.views import PersonViews, views_of
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
 NOTHING_KEPT = KeptFiles()
+ViewsOf = Callable[[Reconstruction], Sequence[PersonViews]]
 METRICS = "metrics.json"
 CALIBRATION = "calibration.json"
 """Refined cameras, in the format that ``pipeline.calibration.write`` writes and every command reads."""
@@ -76,6 +78,7 @@ def write_results(
     frame_rate_hz: float | None = None,
     on_share: OnShare = ignore,
     kept: KeptFiles = NOTHING_KEPT,
+    views: ViewsOf = views_of,
 ) -> Iterator[Path]:
     """Write all result files into a folder, which is created if missing; yield each path when its file is complete.
 
@@ -96,6 +99,8 @@ def write_results(
         Called with the progress while files are read back, and after each file.
     kept
         Files of people that were written before.
+    views
+        Computes the figures of the observations for ``metrics.json``, after the people's files: they take much memory.
 
     Raises
     ------
@@ -131,7 +136,7 @@ def write_results(
             pass
         yield path
     path = folder / METRICS
-    with replacing(path, [encode_metrics(quality_report(reconstruction) | {"exports": check})]):
+    with replacing(path, [encode_metrics(quality_report(reconstruction, views(reconstruction)) | {"exports": check})]):
         pass
     on_share(1.0)
     yield path

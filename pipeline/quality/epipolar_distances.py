@@ -1,16 +1,15 @@
 """Agreement of cameras in pairs: epipolar distances of people whom both see."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Observations, Reconstruction, Track3D
+from pipeline.data import Camera, Observations, Track3D
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.epipolar import epipolar_distance_px, fundamental_matrices
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.joints import FINGER_JOINTS
 
 # Frames of a track that are compared, and least number of joints of a pair.
 _MAX_FRAMES, _MIN_JOINTS = 200, 100
@@ -20,54 +19,62 @@ _MIN_BASELINE_M = 0.1
 
 Pairs = Mapping[tuple[int, int], float]
 """Distances by positions of two cameras."""
+PersonPairs = Mapping[tuple[int, int], Float[np.ndarray, " _"]]
+"""Distances of a person's joints by positions of two cameras."""
 
 
-def epipolar_distances_m(reconstruction: Reconstruction) -> Pairs:
-    """Median epipolar distance of each pair of cameras, in metres at the people.
+class CameraPairs:
+    """Pairs of cameras of which people are compared; cameras that stand side by side are left out."""
 
-    The distance in pixels (Chen et al. 2020, eq. 13) is scaled by the distance of the joint over the focal length.
-    Pairs with fewer than 100 common joints are left out, and cameras that stand side by side.
-    """
-    cameras = reconstruction.cameras
-    body = [number for number, name in enumerate(reconstruction.joints.names) if name not in FINGER_JOINTS]
-    centers_m = [center_in_world(camera) for camera in cameras]
-    pairs = [
-        (i, j)
-        for i, j in itertools.combinations(range(len(cameras)), 2)
-        if np.linalg.norm(centers_m[i] - centers_m[j]) > _MIN_BASELINE_M
-    ]
-    if not pairs:
-        return {}
-    fundamentals = fundamental_matrices(cameras)
-    found: dict[tuple[int, int], list[Float[np.ndarray, " _"]]] = {}
-    for track, observed in zip(reconstruction.located, reconstruction.observations, strict=True):
-        rows = slice(None, None, max(1, track.num_frames // _MAX_FRAMES))
-        ideal_px = _undistorted(reconstruction, observed, rows, body)
-        metres_per_px = _metres_per_px(reconstruction, track, rows, body)
-        for i, j in pairs:
-            distance_px = epipolar_distance_px(fundamentals[i, j], ideal_px[:, i], ideal_px[:, j])
+    def __init__(self, cameras: tuple[Camera, ...]) -> None:
+        self._cameras, self._centers_m = cameras, [center_in_world(camera) for camera in cameras]
+        self._pairs = [
+            (i, j)
+            for i, j in itertools.combinations(range(len(cameras)), 2)
+            if np.linalg.norm(self._centers_m[i] - self._centers_m[j]) > _MIN_BASELINE_M
+        ]
+        self._fundamentals = fundamental_matrices(cameras) if self._pairs else np.zeros((0, 0, 3, 3))
+
+    def distances_m(self, located: Track3D, observed: Observations) -> PersonPairs:
+        """Epipolar distances of a person's joints in each pair of cameras, in metres at the person.
+
+        The distance in pixels (Chen et al. 2020, eq. 13) is scaled by the distance of the joint over the focal length.
+
+        Parameters
+        ----------
+        located, observed
+            Located joints and their observations, without fingers.
+        """
+        if not self._pairs:
+            return {}
+        rows = slice(None, None, max(1, located.num_frames // _MAX_FRAMES))
+        ideal_px, metres_per_px = self._undistorted(observed, rows), self._metres_per_px(located, rows)
+        found = {}
+        for i, j in self._pairs:
+            distance_px = epipolar_distance_px(self._fundamentals[i, j], ideal_px[:, i], ideal_px[:, j])
             distance_m = distance_px * (metres_per_px[:, i] + metres_per_px[:, j]) / 2
-            found.setdefault((i, j), []).append(distance_m[np.isfinite(distance_m)])
+            found[i, j] = distance_m[np.isfinite(distance_m)]
+        return found
+
+    def _undistorted(self, observed: Observations, rows: slice) -> Float[np.ndarray, "frames cameras joints 2"]:
+        points_px = np.where(observed.score[rows][..., None] >= _MIN_SCORE, observed.points_px[rows], np.nan)
+        return np.stack([undistort_px(camera, points_px[:, c]) for c, camera in enumerate(self._cameras)], axis=1)
+
+    def _metres_per_px(self, located: Track3D, rows: slice) -> Float[np.ndarray, "frames cameras joints"]:
+        distance_m = [np.linalg.norm(located.xyz_m[rows] - center_m, axis=-1) for center_m in self._centers_m]
+        return np.stack(
+            [far_m / camera.matrix[0, 0] for far_m, camera in zip(distance_m, self._cameras, strict=True)], axis=1
+        )
+
+
+def median_distances_m(people: Iterable[PersonPairs]) -> Pairs:
+    """Median epipolar distance of each pair of cameras over everybody, in metres.
+
+    Pairs with fewer than 100 common joints are left out.
+    """
+    found: dict[tuple[int, int], list[Float[np.ndarray, " _"]]] = {}
+    for person in people:
+        for pair, distance_m in person.items():
+            found.setdefault(pair, []).append(distance_m)
     joined = {pair: np.concatenate(parts) for pair, parts in found.items()}
     return {pair: float(np.median(some)) for pair, some in joined.items() if len(some) >= _MIN_JOINTS}
-
-
-def _undistorted(
-    reconstruction: Reconstruction, observed: Observations, rows: slice, body: list[int]
-) -> Float[np.ndarray, "frames cameras joints 2"]:
-    points_px = observed.points_px[rows][:, :, body]
-    points_px = np.where(observed.score[rows][:, :, body, None] >= _MIN_SCORE, points_px, np.nan)
-    return np.stack([undistort_px(camera, points_px[:, c]) for c, camera in enumerate(reconstruction.cameras)], axis=1)
-
-
-def _metres_per_px(
-    reconstruction: Reconstruction, track: Track3D, rows: slice, body: list[int]
-) -> Float[np.ndarray, "frames cameras joints"]:
-    xyz_m = track.xyz_m[rows][:, body]
-    return np.stack(
-        [
-            np.linalg.norm(xyz_m - center_in_world(camera), axis=-1) / camera.matrix[0, 0]
-            for camera in reconstruction.cameras
-        ],
-        axis=1,
-    )

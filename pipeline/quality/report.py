@@ -26,28 +26,23 @@ A figure without data is null (``None``).
 
 import json
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from pipeline.data import Camera, Doubt, Floor, FootContact, Observations, Reconstruction, Refinement, Source, Track3D
+from pipeline.data import Camera, Doubt, Floor, FootContact, Reconstruction, Refinement, Source, Track3D
 from pipeline.findings import Finding, Severity
-from pipeline.geometry.camera import project
-from pipeline.joints import FINGER_JOINTS, LIMBS, SIDES, JointSet, finger_joints
+from pipeline.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.quality.capture_checks import capture_checks
+from pipeline.quality.epipolar_distances import median_distances_m
+from pipeline.quality.views import PersonViews, body_joints, has_position, views_of, without_fingers
 from pipeline.quality.world_checks import EVIDENCE, world_checks
 from pipeline.skeleton.fitting.fit import MAX_GAP_S
-from pipeline.skeleton.fitting.windows import windows
-from pipeline.skeleton.marks import has_torso, marks_from_centers
 from pipeline.synchronization.document import sync_document
 
 SCHEMA_VERSION = 1
-MIN_SCORE = 0.2
-"""Lowest score of the observations that the figures include."""
-
 _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 # Share of the joints of its fingers that make a hand measured.
 _HAND_SHARE = 0.5
@@ -55,37 +50,22 @@ _HAND_SHARE = 0.5
 _ERRORS = frozenset({"nobody_found", "upside_down", "mirrored_world"})
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
-PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
 
-
-class _Views(NamedTuple):
-    """Figures of a track's observations. The observations are not kept, because they take most of the memory.
-
-    Parameters
-    ----------
-    error_px
-        See ``reprojection_error_px``.
-    sees
-        Whether a camera saw any joint of the person in a frame, (frames, cameras).
-    views_per_joint
-        See ``views_per_joint``.
-    """
-
-    error_px: np.ndarray
-    sees: np.ndarray
-    views_per_joint: float
-
-
-def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
+def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] | None = None) -> dict[str, Any]:
     """Compute the content of ``metrics.json`` as plain Python values, rounded.
 
     ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``.
+
+    Parameters
+    ----------
+    views
+        ``views_of`` the reconstruction, if they are known.
     """
+    views = views_of(reconstruction) if views is None else views
     joints, cameras = reconstruction.joints, reconstruction.cameras
     frame_rate_hz = reconstruction.timebase.frame_rate_hz
-    views = [_compare(reconstruction, number) for number in range(len(reconstruction.tracks))]
-    tracks = [_without_fingers(track, joints) for track in reconstruction.tracks]
-    located = [_without_fingers(track, joints) for track in reconstruction.located]
+    tracks = [without_fingers(track, joints) for track in reconstruction.tracks]
+    located = [of_person.located for of_person in views]
     errors_px = [figures.error_px for figures in views]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
@@ -117,9 +97,9 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                 "num_frames": track.num_frames,
                 "coverage": _rounded(np.mean(track.source == Source.MEASURED), 4),
                 "stature_m": _rounded(statures_m[track.track_id], 3),
-                "reprojection_error_px": _rounded(np.median(_known([figures.error_px[:, :, _body(joints)]])), 3),
+                "reprojection_error_px": _rounded(np.median(_known([figures.error_px[:, :, body_joints(joints)]])), 3),
                 "views_per_joint": _rounded(figures.views_per_joint, 2),
-                "joints_per_frame": _rounded(_has_position(track).sum(-1).mean(), 2),
+                "joints_per_frame": _rounded(has_position(track).sum(-1).mean(), 2),
                 "feet": {
                     "toes": "measured" if _sees_toes(track, joints) else "predicted",
                     **_summarise_feet(contacts.get(track.track_id, ())),
@@ -134,7 +114,9 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
         "sync": None if reconstruction.synchronization is None else sync_document(reconstruction.synchronization),
         "session_checks": [finding.to_json() for finding in reconstruction.check.findings],
         "capture_checks": capture_checks(reconstruction, seen),
-        "world_checks": world_checks(reconstruction, statures_m),
+        "world_checks": world_checks(
+            reconstruction, statures_m, median_distances_m(of_person.pair_distances_m for of_person in views)
+        ),
     }
 
 
@@ -224,7 +206,7 @@ def _summarise_error(
     def median_and_p95(arrays: Iterable[np.ndarray]) -> list[float | None]:
         return [_rounded(value, 3) for value in np.percentile(_known(arrays), (50.0, 95.0), overwrite_input=True)]
 
-    body_px = [error_px[:, :, _body(joints)] for error_px in errors_px]
+    body_px = [error_px[:, :, body_joints(joints)] for error_px in errors_px]
     overall = median_and_p95(body_px)
     by_camera = {
         camera.name: median_and_p95(error_px[:, index] for error_px in body_px) for index, camera in enumerate(cameras)
@@ -241,47 +223,6 @@ def _summarise_error(
         "p95_by_joint": {name: figures[1] for name, figures in by_joint.items()},
         "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in body_px),
     }
-
-
-def _compare(reconstruction: Reconstruction, number: int) -> _Views:
-    track, observations = reconstruction.tracks[number], reconstruction.observations[number]
-    error_px = reprojection_error_px(track, observations, reconstruction.cameras, marks_of(reconstruction, number))
-    body = _body(reconstruction.joints)
-    of_body = replace(observations, points_px=observations.points_px[:, :, body], score=observations.score[:, :, body])
-    return _Views(error_px, _sees(of_body), views_per_joint(_without_fingers(track, reconstruction.joints), of_body))
-
-
-def _body(joints: JointSet) -> slice:
-    """Columns of the joints that belong to no finger; fingers are the last joints of every set that has them."""
-    return slice(sum(name not in FINGER_JOINTS for name in joints.names))
-
-
-def _without_fingers(track: Track3D, joints: JointSet) -> Track3D:
-    body = _body(joints)
-    sigma_m = track.uncertainty_m
-    return replace(
-        track,
-        xyz_m=track.xyz_m[:, body],
-        score=track.score[:, body],
-        source=track.source[:, body],
-        error_px=track.error_px[:, body],
-        views=track.views[:, body],
-        uncertainty_m=None if sigma_m is None else sigma_m[:, body],
-    )
-
-
-def marks_of(reconstruction: Reconstruction, number: int) -> PositionsOf | None:
-    """Positions of a person's marks; ``None`` if they are the joints' centres."""
-    track, joints, offsets = reconstruction.tracks[number], reconstruction.joints, reconstruction.offsets
-    # A person without hips and shoulders was fitted without offsets.
-    if not offsets or not has_torso(track.xyz_m, joints):
-        return None
-    motion = reconstruction.motions[number]
-    return lambda rows: marks_from_centers(track.xyz_m[rows], motion, rows, joints, offsets)
-
-
-def _sees(observations: Observations) -> Bool[np.ndarray, "frames cameras"]:
-    return np.asarray(_counts(observations).any(-1))
 
 
 def _cameras_used(cameras: Sequence[Camera], seen: Collection[np.ndarray]) -> dict[str, float | None]:
@@ -365,51 +306,9 @@ def _sees_toes(track: Track3D, joints: JointSet) -> bool:
     return bool((track.source[:, toes] == Source.MEASURED).any())
 
 
-def _has_position(track: Track3D) -> Bool[np.ndarray, "frames joints"]:
-    return np.isfinite(track.xyz_m).all(-1)
-
-
-def _counts(observations: Observations) -> Bool[np.ndarray, "frames cameras joints"]:
-    return (observations.score >= MIN_SCORE) & np.isfinite(observations.points_px).all(-1)
-
-
 def mean_jitter_m_s2(tracks: Sequence[Track3D], frame_rate_hz: float) -> float:
     """Mean length of the joints' second differences times the squared frame rate; NaN without any."""
     return float(np.mean(_known(acceleration_m_s2(track, frame_rate_hz) for track in tracks)))
-
-
-def reprojection_error_px(
-    track: Track3D,
-    observations: Observations,
-    cameras: tuple[Camera, ...],
-    marks_m: PositionsOf | None = None,
-) -> Float[np.ndarray, "frames cameras joints"]:
-    """Distance of each observation to the projection of the final position, in pixels of the full image.
-
-    Parameters
-    ----------
-    marks_m
-        Returns the positions in a range of frames that observations are compared with; ``None``: the final positions.
-
-    Returns
-    -------
-        Distances in single precision, to save memory. NaN where a camera has no observation with a sufficient score,
-        and where the joint has no position or is behind the camera.
-    """
-    error_px = np.empty(observations.score.shape, np.float32)
-    for rows in windows(track.num_frames, overlap=0):
-        xyz_m = track.xyz_m[rows] if marks_m is None else marks_m(rows)
-        for number, camera in enumerate(cameras):
-            projected_px = project(camera, xyz_m)
-            error_px[rows, number] = np.linalg.norm(projected_px - observations.points_px[rows, number], axis=-1)
-    error_px[~_counts(observations)] = np.nan
-    return error_px
-
-
-def views_per_joint(track: Track3D, observations: Observations) -> float:
-    """Mean number of observations with a sufficient score for a joint with a position; NaN without any."""
-    positions = _has_position(track)
-    return float(np.mean(_known([_counts(observations).sum(1)[positions].astype(float)])))
 
 
 def bone_length_std_cm(tracks: Sequence[Track3D], joints: JointSet) -> float:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from pipeline.data import Camera, Floor, Reconstruction, Track3D
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
-from pipeline.quality.epipolar_distances import epipolar_distances_m
+from pipeline.quality.epipolar_distances import Pairs
 from pipeline.quality.names import first_names
 from pipeline.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG
 
@@ -75,7 +75,9 @@ def _floor_m(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -
     return floor.z_m + floor.slope_x * float(x_m) + floor.slope_y * float(y_m)
 
 
-def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]) -> list[dict[str, Any]]:
+def world_checks(
+    reconstruction: Reconstruction, statures_m: Mapping[int, float], pairs_m: Pairs
+) -> list[dict[str, Any]]:
     """List the failed checks of the world.
 
     Each has ``code`` and ``message``, ``camera`` (``None`` if the check is not about one), ``evidence`` (the measured
@@ -85,6 +87,8 @@ def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]
     ----------
     statures_m
         Stature in metres by track; NaN where unknown.
+    pairs_m
+        Median epipolar distances of pairs of cameras.
     """
     tracks, joints = reconstruction.tracks, reconstruction.joints
     floor = reconstruction.animation.floor
@@ -95,7 +99,7 @@ def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]
         _check_statures(statures_m),
         _check_cameras(reconstruction.cameras, floor_m),
         _check_handedness(tracks, joints),
-        _check_pairs(reconstruction),
+        _check_pairs(reconstruction.cameras, pairs_m),
     )
     names = ("code", "message", "camera", "evidence", "hint")
     return [
@@ -200,9 +204,8 @@ def leftness(track: Track3D, joints: JointSet) -> Float[np.ndarray, " frames"]:
     return np.asarray((np.cross(top, front) * (left - right)).sum(-1))
 
 
-def _check_pairs(reconstruction: Reconstruction) -> Iterator[_Found]:
+def _check_pairs(cameras: Sequence[Camera], by_pair: Pairs) -> Iterator[_Found]:
     """Find the camera that disagrees most with the others."""
-    by_pair = epipolar_distances_m(reconstruction)
     of_camera = {
         number: float(np.median([value for pair, value in by_pair.items() if number in pair]))
         for number in {number for pair in by_pair for number in pair}
@@ -210,7 +213,7 @@ def _check_pairs(reconstruction: Reconstruction) -> Iterator[_Found]:
     worst = max(of_camera, key=lambda number: of_camera[number], default=None)
     if worst is None or of_camera[worst] <= _MAX_EPIPOLAR_M:
         return
-    name = reconstruction.cameras[worst].name
+    name = cameras[worst].name
     yield (
         "camera_disagrees",
         f"{name} and the other cameras disagree about people by {100 * of_camera[worst]:.1f} cm in most frames: its "

@@ -15,6 +15,7 @@ from pipeline.export.viewer.description import person_frames
 from pipeline.export.viewer.frames import ERROR_STEP_PX, UNKNOWN_ERROR, PersonFrames
 from pipeline.export.viewer.strips import COLUMNS, encode_strips, frames_a_bucket
 from pipeline.joints import without_hands
+from pipeline.quality.views import PersonViews
 from pipeline.skeleton.model import SkeletonJoint, skeleton_of
 
 ABSENT = -32768
@@ -63,7 +64,7 @@ class Motion:
     error_px: Float[np.ndarray, " frames"]
 
 
-def motion_of(take: Reconstruction, max_bytes: int = MAX_MOTION_BYTES) -> Motion:
+def motion_of(take: Reconstruction, views: Sequence[PersonViews], max_bytes: int = MAX_MOTION_BYTES) -> Motion:
     """Prepare motion and quality of a take for the report."""
     num_bones = max((len(motion.bone_length_m) for motion in take.motions), default=0)
     skeleton = skeleton_of(num_bones) if num_bones else ()
@@ -73,7 +74,7 @@ def motion_of(take: Reconstruction, max_bytes: int = MAX_MOTION_BYTES) -> Motion
     num_body_joints = len(without_hands(take.joints).names)
     people, strips, positions_m = [], [], []
     for number, track in enumerate(take.tracks):
-        person = person_frames(take, number)
+        person = person_frames(take, views, number)
         rows = slice(track.start_frame, track.start_frame + track.num_frames)
         num_people[rows] += 1
         error_px[rows] = np.fmax(error_px[rows], _mean_error_px(person))

@@ -6,7 +6,7 @@
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ from pipeline.hands.attach import has_hands, without_fingers
 from pipeline.joints import without_hands
 from pipeline.progress import OnShare, in_units
 from pipeline.quality.report import all_checks
+from pipeline.quality.views import views_of
 from pipeline.skeleton.animate import animate
 from pipeline.stages.association import (
     DetectionsByCamera,
@@ -423,11 +424,15 @@ def export(task: Task, context: Context) -> Output:
     on_share = _on_share(task, context)
     kept = FilesInPieces(Pieces(task, context), context.scratch)
     choices = config.exports, config.bvh, config.output_rate_hz
-    files = [_result_file(path) for path in write_results(reconstruction, context.scratch, *choices, on_share, kept)]
+    views = cache(views_of)
+    paths = write_results(reconstruction, context.scratch, *choices, on_share, kept, views)
+    files = [_result_file(path) for path in paths]
     report = json.loads((context.scratch / METRICS).read_bytes())
     frames = kept_frames(context)
     first_frame = 0 if frames is None else frames.start
-    files += viewer_files(reconstruction, context.outline(), report, context.scratch, first_frame)
+    files += viewer_files(
+        reconstruction, views(reconstruction), context.outline(), report, context.scratch, first_frame
+    )
     warnings, pieces = tuple(all_checks(report)), kept.pieces.made
     return replace(_made(files), warnings=warnings, people=spans_found(context), pieces=pieces)
 

@@ -1,18 +1,24 @@
 """Files for viewers, from a reconstruction and its session."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.data import FrameTimes, Reconstruction
 from pipeline.export.viewer.description import Footage, ViewerMotion
+from pipeline.quality.views import PersonViews
 from pipeline.stages.association import Session
 from pipeline.stages.output import DESCRIPTION, MOTION, VIEWER, ResultFile
 
 
 def viewer_files(
-    reconstruction: Reconstruction, session: Session, report: Mapping[str, Any], folder: Path, first_frame: int = 0
+    reconstruction: Reconstruction,
+    views: Sequence[PersonViews],
+    session: Session,
+    report: Mapping[str, Any],
+    folder: Path,
+    first_frame: int = 0,
 ) -> Iterator[ResultFile]:
     """Write the files for viewers into a folder.
 
@@ -20,12 +26,14 @@ def viewer_files(
     ----------
     reconstruction
         At the session's frame rate.
+    views
+        Its ``views_of``.
     report
         Content of ``metrics.json``.
     first_frame
         Number of the first frame before the take was cut.
     """
-    motion = ViewerMotion(reconstruction, footage_of(session), report, first_frame)
+    motion = ViewerMotion(reconstruction, views, footage_of(session), report, first_frame)
     with (folder / MOTION).open("wb") as file:
         file.writelines(motion.encode())
     yield ResultFile(MOTION, VIEWER, None, "application/octet-stream", folder / MOTION)

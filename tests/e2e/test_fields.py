@@ -15,7 +15,8 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.detect import models
 from pipeline.joints import COCO_18
-from pipeline.quality.report import all_checks, reprojection_error_px
+from pipeline.quality.report import all_checks
+from pipeline.quality.views import reprojection_error_px
 from pipeline.runtime.packages.samples import Sample
 from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests

@@ -14,6 +14,7 @@ from pipeline.data import Animation, Doubt, FrameTimes, Observations, Reconstruc
 from pipeline.export.viewer.description import Footage, ViewerMotion
 from pipeline.joints import COCO_17
 from pipeline.quality.report import quality_report
+from pipeline.quality.views import views_of
 from pipeline.skeleton.animate import animate
 from tests.api.conftest import NO_BROKER, PREFLIGHT
 from tests.pipeline.quality.test_report import CAMERAS, observe
@@ -72,7 +73,8 @@ def viewer_files_of(reconstruction: Reconstruction) -> dict[str, bytes]:
     timebase = reconstruction.timebase
     times = FrameTimes(timebase.start_time_s + np.arange(timebase.num_frames) / timebase.frame_rate_hz)
     footage = {camera.name: Footage(times) for camera in reconstruction.cameras}
-    motion = ViewerMotion(reconstruction, footage, json.loads(json.dumps(quality_report(reconstruction))))
+    views, report = views_of(reconstruction), json.loads(json.dumps(quality_report(reconstruction)))
+    motion = ViewerMotion(reconstruction, views, footage, report)
     content = b"".join(motion.encode())
     return {"motion.bin": content, "motion.json": motion.describe()}
 

@@ -22,7 +22,7 @@ from pipeline.export.viewer.frames import (
 )
 from pipeline.export.viewer.strips import COLUMNS, encode_strips, frames_a_bucket, identity_confidence
 from pipeline.joints import without_hands
-from pipeline.quality.report import marks_of, reprojection_error_px
+from pipeline.quality.views import PersonViews
 from pipeline.skeleton.model import forward_kinematics, skeleton_of
 
 SCHEMA_VERSION = 1
@@ -54,6 +54,8 @@ class ViewerMotion:
     ----------
     reconstruction
         At the session's frame rate.
+    views
+        Its ``views_of``.
     footage
         Frames of each camera, by its name.
     report
@@ -65,11 +67,13 @@ class ViewerMotion:
     def __init__(
         self,
         reconstruction: Reconstruction,
+        views: Sequence[PersonViews],
         footage: Mapping[str, Footage],
         report: Mapping[str, Any],
         first_frame: int = 0,
     ) -> None:
-        self._take, self._footage, self._report, self._first_frame = reconstruction, footage, report, first_frame
+        self._take, self._views, self._footage = reconstruction, views, footage
+        self._report, self._first_frame = report, first_frame
         num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
         self._skeleton = skeleton_of(num_bones) if num_bones else ()
         self._dtype = record_type(len(reconstruction.joints.names), num_bones, len(reconstruction.cameras))
@@ -81,7 +85,7 @@ class ViewerMotion:
         self._steps_m, self._strips = [], []
         num_body_joints = len(without_hands(self._take.joints).names)
         for number in range(len(self._take.tracks)):
-            person = person_frames(self._take, number)
+            person = person_frames(self._take, self._views, number)
             self._steps_m.append(position_step_m(person))
             self._strips.append(encode_strips(person, self._take.timebase.num_frames, num_body_joints))
             yield from encode_person(person, self._dtype)
@@ -169,18 +173,15 @@ class ViewerMotion:
             offset_bytes += track.num_frames * self._dtype.itemsize
 
 
-def person_frames(reconstruction: Reconstruction, number: int) -> PersonFrames:
+def person_frames(reconstruction: Reconstruction, views: Sequence[PersonViews], number: int) -> PersonFrames:
     """Content of the records of the person with a number on the list of tracks."""
     track, motion = reconstruction.tracks[number], reconstruction.motions[number]
-    error_px = reprojection_error_px(
-        track, reconstruction.observations[number], reconstruction.cameras, marks_of(reconstruction, number)
-    )
     doubts: Sequence[Any] = reconstruction.doubts[number] if reconstruction.doubts else ()
     return PersonFrames(
         track,
         motion.root_m,
         forward_kinematics(motion),
-        _mean_of_joints(error_px[:, :, : len(without_hands(reconstruction.joints).names)]),
+        _mean_of_joints(views[number].error_px[:, :, : len(without_hands(reconstruction.joints).names)]),
         identity_confidence(track.start_frame, track.num_frames, doubts, reconstruction.timebase),
     )
 

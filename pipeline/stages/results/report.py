@@ -18,6 +18,7 @@ from pipeline.errors import InputError
 from pipeline.export.overlay import given_names, people_at
 from pipeline.progress import OnShare
 from pipeline.quality.report import all_checks, quality_report
+from pipeline.quality.views import views_of
 from pipeline.report.motion import motion_of
 from pipeline.report.page import ReportContents, Rows, encode_page
 from pipeline.report.pictures import MAX_PICTURES, Moment, Picture, draw_picture, moments_of
@@ -42,7 +43,8 @@ def report_file(context: Context, on_share: OnShare) -> ResultFile:
 
 def _contents(context: Context, take: Reconstruction, on_share: OnShare) -> ReportContents:
     session, _ = on_clocks(context, context.outline())
-    metrics, motion, origin = quality_report(take), motion_of(take), context.origin()
+    views = views_of(take)
+    metrics, motion, origin = quality_report(take, views), motion_of(take, views), context.origin()
     pictures: list[Picture] = []
     notes: list[str] = []
     shown = take.cameras[:MAX_PICTURES]

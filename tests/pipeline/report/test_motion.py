@@ -5,6 +5,7 @@ import base64
 import numpy as np
 import pytest
 
+from pipeline.quality.views import views_of
 from pipeline.report.motion import ABSENT, encode_positions, motion_of, stride_for
 from pipeline.skeleton.model import forward_kinematics
 from tests.pipeline.export.viewer.takes import take
@@ -31,7 +32,8 @@ def test_far_positions_get_larger_steps() -> None:
 
 
 def test_nobody_is_encoded_too() -> None:
-    motion = motion_of(take(num_frames=10))
+    some = take(num_frames=10)
+    motion = motion_of(some, views_of(some))
     assert motion.document["people"] == []
     assert motion.num_people.tolist() == [0] * 10
     assert np.isnan(motion.error_px).all()
@@ -39,9 +41,9 @@ def test_nobody_is_encoded_too() -> None:
 
 def test_a_long_take_is_thinned_out_evenly() -> None:
     people = take(track_of(walker(60), 1, 7), track_of(walker(30) + 1.0, 2, 50))
-    num_bones = motion_of(people).document["num_joints"]
-    thin = motion_of(people, max_bytes=30 * 6 * num_bones)
-    assert (thin.stride, motion_of(people).stride) == (3, 1)
+    num_bones = motion_of(people, views_of(people)).document["num_joints"]
+    thin = motion_of(people, views_of(people), max_bytes=30 * 6 * num_bones)
+    assert (thin.stride, motion_of(people, views_of(people)).stride) == (3, 1)
     first, second = thin.document["people"]
     # Frames 9, 12, ... of the first person, 51, 54, ... of the second.
     assert (first["start"], first["count"], second["start"], second["count"]) == (3, 20, 17, 10)

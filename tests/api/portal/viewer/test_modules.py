@@ -17,6 +17,7 @@ from pipeline.export.viewer.description import ViewerMotion
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.quality.report import quality_report
+from pipeline.quality.views import views_of
 from pipeline.skeleton.model import forward_kinematics
 from tests.pipeline.export.viewer.takes import FOOTAGE, take
 from tests.pipeline.quality.test_report import shifted
@@ -79,7 +80,7 @@ def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     unseen[row, 2] = 0.0
     second = replace(shifted(second, 1, (3.0, 4.0)), score=unseen)
     reconstruction = replace(reconstruction, observations=(first, second))
-    motion = ViewerMotion(reconstruction, FOOTAGE, quality_report(reconstruction))
+    motion = ViewerMotion(reconstruction, views_of(reconstruction), FOOTAGE, quality_report(reconstruction))
     (folder / "motion.bin").write_bytes(b"".join(motion.encode()))
     (folder / "motion.json").write_bytes(motion.describe())
     track = reconstruction.tracks[1]

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.data import Doubt, Reconstruction
 from pipeline.export.viewer.description import ViewerMotion
 from pipeline.quality.report import quality_report
+from pipeline.quality.views import views_of
 from pipeline.skeleton.model import forward_kinematics
 from tests.pipeline.export.viewer.takes import FOOTAGE, read_record, take
 from tests.pipeline.quality.test_report import CAMERAS, RATE_HZ, shifted
@@ -17,7 +18,7 @@ from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 
 def written(reconstruction: Reconstruction) -> tuple[dict[str, Any], bytes]:
-    motion = ViewerMotion(reconstruction, FOOTAGE, quality_report(reconstruction))
+    motion = ViewerMotion(reconstruction, views_of(reconstruction), FOOTAGE, quality_report(reconstruction))
     content = b"".join(motion.encode())
     return json.loads(motion.describe()), content
 

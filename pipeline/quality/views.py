@@ -1,0 +1,141 @@
+"""What the cameras see of each person: figures of the observations that metrics, viewer files and reports read.
+
+Observations are the largest part of a take, and are read from its archive whenever they are asked for: once for all of
+these figures.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.data import Camera, Observations, Reconstruction, Track3D
+from pipeline.geometry.camera import project
+from pipeline.joints import FINGER_JOINTS, JointSet
+from pipeline.quality.epipolar_distances import CameraPairs, PersonPairs
+from pipeline.skeleton.fitting.windows import windows
+from pipeline.skeleton.marks import has_torso, marks_from_centers
+
+MIN_SCORE = 0.2
+"""Lowest score of the observations that the figures include."""
+
+PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PersonViews:
+    """Figures of a person's observations. The observations are not kept, because they take most of the memory.
+
+    Parameters
+    ----------
+    located
+        Joints located by association, without fingers.
+    error_px
+        See ``reprojection_error_px``.
+    sees
+        Whether a camera saw any joint of the person's body in a frame.
+    views_per_joint
+        See ``views_per_joint``; without fingers.
+    pair_distances_m
+        See ``CameraPairs.distances_m``.
+    """
+
+    located: Track3D
+    error_px: Float[np.ndarray, "frames cameras joints"]
+    sees: Bool[np.ndarray, "frames cameras"]
+    views_per_joint: float
+    pair_distances_m: PersonPairs
+
+
+def views_of(take: Reconstruction) -> tuple[PersonViews, ...]:
+    """Figures of everybody's observations, in the order of the tracks."""
+    pairs = CameraPairs(take.cameras)
+    return tuple(_compare(take, number, pairs) for number in range(len(take.tracks)))
+
+
+def _compare(take: Reconstruction, number: int, pairs: CameraPairs) -> PersonViews:
+    track, observations, body = take.tracks[number], take.observations[number], body_joints(take.joints)
+    error_px = reprojection_error_px(track, observations, take.cameras, _marks_of(take, number))
+    of_body = replace(observations, points_px=observations.points_px[:, :, body], score=observations.score[:, :, body])
+    located = without_fingers(take.located[number], take.joints)
+    return PersonViews(
+        located,
+        error_px,
+        np.asarray(_counts(of_body).any(-1)),
+        views_per_joint(without_fingers(track, take.joints), of_body),
+        pairs.distances_m(located, of_body),
+    )
+
+
+def body_joints(joints: JointSet) -> slice:
+    """Columns of the joints that belong to no finger; fingers are the last joints of every set that has them."""
+    return slice(sum(name not in FINGER_JOINTS for name in joints.names))
+
+
+def without_fingers(track: Track3D, joints: JointSet) -> Track3D:
+    """Track of the joints that belong to no finger."""
+    body = body_joints(joints)
+    sigma_m = track.uncertainty_m
+    return replace(
+        track,
+        xyz_m=track.xyz_m[:, body],
+        score=track.score[:, body],
+        source=track.source[:, body],
+        error_px=track.error_px[:, body],
+        views=track.views[:, body],
+        uncertainty_m=None if sigma_m is None else sigma_m[:, body],
+    )
+
+
+def _marks_of(take: Reconstruction, number: int) -> PositionsOf | None:
+    """Positions of a person's marks; ``None`` if they are the joints' centres."""
+    track, joints, offsets = take.tracks[number], take.joints, take.offsets
+    # A person without hips and shoulders was fitted without offsets.
+    if not offsets or not has_torso(track.xyz_m, joints):
+        return None
+    motion = take.motions[number]
+    return lambda rows: marks_from_centers(track.xyz_m[rows], motion, rows, joints, offsets)
+
+
+def has_position(track: Track3D) -> Bool[np.ndarray, "frames joints"]:
+    """Whether a joint has a position in a frame."""
+    return np.isfinite(track.xyz_m).all(-1)
+
+
+def _counts(observations: Observations) -> Bool[np.ndarray, "frames cameras joints"]:
+    return (observations.score >= MIN_SCORE) & np.isfinite(observations.points_px).all(-1)
+
+
+def reprojection_error_px(
+    track: Track3D,
+    observations: Observations,
+    cameras: tuple[Camera, ...],
+    marks_m: PositionsOf | None = None,
+) -> Float[np.ndarray, "frames cameras joints"]:
+    """Distance of each observation to the projection of the final position, in pixels of the full image.
+
+    Parameters
+    ----------
+    marks_m
+        Returns the positions in a range of frames that observations are compared with; ``None``: the final positions.
+
+    Returns
+    -------
+        Distances in single precision, to save memory. NaN where a camera has no observation with a sufficient score,
+        and where the joint has no position or is behind the camera.
+    """
+    error_px = np.empty(observations.score.shape, np.float32)
+    for rows in windows(track.num_frames, overlap=0):
+        xyz_m = track.xyz_m[rows] if marks_m is None else marks_m(rows)
+        for number, camera in enumerate(cameras):
+            projected_px = project(camera, xyz_m)
+            error_px[rows, number] = np.linalg.norm(projected_px - observations.points_px[rows, number], axis=-1)
+    error_px[~_counts(observations)] = np.nan
+    return error_px
+
+
+def views_per_joint(track: Track3D, observations: Observations) -> float:
+    """Mean number of observations with a sufficient score for a joint with a position; NaN without any."""
+    num_views = _counts(observations).sum(1)[has_position(track)]
+    return float(num_views.mean()) if len(num_views) else np.nan
