@@ -44,8 +44,14 @@ class Finding:
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        text = f"{self.camera}: {self.message}" if self.camera else self.message
-        return f"{text} {self.hint}" if self.hint else text
+        """Sentences for the user, printable: the camera, unless the message begins with it, the message and the hint.
+
+        >>> str(Finding("blurred", "The picture is blurred.", "left", hint="Focus the camera."))
+        'left: The picture is blurred. Focus the camera.'
+        """
+        is_named = not self.camera or self.message.startswith((f"{self.camera}: ", f"{self.camera} "))
+        text = self.message if is_named else f"{self.camera}: {self.message}"
+        return " ".join(printable(part) for part in (text, self.hint) if part)
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> "Finding":

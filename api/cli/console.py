@@ -31,7 +31,7 @@ from rich.progress import Progress as ProgressBars
 from rich.text import Text
 
 from pipeline.errors import InputError, PipelineError
-from pipeline.findings import Finding, documents
+from pipeline.findings import Finding, worst_first
 from pipeline.progress import Progress
 from pipeline.stages.plan import STAGE_BY_NAME
 
@@ -124,9 +124,8 @@ def _print_error(sentence: str) -> None:
 
 def show_findings(findings: Sequence[Finding], all_is_well: str) -> None:
     """Print the findings of a check, errors first, or the sentence that nothing was found."""
-    for one in documents(findings):
-        sentence = f"{one['camera']}: {one['message']}" if one["camera"] else one["message"]
-        (_print_error if one["severity"] == "error" else warn)(f"{sentence} {one['hint'] or ''}".rstrip())
+    for one in worst_first(findings):
+        (_print_error if one.severity == "error" else warn)(str(one))
     if not findings:
         console.print(all_is_well)
 

@@ -217,10 +217,10 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
 
 def _check_synchronization(synchronization: Synchronization | None) -> Iterator[tuple[str, str]]:
     if synchronization is not None and synchronization.warnings:
-        described = [f"{one.camera}: {one.message}" for one in synchronization.warnings]
+        described = [f"{one.camera}: {one.message.rstrip('.')}" for one in synchronization.warnings]
         yield (
             "sync_uncertain",
-            f"The clocks of the cameras were measured, but not well: {first_names(described)} Let somebody move where "
+            f"The clocks of the cameras were measured, but not well: {first_names(described)}. Let somebody move where "
             "all cameras see them.",
         )
 

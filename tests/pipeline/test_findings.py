@@ -37,3 +37,10 @@ def test_json_is_read_back() -> None:
 def test_only_errors_are_errors() -> None:
     assert not has_error([DOUBT, NOTE])
     assert has_error([DOUBT, from_problem(Problem("invalid_name", "Wrong."))])
+
+
+def test_a_finding_names_its_camera_once_and_is_safe_to_print() -> None:
+    assert str(Finding("size", "left: the video is small.", "left")) == "left: the video is small."
+    assert str(Finding("pairs", "left and the others disagree.", "left")) == "left and the others disagree."
+    assert str(Finding("dark", "lefthand walls are dark.", "left")) == "left: lefthand walls are dark."
+    assert str(Finding("dark", "It is dark.", "a\x1b[31m", hint="Light it.")) == "a\ufffd[31m: It is dark. Light it."
