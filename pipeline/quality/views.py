@@ -1,4 +1,4 @@
-"""What the cameras see of each person: figures of the observations that metrics, viewer files and reports read.
+"""Figures of each person's observations in all cameras, for metrics, viewer files and reports.
 
 Observations are the largest part of a take, and are read from its archive whenever they are asked for: once for all of
 these figures.
@@ -99,7 +99,7 @@ def _marks_of(take: Reconstruction, number: int) -> PositionsOf | None:
 
 
 def has_position(track: Track3D) -> Bool[np.ndarray, "frames joints"]:
-    """Whether a joint has a position in a frame."""
+    """Mask of the joints with a position in each frame."""
     return np.isfinite(track.xyz_m).all(-1)
 
 
