@@ -86,12 +86,8 @@ def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> Pic
     Parameters
     ----------
     budget_s
-        Time after which no further picture is looked at: then a finding says how many cameras were left out.
-
-    Raises
-    ------
-    ChildError
-        If a decoder fails for a reason other than its file.
+        Time after which no further picture is looked at. A finding says of how many cameras pictures were left out,
+        for lack of time or because their decoder was ended from outside.
     """
     deadline_s = time.monotonic() + budget_s
     names = [camera.name for camera in session.cameras]
@@ -111,7 +107,8 @@ def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> Pic
     findings = [finding for one in looked for finding in one.problems]
     findings += [*check_pictures(seen), *(copy for copy in copies if copy is not None)]
     if num_left := sum(one.is_left_out for one in looked):
-        message = f"Not all pictures of {num_left} of {len(looked)} cameras could be looked at in {budget_s:.0f} s."
+        reason = "the time or the memory of the service was short"
+        message = f"Not all pictures of {num_left} of {len(looked)} cameras could be looked at: {reason}."
         hint = "Look at the videos, or send the session again when the service is less busy."
         findings.append(Finding("pictures_left_out", message, None, "info", hint, {"num_cameras": num_left}))
     return PicturesCheck(tuple(findings), tuple(one.thumbnails for one in looked))
@@ -131,13 +128,14 @@ def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: fl
             frames.append(number)
             figures.append(figures_of(image_rgb))
             thumbnails.append(Thumbnail(float(time_s[number]), _encode(image_rgb)))
-    except (InputError, ChildError) as error:
+    except InputError as error:
         # The decoder was stopped, or had no time to start.
         is_left_out = time.monotonic() >= deadline_s
-        if isinstance(error, ChildError) and not is_left_out:
-            raise
-        listed = () if is_left_out or isinstance(error, ChildError) else error.problems
+        listed = () if is_left_out else error.problems
         problems += [from_problem(replace(problem, camera=camera)) for problem in listed]
+    except ChildError:
+        # The decoder was ended from outside, such as for lack of memory: no reason to refuse the session.
+        is_left_out = True
     pictures = CameraPictures(camera, time_s[frames], tuple(figures))
     return _Looked(pictures, tuple(frames), tuple(thumbnails), tuple(problems), is_left_out)
 
@@ -158,11 +156,7 @@ def _compare(
         for number in chosen:
             frame = int(np.argmin(np.abs(other.time_s - one.time_s[of_first.frames[number]])))
             figures += [figures_of(image_rgb) for _, image_rgb in _decoded(other, [frame], deadline_s)]
-    except InputError:
-        return None
-    except ChildError:
-        if time.monotonic() < deadline_s:
-            raise
+    except (InputError, ChildError):
         return None
     if len(figures) < MIN_INSTANTS:
         return None

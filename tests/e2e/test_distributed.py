@@ -146,7 +146,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
         for number in range(NUM_WORKERS):
             command = [*python, "worker", "--workers", "1"]
             stack.enter_context(started(command, folder / f"worker-{number}", environment))
-        wait_for(lambda: client.get("/readyz").is_success)
+        wait_for(lambda: client.get("/readyz").is_success, timeout_s=240.0)
         yield Distributed(folder, client, api, s3, postgres.url)
 
 

@@ -115,13 +115,10 @@ def test_files_that_have_their_names_are_whole(tmp_path: Path, number: signal.Si
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 128 + number, done.stderr
     assert "Traceback" not in done.stderr
-    left = sorted(path.name for path in out.iterdir())
-    assert len(left) == 2
-    assert left[1] == "skeletons.json"
-    assert json.loads((out / "skeletons.json").read_bytes())["tracks"]
-    assert len(list(bvh.read_xyz_m(out / left[0], PRESETS["default"]))) > 0
+    (left,) = (path.name for path in out.iterdir())
+    assert len(list(bvh.read_xyz_m(out / left, PRESETS["default"]))) > 0
     said = json.loads(done.stdout)["problems"][0]["message"] if as_json else done.stderr
-    assert f"skeletons.json, {left[0]}" in said.replace("\n", " ")
+    assert left in said
 
 
 WHILE_LOADING = """

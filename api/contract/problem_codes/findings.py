@@ -109,7 +109,7 @@ FILES = CodeGroup(
         ProblemCode(
             "pictures_left_out",
             _FINDING,
-            "The service had no time to look at all pictures.",
+            "The service had no time or memory to look at all pictures.",
             "Look at the videos, or send the session again when the service is less busy.",
         ),
         ProblemCode("session_warning", _FINDING, "A warning of a version that had sentences only.", "Read `message`."),

@@ -2,6 +2,7 @@
 
 import io
 from pathlib import Path
+from typing import NoReturn
 
 import av
 import cv2
@@ -11,6 +12,7 @@ import pytest
 from pipeline.capture import pictures as looking
 from pipeline.capture.pictures import NUM_PICTURES, frames_to_look_at, look_at_pictures
 from pipeline.capture.session import Recording, open_session
+from pipeline.errors import ChildError
 from pipeline.findings import Finding
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
@@ -123,3 +125,15 @@ def test_a_video_that_breaks_in_the_middle_is_a_finding(
     looked = look_at_pictures(session)
     assert [(one.code, one.camera, one.severity) for one in looked.findings] == [("video_damaged", "right", "error")]
     assert [len(one) for one in looked.thumbnails] == [NUM_PICTURES, 0]
+
+
+def test_a_decoder_that_is_ended_from_outside_leaves_its_pictures_out(
+    tmp_path: Path, walks: dict[str, list[np.ndarray]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(video: VideoInfo, *_: object, **__: object) -> NoReturn:
+        raise ChildError(f"The decoder of {video.path.name} was ended by SIGKILL.")
+
+    session = open_session(session_of(tmp_path / "videos", walks), calibration(tmp_path / "c.json", NAMES, SIZE_PX))
+    monkeypatch.setattr(looking, "decode", killed)
+    (finding,) = look_at_pictures(session).findings
+    assert (finding.code, finding.evidence) == ("pictures_left_out", {"num_cameras": 2})
