@@ -74,6 +74,20 @@ def write(work: Work) -> Output:
     return Output(work.outputs(REFIT)[work.claim.index])
 
 
+LIGHT_STAGES: dict[str, Callable[[Work], Output]] = {
+    LOOK: look,
+    DETECT: detect,
+    CHECK: check,
+    ASSOCIATE: associate,
+    IDENTIFY: identify,
+    FIT: fit,
+    EDIT: edit,
+    REFIT: refit,
+    WRITE: write,
+    EXPORT: export,
+}
+
+
 @dataclass
 class Bench:
     """Store with a session, and runners that work on it."""
@@ -82,20 +96,7 @@ class Bench:
     store: JobStore
     artifacts: LocalArtifacts
     session: Session
-    stages: dict[str, Callable[[Work], Output]] = field(
-        default_factory=lambda: {
-            LOOK: look,
-            DETECT: detect,
-            CHECK: check,
-            ASSOCIATE: associate,
-            IDENTIFY: identify,
-            FIT: fit,
-            EDIT: edit,
-            REFIT: refit,
-            WRITE: write,
-            EXPORT: export,
-        }
-    )
+    stages: dict[str, Callable[[Work], Output]] = field(default_factory=lambda: dict(LIGHT_STAGES))
     published: int = 0
     stopping: bool = False
     has_room: bool = True

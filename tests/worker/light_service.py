@@ -12,8 +12,8 @@ from pathlib import Path
 from types import ModuleType
 
 from pipeline.stages.output import Output
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK
-from tests.worker.conftest import associate, detect, export, fit, identify, look
+from pipeline.stages.plan import DETECT
+from tests.worker.conftest import LIGHT_STAGES, detect
 from worker import __main__ as worker_main
 from worker.chunk import Work
 from worker.jobs.store import JobStore
@@ -31,14 +31,7 @@ def slow_detect(work: Work) -> Output:
 
 
 def run_worker() -> None:
-    stages = {
-        LOOK: look,
-        DETECT: slow_detect,
-        ASSOCIATE: associate,
-        IDENTIFY: identify,
-        FIT: fit,
-        EXPORT: export,
-    }
+    stages = LIGHT_STAGES | {DETECT: slow_detect}
     execution = ModuleType("worker.execution")
     execution.run_chunk = lambda work: stages[work.claim.stage](work)  # type: ignore[attr-defined]
     execution.warm_up = lambda: None  # type: ignore[attr-defined]

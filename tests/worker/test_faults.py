@@ -103,7 +103,7 @@ def test_a_job_runs_on_both_children(service: Service) -> None:
     assert job.state is JobState.SUCCEEDED
     assert service.bench.result(job.id) == RESULT
     log = (service.data_dir / "logs" / "worker.log").read_text()
-    assert log.count("chunk_done") == 9  # four of detection and one of each other stage
+    assert log.count("chunk_done") == 10  # four of detection and one of each other stage
 
 
 def test_a_lost_message_is_made_good(service: Service) -> None:
