@@ -5,8 +5,11 @@ take is; without the list it is what the reconstruction found. Frames are those 
 """
 
 import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from heapq import merge
+from operator import attrgetter
 from typing import Any, ClassVar, Literal, NoReturn
 
 from pipeline.errors import InputError, Problem
@@ -15,6 +18,12 @@ MAX_EDITS = 1000
 """Largest number of edits of a take."""
 MAX_NAME_LENGTH = 100
 """Largest number of characters of a person's name."""
+MAX_PIECES = 2000
+"""Largest number of pieces of which all people of a take may consist after new edits."""
+
+# Characters of a name before it is normalized: a character may come in some parts.
+_MAX_SENT_NAME_LENGTH = 5 * MAX_NAME_LENGTH
+_START, _STOP = attrgetter("start_frame"), attrgetter("stop_frame")
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +171,9 @@ def document_of(edit: PeopleEdit) -> dict[str, Any]:
     return asdict(edit)
 
 
-def apply_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], num_frames: int) -> EditedTake:
+def apply_edits(
+    people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], num_frames: int, max_pieces: int | None = None
+) -> EditedTake:
     """Find out what is whose after all edits.
 
     Parameters
@@ -173,6 +184,8 @@ def apply_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], num_f
         In the order in which they were made.
     num_frames
         Frames of the reconstruction.
+    max_pieces
+        Largest number of pieces of which all people may consist; ``None``: any number, for edits that are stored.
 
     Raises
     ------
@@ -189,6 +202,8 @@ def apply_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], num_f
     for number, edit in enumerate(edits):
         take.at = f"edits/{number}"
         take.apply(edit)
+        if max_pieces is not None:
+            take.require_pieces(max_pieces)
     return EditedTake(tuple(take.people[number] for number in sorted(take.people)), take.frames)
 
 
@@ -216,7 +231,7 @@ class _Take:
                 kept, added = self._two(person, other)
                 del self.people[added.id]
                 self.people[kept.id] = replace(
-                    kept, pieces=_united(kept.pieces, added.pieces), name=kept.name or added.name
+                    kept, pieces=_joined(_united(kept.pieces, added.pieces)), name=kept.name or added.name
                 )
             case Split(person=person, frame=frame):
                 self._split(self._person(person), frame)
@@ -224,6 +239,13 @@ class _Take:
                 self._exchange(*self._two(person, other), start, self.num_frames if stop is None else stop)
             case Cut(start_frame=start, stop_frame=stop):
                 self.frames = self._range(start, stop)
+
+    def require_pieces(self, max_pieces: int) -> None:
+        """Raise ``InputError`` if the people consist of more pieces."""
+        if (num_pieces := sum(len(person.pieces) for person in self.people.values())) > max_pieces:
+            message = f"After this edit the people would consist of {num_pieces:,} pieces; {max_pieces:,} are allowed."
+            hint = "Leave this edit and those after it out, or exchange people in fewer places."
+            raise InputError([Problem("edits_fragmented", message, field=self.at, hint=hint)])
 
     def _person(self, number: int, name: str = "person") -> EditedPerson:
         if number not in self.people:
@@ -237,7 +259,9 @@ class _Take:
         return self._person(person), self._person(other, "other")
 
     def _name(self, name: str) -> str:
-        stripped = unicodedata.normalize("NFC", name).strip()
+        # To normalize long runs of combining characters takes quadratic time.
+        is_short = len(name) <= _MAX_SENT_NAME_LENGTH
+        stripped = unicodedata.normalize("NFC", name).strip() if is_short else name
         if not 0 < len(stripped) <= MAX_NAME_LENGTH:
             self._refuse("name", f"A name has 1 to {MAX_NAME_LENGTH} characters.", "Choose another name.")
         if any(unicodedata.category(character).startswith("C") for character in stripped):
@@ -256,9 +280,10 @@ class _Take:
     def _exchange(self, one: EditedPerson, other: EditedPerson, start: int, stop: int) -> None:
         self._range(start, stop)
         exchanged = {
-            mine.id: _united(
-                (*_within(mine.pieces, 0, start), *_within(mine.pieces, stop, self.num_frames)),
+            mine.id: _chained(
+                _within(mine.pieces, 0, start),
                 _within(theirs.pieces, start, stop),
+                _within(mine.pieces, stop, self.num_frames),
             )
             for mine, theirs in ((one, other), (other, one))
         }
@@ -284,17 +309,28 @@ class _Take:
 
 def _within(pieces: Sequence[Piece], start: int, stop: int) -> tuple[Piece, ...]:
     """Parts of pieces within frames."""
-    inside = (
-        replace(one, start_frame=max(one.start_frame, start), stop_frame=min(one.stop_frame, stop)) for one in pieces
-    )
-    return tuple(one for one in inside if one.start_frame < one.stop_frame)
+    first, end = bisect_right(pieces, start, key=_STOP), bisect_left(pieces, stop, key=_START)
+    inside = list(pieces[first:end])
+    if inside:
+        inside[0] = replace(inside[0], start_frame=max(inside[0].start_frame, start))
+        inside[-1] = replace(inside[-1], stop_frame=min(inside[-1].stop_frame, stop))
+    return tuple(inside)
 
 
-def _united(first: Sequence[Piece], second: Sequence[Piece]) -> tuple[Piece, ...]:
-    """Pieces of both, ascending; where they overlap, those of the first."""
-    found = sorted([*first, *_outside(first, second)], key=lambda one: one.start_frame)
+def _chained(*parts: Sequence[Piece]) -> tuple[Piece, ...]:
+    """Pieces of parts that follow each other, joined where a part continues the last piece."""
+    chain: list[Piece] = []
+    for part in parts:
+        if part:
+            chain[-1:] = _joined((*chain[-1:], part[0]))
+            chain += part[1:]
+    return tuple(chain)
+
+
+def _joined(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
+    """Ascending pieces, those joined that continue each other."""
     joined: list[Piece] = []
-    for piece in found:
+    for piece in pieces:
         last = joined[-1] if joined else None
         if last is not None and last.person == piece.person and last.stop_frame == piece.start_frame:
             joined[-1] = replace(last, stop_frame=piece.stop_frame)
@@ -303,15 +339,23 @@ def _united(first: Sequence[Piece], second: Sequence[Piece]) -> tuple[Piece, ...
     return tuple(joined)
 
 
+def _united(first: Sequence[Piece], second: Sequence[Piece]) -> Iterator[Piece]:
+    """Pieces of both, ascending; where they overlap, those of the first."""
+    return merge(first, _outside(first, second), key=_START)
+
+
 def _outside(covering: Sequence[Piece], pieces: Sequence[Piece]) -> Iterator[Piece]:
-    """Parts of pieces in frames that no covering piece has."""
+    """Parts of ascending pieces in frames that no covering piece has; each sequence is read once."""
+    number = 0
     for piece in pieces:
         start = piece.start_frame
-        for cover in sorted(covering, key=lambda one: one.start_frame):
-            if cover.stop_frame <= start or cover.start_frame >= piece.stop_frame:
-                continue
+        while number < len(covering) and covering[number].start_frame < piece.stop_frame:
+            cover = covering[number]
             if start < cover.start_frame:
                 yield replace(piece, start_frame=start, stop_frame=cover.start_frame)
             start = max(start, cover.stop_frame)
+            if cover.stop_frame > piece.stop_frame:
+                break  # it covers frames of the next piece too
+            number += 1
         if start < piece.stop_frame:
             yield replace(piece, start_frame=start)

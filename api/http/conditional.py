@@ -1,6 +1,9 @@
 """Conditional requests: ``ETag``, ``If-Match`` and ``If-None-Match`` of JSON records (RFC 9110, section 13)."""
 
+import functools
 import hashlib
+import importlib.metadata
+from collections.abc import Callable
 from typing import Annotated, Any
 
 from fastapi import Header, Response
@@ -19,10 +22,35 @@ ETAG = {"ETag": {"description": "Entity tag; it changes whenever the body does."
 def conditional(record: BaseModel, if_none_match: str | None) -> Response:
     """Answer with a record and its entity tag, or with 304 if the client has that version."""
     body, etag = _tagged(record)
+    return _answer(etag, if_none_match, lambda: body)
+
+
+def conditional_by(etag: str, record: Callable[[], BaseModel], if_none_match: str | None) -> Response:
+    """Answer as ``conditional``, with the tag of ``tag_of``; the record is made only if the client lacks it."""
+    return _answer(etag, if_none_match, lambda: record().model_dump_json().encode())
+
+
+def tag_of(*state: object) -> str:
+    """Entity tag of a record that is costly to make, from all that it is made of and the version of the service.
+
+    Parameters
+    ----------
+    state
+        Values whose ``repr`` has all of their content.
+    """
+    return f'"{hashlib.sha256(repr((_service_version(), *state)).encode()).hexdigest()}"'
+
+
+@functools.cache
+def _service_version() -> str:
+    return importlib.metadata.version("multicap")
+
+
+def _answer(etag: str, if_none_match: str | None, body: Callable[[], bytes]) -> Response:
     headers = {"ETag": etag, "Cache-Control": "private, no-cache"}
     if matches(if_none_match, etag):
         return Response(status_code=304, headers=headers)
-    return Response(body, headers=headers, media_type="application/json")
+    return Response(body(), headers=headers, media_type="application/json")
 
 
 def require_match(record: BaseModel, if_match: str) -> None:

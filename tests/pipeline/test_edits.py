@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.edits import (
+    MAX_PIECES,
     Cut,
     EditedPerson,
     EditedTake,
@@ -119,6 +120,46 @@ def test_numbers_of_removed_people_are_not_given_again() -> None:
 def test_a_name_stays_with_the_person() -> None:
     take = apply(Rename(person=3, name="  Zoë "), Merge(person=2, other=3))
     assert [(person.id, person.name) for person in take.people] == [(1, None), (2, "Zoë")]
+
+
+def fragmenting(num_edits: int) -> list[PeopleEdit]:
+    """Exchanges of two people, each of which adds two pieces to both."""
+    return [Exchange(person=1, other=2, start_frame=4 * n + 1, stop_frame=4 * n + 3) for n in range(num_edits)]
+
+
+def test_the_work_grows_with_the_pieces_not_with_their_square(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = 0
+
+    class CountedPiece(Piece):
+        def __post_init__(self) -> None:
+            nonlocal made
+            made += 1
+
+    monkeypatch.setattr("pipeline.edits.Piece", CountedPiece)
+    people = (PersonSpan(1, 0, 10_000), PersonSpan(2, 0, 10_000))
+    take = apply_edits(people, [*fragmenting(999), Merge(person=1, other=2)], 10_000)
+    assert [len(person.pieces) for person in take.people] == [1999]
+    assert made < 20 * 1000
+
+
+def test_pieces_of_new_edits_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    people, made = (PersonSpan(1, 0, 10_000), PersonSpan(2, 0, 10_000)), fragmenting(600)
+    with pytest.raises(InputError) as refused:
+        apply_edits(people, made, 10_000, MAX_PIECES)
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.field) == ("edits_fragmented", "edits/499")  # 2 + 4 x 500 pieces
+    assert len(apply_edits(people, made[:499], 10_000, MAX_PIECES).people) == 2
+    # Edits that an older version stored are applied all the same.
+    assert len(apply_edits(people, made, 10_000).people) == 2
+
+
+def test_a_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Normalizing a run of combining characters takes quadratic time: minutes for a name of a megabyte.
+    normalized: list[int] = []
+    monkeypatch.setattr("pipeline.edits.unicodedata.normalize", lambda _, name: [normalized.append(len(name)), name][1])
+    with pytest.raises(InputError):
+        apply(Rename(person=1, name="a" + "\u0316\u0301" * 100_000))
+    assert normalized == []
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ from api.contract.description import RETRY_AFTER, Responses, answer, location, p
 from api.dependencies import POLL_AFTER_S, JobId, ServicesDep
 from api.errors import ApiError, ErrorItem, unprocessable
 from api.http.byte_ranges import matches
-from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional
+from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional_by, tag_of
 from api.requests.bodies import SmallBodyRoute
 from api.schemas.jobs import JobOut
 from api.schemas.people import PeopleEdits, PeopleOut, frames_of
-from pipeline.edits import PersonSpan, apply_edits
+from pipeline.edits import MAX_PIECES, PersonSpan, apply_edits
 from pipeline.errors import InputError
 from worker.jobs.model import Job
 from worker.planning import plan_job
@@ -37,7 +37,8 @@ _ACCEPTED: Responses = {
 def get_job_people(job_id: JobId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read who was found, the edits, and who there is after them. The entity tag changes with the edits."""
     job = records.jobs.get(job_id)
-    return conditional(PeopleOut.of(job, _found(job)), if_none_match)
+    found = _found(job)
+    return conditional_by(_tag(job), lambda: PeopleOut.of(job, found), if_none_match)
 
 
 @router.patch(
@@ -61,15 +62,14 @@ def edit_job_people(
     """
     job = records.jobs.get(job_id)
     found = _found(job)
-    present = conditional(PeopleOut.of(job, found), None)
-    if if_match is not None and not matches(if_match, present.headers["ETag"]):
+    if if_match is not None and not matches(if_match, _tag(job)):
         raise ApiError(
             "conflict",
             "The edits have changed since this version.",
             hint="Read the people again, then send the edits with their present ETag.",
         )
     try:
-        apply_edits(found, edits.edits, frames_of(job))
+        apply_edits(found, edits.edits, frames_of(job), MAX_PIECES)
     except InputError as error:
         raise unprocessable(
             [
@@ -89,6 +89,11 @@ def edit_job_people(
         headers={"Location": f"/v1/jobs/{job_id}", "Retry-After": str(POLL_AFTER_S)},
         media_type="application/json",
     )
+
+
+def _tag(job: Job) -> str:
+    """Entity tag of a job's people; the edits are not applied for it."""
+    return tag_of(job.revision, job.edits, job.people, frames_of(job))
 
 
 def _found(job: Job) -> tuple[PersonSpan, ...]:

@@ -72,6 +72,26 @@ def test_an_old_entity_tag_is_a_conflict(live: Live, job_id: str) -> None:
     assert people(live, job_id)["edits"] == [ANNA]
 
 
+def test_edits_are_not_applied_for_an_unchanged_answer(
+    live: Live, job_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert edit(live, job_id, ANNA).status_code == 202
+    live.finish(job_id, people=FOUND)
+    etag = live.client.get(f"/v1/jobs/{job_id}/people").headers["etag"]
+    applied: list[object] = []
+    monkeypatch.setattr("api.schemas.people.apply_edits", lambda *arguments: applied.append(arguments))
+    assert live.client.get(f"/v1/jobs/{job_id}/people", headers={"If-None-Match": etag}).status_code == 304
+    problem_of(edit(live, job_id, **{"If-Match": '"old"'}), 409, "conflict")
+    assert applied == []
+
+
+def test_fragmented_edits_are_refused(live: Live, job_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("api.routes.job.people.MAX_PIECES", 5)
+    exchange = {"action": "exchange", "person": 1, "other": 2, "start_frame": 20, "stop_frame": 30}
+    (error,) = problem_of(edit(live, job_id, ANNA, exchange), 422, "invalid_request")["errors"]
+    assert (error["code"], error["pointer"]) == ("edits_fragmented", "/edits/1")
+
+
 def test_impossible_edits_are_named(live: Live, job_id: str) -> None:
     answer = edit(live, job_id, ANNA, {"action": "split", "person": 2, "frame": 55})
     (error,) = problem_of(answer, 422, "invalid_request")["errors"]
