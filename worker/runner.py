@@ -265,6 +265,7 @@ class Runner:
             key=key,
             num_bytes=num_bytes,
             sha256=sha256,
+            revision=claim.revision,
         )
 
 

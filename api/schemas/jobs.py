@@ -148,6 +148,10 @@ class JobOut(ResponseModel):
     spec: JobSpec = Field(description="Choices of the job.")
     attempt: int = Field(description="Number of the current attempt, from 1.")
     revision: int = Field(description="Number of times that the edits of the job's people were changed.")
+    results_revision: int | None = Field(
+        description="Revision whose result files can be read, also while those of `revision` are made; null before the "
+        "first files are."
+    )
     stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
     progress: float = Field(
         ge=0, le=1, description="Share of the work that is done; it never decreases within an attempt."
@@ -244,6 +248,7 @@ class ResultOut(ResponseModel):
     media_type: str = Field(description="Content type of the file.")
     num_bytes: int = Field(description="Size of the file.")
     sha256: str = Field(description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.")
+    revision: int = Field(description="Revision of the edits that the file shows.")
     link: str = Field(description="Path of the file.")
 
     @classmethod
@@ -252,7 +257,7 @@ class ResultOut(ResponseModel):
         return cls(
             format=result.kind if result.kind in FILE_FORMATS else None,
             preset=job.spec.bvh if result.kind == "bvh" else None,
-            download_name=result_name(job.session_name, result.name, job.revision),
+            download_name=result_name(job.session_name, result.name, result.revision),
             link=f"/v1/jobs/{job.id}/results/{result.name}",
             **fields_of(result, cls, without=("format", "preset", "download_name", "link")),
         )

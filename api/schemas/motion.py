@@ -111,6 +111,7 @@ class MotionStrips(ResponseModel):
 class MotionDescription(ResponseModel):
     """Description of a job's motion: people, joints, cameras, heat strips, structure of a record."""
 
+    revision: int = Field(description="Revision of the edits that the motion shows.")
     schema_version: int = Field(description="Version of the description and of the records.")
     frame_rate_hz: float = Field(description="Rate of the output frames.")
     start_time_s: float = Field(description="Time of output frame 0 on the session's clock.")

@@ -155,7 +155,7 @@ class Live:
         key, digest = result_key(job_id, name, revision), hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
         person = "person-1" if kind == "bvh" else None
-        return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest)
+        return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest, revision)
 
 
 def form(videos: int = 2, content: bytes = b"video", calibration: bytes = b"[cam_0]") -> list[tuple[str, Any]]:

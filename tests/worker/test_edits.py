@@ -1,14 +1,18 @@
 """Edits of people in the service: what is done stays done, results are replaced, and every edit can be undone."""
 
+import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from pipeline.edits import PeopleEdit, Remove, Rename
+from pipeline.errors import PipelineError
+from pipeline.findings import Finding
 from pipeline.stages.output import Output
 from pipeline.stages.plan import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT, WRITE
 from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, Bench
-from worker.chunk import Work
+from worker.chunk import StoppedError, Work
 from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import results_prefix
 from worker.jobs.files.removals import remove_files
@@ -77,8 +81,116 @@ def test_edits_of_another_revision_are_refused(bench: Bench, done: Job) -> None:
     edit(bench, done, ANNA)
     with pytest.raises(Conflict, match="revision 1 now"):
         edit(bench, done, NOBODY)
-    with pytest.raises(Conflict, match="finished job"):
+
+
+def test_the_newest_of_stacked_edits_wins(bench: Bench, done: Job) -> None:
+    queued = edit(bench, done, ANNA)
+    newest = edit(bench, queued, ANNA, NOBODY)
+    bench.runner().work(60.0)
+    job = bench.store.jobs.get(done.id)
+    assert (job.state, job.revision, job.results_revision) == (JobState.SUCCEEDED, newest.revision, 2)
+    assert bench.result(done.id) == expected(ANNA, NOBODY)
+    states = [attempt.state for attempt in bench.store.jobs.attempts(done.id)]
+    assert states == [JobState.SUCCEEDED, JobState.CANCELED, JobState.SUCCEEDED]
+
+
+@pytest.mark.parametrize("stage", [EDIT, REFIT, WRITE, EXPORT])
+def test_work_for_an_older_list_is_given_up(bench: Bench, done: Job, stage: str) -> None:
+    """A chunk that ends after a newer edit changes nothing, and a unit of work later it stops."""
+    function, stopped = bench.stages[stage], []
+
+    def edited_meanwhile(work: Work) -> Output:
+        bench.stages[stage] = function
         edit(bench, bench.store.jobs.get(done.id), NOBODY)
+        output = function(work)
+        if stage == EDIT:
+            wait_until_stopped(work)
+        return output
+
+    def wait_until_stopped(work: Work) -> None:
+        try:
+            for _ in range(600):
+                work.on_unit()
+                time.sleep(0.05)
+        except StoppedError:
+            stopped.append(work.claim.stage)
+            raise
+
+    bench.stages[stage] = edited_meanwhile
+    edit(bench, done, ANNA)
+    bench.runner().work(60.0)
+    job = bench.store.jobs.get(done.id)
+    assert (job.state, job.results_revision, job.edits) == (JobState.SUCCEEDED, 2, (NOBODY,))
+    assert bench.result(done.id) == expected(NOBODY)
+    assert stopped == ([EDIT] if stage == EDIT else [])
+    remove_files(bench.store.removals, bench.artifacts)
+    assert bench.result(done.id) == expected(NOBODY)
+
+
+@pytest.mark.parametrize("end", ["canceled", "failed"])
+def test_files_stay_if_an_edit_comes_to_nothing(bench: Bench, done: Job, end: str) -> None:
+    def broken(_: Work) -> Output:
+        raise PipelineError("It is broken.")
+
+    whole = bench.stages[EXPORT]
+    bench.stages[EXPORT] = broken
+    queued = edit(bench, done, ANNA)
+    assert (queued.results_revision, bench.result(done.id)) == (0, RESULT)
+    if end == "canceled":
+        bench.store.jobs.cancel(done.id)
+    else:
+        bench.runner().work(60.0)
+    job = bench.store.jobs.get(done.id)
+    assert (job.state, job.results_revision) == (end, 0)
+    remove_files(bench.store.removals, bench.artifacts)
+    assert bench.result(done.id) == RESULT
+
+    bench.stages[EXPORT] = whole
+    bench.store.jobs.retry(done.id, plan_job(bench.session, job.spec, CHUNK_FRAMES, edits=job.edits))
+    assert bench.result(done.id) == RESULT
+    bench.runner().work(60.0)
+    assert bench.result(done.id) == expected(ANNA)
+
+
+def test_edits_go_before_other_work_of_the_tenant(bench: Bench, done: Job) -> None:
+    running, queued = bench.create_job(), bench.create_job()
+    claim = bench.store.leases.claim("worker", 30.0)
+    assert claim is not None
+    assert claim.job_id == running.id
+    edited = edit(bench, done, ANNA)
+    assert edited.queue_position == 1
+    assert bench.store.jobs.get(queued.id).queue_position == 2
+    claim = bench.store.leases.claim("worker", 30.0)
+    assert claim is not None
+    assert claim.job_id == done.id
+
+
+def test_edits_take_no_share_of_other_tenants(bench: Bench, done: Job) -> None:
+    """The tenant with fewer running chunks is next, whatever the other one edits."""
+    store = bench.store
+    session = store.of("other").sessions.add(
+        "theirs", bench.session.files, bench.session.preflight, store.sessions.reserve_id()
+    )
+    theirs = store.of("other").jobs.add(session.id, done.spec, plan_job(session, done.spec, CHUNK_FRAMES))
+    edit(bench, done, ANNA)
+    again = bench.create_job()
+    taken = []
+    for _ in range(2):
+        claim = store.leases.claim("worker", 30.0)
+        assert claim is not None
+        taken.append(claim.job_id)
+    assert sorted(taken) == sorted([done.id, theirs.id])
+    assert store.jobs.get(again.id).state is JobState.QUEUED
+
+
+def test_warnings_of_the_last_revision_stay_until_the_next_succeeds(bench: Bench) -> None:
+    export, doubt = bench.stages[EXPORT], Finding("nobody_found", "Nobody was found.")
+    bench.stages[EXPORT] = lambda work: replace(export(work), warnings=() if work.claim.edits else (doubt,))
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    assert edit(bench, bench.store.jobs.get(job.id), ANNA).result_warnings == (doubt,)
+    bench.runner().work(60.0)
+    assert bench.store.jobs.get(job.id).result_warnings == ()
 
 
 def test_people_must_have_been_found(bench: Bench) -> None:

@@ -5,7 +5,7 @@
     job     queued -> running -> succeeded | failed
             queued | running -> canceling -> canceled
             failed | canceled -> queued          (retry: attempt + 1)
-            succeeded | failed | canceled -> queued   (edits of people: attempt + 1, revision + 1)
+            all but expired -> queued            (edits of people: attempt + 1, revision + 1)
             succeeded | failed | canceled -> expired
 
     chunk   waiting -> ready -> running -> done
@@ -18,7 +18,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import Any, Literal
 
 from pipeline.calibration_choices import CalibrationChoices
@@ -54,9 +54,9 @@ class ChunkState(StrEnum):
 
 
 JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
-    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELING, JobState.FAILED}),
-    JobState.RUNNING: frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELING}),
-    JobState.CANCELING: frozenset({JobState.CANCELED}),
+    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELING, JobState.FAILED, JobState.QUEUED}),
+    JobState.RUNNING: frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELING, JobState.QUEUED}),
+    JobState.CANCELING: frozenset({JobState.CANCELED, JobState.QUEUED}),
     JobState.SUCCEEDED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
     JobState.FAILED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
     JobState.CANCELED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
@@ -64,11 +64,19 @@ JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
 }
 
 RETRYABLE = frozenset({JobState.FAILED, JobState.CANCELED})
-EDITABLE = RETRYABLE | {JobState.SUCCEEDED}
+EDITABLE = frozenset(JobState) - {JobState.EXPIRED}
 """States of jobs whose people can be edited, if they have been found."""
 CANCELABLE = frozenset({JobState.QUEUED, JobState.RUNNING})
 AT_WORK = (JobState.QUEUED, JobState.RUNNING)
 """States of jobs that have chunks to claim."""
+
+
+class Precedence(IntEnum):
+    """Order of a tenant's work: edits of people before all other work."""
+
+    EDITS = 0
+    OTHERS = 1
+
 
 FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED})
 
@@ -257,7 +265,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A result file of a job, in the artifact store under ``key``."""
+    """A result file of a job, in the artifact store under ``key``; ``revision`` is that of the edits it shows."""
 
     name: str
     kind: str  # "bvh", "skeletons", "metrics"
@@ -266,6 +274,7 @@ class Result:
     key: str
     num_bytes: int
     sha256: str
+    revision: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,7 +341,8 @@ class Job:
     units took as long as the finished ones; ``None`` before any is finished. ``warnings`` are sentences, and include
     those of ``result_warnings``. ``making`` has the choices of what it makes; without it, the job reconstructs.
     ``edits`` are the edits of its people, ``revision`` the number of times that they were changed, and ``people`` those
-    whom the reconstruction found, before any edit; ``None`` until its first results are written.
+    whom the reconstruction found, before any edit; ``None`` until its first results are written. ``results_revision``
+    is the revision whose files can be read, while those of a newer one are made; ``None`` before the first success.
     """
 
     id: str
@@ -358,6 +368,7 @@ class Job:
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0
     people: tuple[PersonSpan, ...] | None = None
+    results_revision: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -221,7 +221,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         if may_retry and has_videos(session) and (errors := network_errors(job.spec, services, None)):
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan_job(session, job.spec, services.settings.chunk_frames, making=job.making)
+        stages = plan_job(session, job.spec, services.settings.chunk_frames, making=job.making, edits=job.edits)
         with idempotent.records.transaction() as work:
             answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()

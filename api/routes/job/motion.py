@@ -18,7 +18,6 @@ from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, request
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch
 from api.schemas.motion import MotionDescription
 from pipeline.stages.output import DESCRIPTION, MOTION
-from worker.jobs.errors import NotFound
 from worker.jobs.model import Result
 from worker.jobs.tenant_records import TenantRecords
 
@@ -74,12 +73,14 @@ def get_motion_description(
     job_id: JobId, services: ServicesDep, records: JobViewDep, if_none_match: IfNoneMatch = None
 ) -> Response:
     """Describe a job's motion: people, joints, cameras, heat strips, and the structure of a frame's record."""
-    result = _result(records, job_id, DESCRIPTION)
-    headers = _headers(f'"{result.sha256}"')
+    (result,) = _results(records, job_id, DESCRIPTION)
+    headers = _headers(f'"{result.sha256}.{result.revision}"')
     with opened(services, Download.of(result)) as file:
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
-        return Response(file.read(), headers=headers, media_type="application/json")
+        # Equal edits have equal files, whatever their revision is: it is put in front of the file's first field.
+        content = b'{"revision":%d,' % result.revision + file.read().removeprefix(b"{")
+        return Response(content, headers=headers, media_type="application/json")
 
 
 @router.get(
@@ -105,6 +106,9 @@ def get_motion(
     person: Annotated[
         Sequence[int] | None, Query(max_length=1000, description="Ids of people; without it all people.")
     ] = None,
+    revision: Annotated[
+        int | None, Query(ge=0, description="Revision of the description at hand; 409 if the motion is of another one.")
+    ] = None,
     range_: Annotated[str | None, Header(alias="Range", description="A single range of bytes.")] = None,
     if_none_match: IfNoneMatch = None,
 ) -> Response:
@@ -113,8 +117,11 @@ def get_motion(
     The head holds four little-endian 32-bit numbers: the person's id, the first frame, the number of frames and the
     bytes of a record. People without frames in the range are left out. docs/formats.md describes the records.
     """
-    index = _read_index(services, _result(records, job_id, DESCRIPTION))
-    result = _result(records, job_id, MOTION)
+    description, result = _results(records, job_id, DESCRIPTION, MOTION)
+    if revision is not None and revision != result.revision:
+        message = f"The motion is of the revision {result.revision} now, not {revision}."
+        raise ApiError("conflict", message, hint="Read the description of the motion again.")
+    index = _read_index(services, description)
     last = index.num_frames if stop is None else min(stop, index.num_frames)
     wanted = None if person is None else frozenset(person)
     parts = list(_parts(index, range(first, max(first, last)), wanted))
@@ -139,11 +146,12 @@ def get_motion(
     return Stream(content, 206 if cut else 200, headers=headers, media_type=MEDIA_TYPE, file=file)
 
 
-def _result(records: TenantRecords, job_id: str, name: str) -> Result:
+def _results(records: TenantRecords, job_id: str, *names: str) -> list[Result]:
+    """Files of a job, all of one revision."""
+    results = {result.name: result for result in records.results.all_of_job(job_id)}
     try:
-        return records.results.get(job_id, name)
-    except NotFound:
-        records.jobs.get(job_id)  # raises if there is no such job
+        return [results[name] for name in names]
+    except KeyError:
         message = "The job has no motion to look at."
         hint = "Start another job of its session, if it is a reconstruction: older versions wrote no such files."
         raise ApiError("not_found", message, hint=hint) from None

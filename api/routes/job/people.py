@@ -56,9 +56,11 @@ def edit_job_people(
     records: RecordsDep,
     if_match: IfMatch = None,
 ) -> Response:
-    """Replace the edits of a finished job's people; the files are made anew, without looking for joints again.
+    """Replace the edits of a job's people; the files are made anew, without looking for joints again.
 
-    With `If-Match`, only if nobody changed the edits since.
+    With `If-Match`, only if nobody changed the edits since. The edits may be changed again before their files are made:
+    work for an earlier list is given up. The files of the last finished revision can be read until then; the job's
+    `results_revision` names it.
     """
     job = records.jobs.get(job_id)
     found = _found(job)
@@ -81,7 +83,9 @@ def edit_job_people(
     session = records.sessions.get(job.session_id)
     stages = plan_job(session, job.spec, services.settings.chunk_frames, edits=edits.edits)
     with records.transaction() as work:
-        edited = work.jobs.edit(job_id, edits.edits, stages, job.revision, tracing.current())
+        # Without `If-Match` the newest list wins, also over one that came meanwhile.
+        revision = None if if_match is None else job.revision
+        edited = work.jobs.edit(job_id, edits.edits, stages, revision, tracing.current())
     services.queue.publish()
     return Response(
         JobOut.of(edited).model_dump_json(),

@@ -41,7 +41,7 @@ _FILE: dict[str, Any] = {
     responses={200: answer("ResultList"), **problems(404, 409)},
 )
 def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
-    """List the result files of a finished job."""
+    """List the result files of the last revision that was finished, also while those of a newer one are made."""
     results = records.results.of_job(job_id)
     job = records.jobs.get(job_id)
     return ResultList(results=tuple(ResultOut.of(job, result) for result in results))
@@ -71,10 +71,13 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) 
     for result in results:
         is_video = result.media_type.startswith("video/")
         folder = result.kind if is_video else result.person
-        name = archived_name(job.session_name, result.name, folder, job.revision)
+        name = archived_name(job.session_name, result.name, folder, result.revision)
         # Videos are compressed already.
         archive.add(_content(services, result), name, compress_type=ZIP_STORED if is_video else ZIP_DEFLATED)
-    headers = {"Cache-Control": "private, no-cache", **disposition_of(f"{stem_of(job.session_name, job.revision)}.zip")}
+    headers = {
+        "Cache-Control": "private, no-cache",
+        **disposition_of(f"{stem_of(job.session_name, job.results_revision or 0)}.zip"),
+    }
     return Stream(iter(archive), headers=headers, media_type="application/zip")
 
 
@@ -121,5 +124,5 @@ def get_result(
     """
     result = records.results.get(job_id, name)
     job = records.jobs.get(job_id)
-    download = Download.of(result, result_name(job.session_name, result.name, job.revision))
+    download = Download.of(result, result_name(job.session_name, result.name, result.revision))
     return send_file(request, services, download, conditions)

@@ -57,6 +57,7 @@ def result_of(row: Row[Any]) -> Result:
         key=row.key,
         num_bytes=row.num_bytes,
         sha256=row.sha256,
+        revision=row.revision,
     )
 
 
@@ -71,8 +72,14 @@ def select_jobs() -> Select[Any]:
         .where(
             ahead.c.state == JobState.QUEUED,
             or_(
-                ahead.c.queued_at < jobs.c.queued_at,
-                and_(ahead.c.queued_at == jobs.c.queued_at, ahead.c.id < jobs.c.id),
+                ahead.c.precedence < jobs.c.precedence,
+                and_(
+                    ahead.c.precedence == jobs.c.precedence,
+                    or_(
+                        ahead.c.queued_at < jobs.c.queued_at,
+                        and_(ahead.c.queued_at == jobs.c.queued_at, ahead.c.id < jobs.c.id),
+                    ),
+                ),
             ),
         )
     )
@@ -126,6 +133,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         edits=edits_of(row.edits),
         revision=row.revision,
         people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),
+        results_revision=row.results_revision,
     )
 
 

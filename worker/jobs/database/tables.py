@@ -101,10 +101,12 @@ jobs = Table(
     Column("edits", JSON, nullable=False, server_default="[]"),  # of its people
     Column("revision", Integer, nullable=False, server_default="0"),  # number of changes of the edits
     Column("people", JSON(none_as_null=True)),  # who was found, before any edit; null until there are results
+    Column("results_revision", Integer),  # revision whose files can be read; null before the first success
+    Column("precedence", Integer, nullable=False, server_default="1"),  # 0: edits of people, before other work
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
-    Index(None, "state", "tenant", "queued_at"),
+    Index(None, "state", "tenant", "precedence", "queued_at"),
     Index(None, "expires_at"),
 )
 
@@ -162,6 +164,7 @@ results = Table(
     Column("key", String, nullable=False),
     Column("num_bytes", BigInteger, nullable=False),
     Column("sha256", String(64), nullable=False),
+    Column("revision", Integer, nullable=False, server_default="0"),  # of the edits that the file shows
 )
 
 # Outputs of finished chunks. They stay when their job is deleted, until their session is.

@@ -11,8 +11,9 @@ from typing import Any, Literal
 from sqlalchemy import Connection, Row, insert, select, update
 
 from worker.jobs.database.connection import now
+from worker.jobs.database.listed_results import drop_results
 from worker.jobs.database.removal_notes import remove_later
-from worker.jobs.database.tables import chunks, events, jobs
+from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.totals import Total, count
 from worker.jobs.files.artifacts import interim_prefix
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
@@ -40,14 +41,20 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
     ends = to in FINISHED - {JobState.EXPIRED}
     if ends:
         values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s}
+    if to is JobState.SUCCEEDED:
+        values["results_revision"] = jobs.c.revision
     moved = connection.execute(
         update(jobs).where(jobs.c.id == job_id, jobs.c.state.in_(sources)).values(state=to, **values)
     )
     if moved.rowcount == 1:
         note(connection, job_id, "state", to)
         if ends:
-            attempt = select(jobs.c.attempt).where(jobs.c.id == job_id)
-            remove_later(connection, interim_prefix(job_id, connection.execute(attempt).scalar_one()))
+            attempt, revision = connection.execute(
+                select(jobs.c.attempt, jobs.c.revision).where(jobs.c.id == job_id)
+            ).one()
+            remove_later(connection, interim_prefix(job_id, attempt))
+        if to is JobState.SUCCEEDED:
+            drop_results(connection, job_id, results.c.revision < revision)
         if to in FINISHED:
             count(connection, Total.JOBS_ENDED, to)
             queue_delivery(connection, job_id, to)

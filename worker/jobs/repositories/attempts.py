@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Row, insert, select
 
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import attempts, failures
-from worker.jobs.model import Attempt, Failure, JobState, Problem
+from worker.jobs.model import FINISHED, Attempt, Failure, JobState, Problem
 
 _KEPT = ("attempt", "state", "problem", "queued_at", "started_at", "finished_at")
 
@@ -29,10 +29,12 @@ def note_failure(connection: Connection, job: Row[Any], chunk: Row[Any], problem
 
 
 def keep_attempt(connection: Connection, job: Row[Any]) -> None:
-    """Keep the present attempt of a locked job, before the next one replaces it."""
+    """Keep the present attempt of a locked job, before the next one replaces it; one that has not ended is canceled."""
     columns = {name: getattr(job, name) for name in _KEPT}
     for name in ("queued_at", "started_at", "finished_at"):
         columns[name] = columns[name].timestamp() if columns[name] else None
+    if job.state not in FINISHED:
+        columns |= {"state": JobState.CANCELED, "finished_at": now()}
     connection.execute(insert(attempts).values(job_id=job.id, **columns))
 
 

@@ -10,12 +10,13 @@ from uuid_utils import uuid7
 from pipeline.edits import PeopleEdit, document_of
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
+from worker.jobs.database.listed_results import remove_unlisted
 from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.rows import jobs_of, select_jobs
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
-from worker.jobs.files.artifacts import job_prefix, results_prefix
+from worker.jobs.files.artifacts import interim_prefix, job_prefix, results_prefix
 from worker.jobs.model import (
     EDITABLE,
     FINISHED,
@@ -27,6 +28,7 @@ from worker.jobs.model import (
     JobKind,
     JobState,
     Making,
+    Precedence,
     StagePlan,
     kind_of,
 )
@@ -186,7 +188,8 @@ class Jobs:
                 raise Conflict(f"Only a failed or canceled job can be retried; this one is {job.state}.")
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_RETRIED, job_id)
             keep_attempt(connection, job)
-            connection.execute(delete(results).where(results.c.job_id == job_id))
+            # Files of an earlier revision stay until this one succeeds.
+            connection.execute(delete(results).where(results.c.job_id == job_id, results.c.revision == job.revision))
             connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
             insert_chunks(connection, job_id, stages)
             return self._read(connection, job_id)
@@ -201,7 +204,9 @@ class Jobs:
     ) -> Job:
         """Replace the edits of a job's people and queue it again, as its next revision and attempt.
 
-        Chunks that are done under the same keys stay done. The caller publishes that there is work.
+        Chunks that are done under the same keys stay done. An attempt that has not ended is given up: its running
+        chunks lose their leases. The files of the last revision that has succeeded stay until the next one does. The
+        caller publishes that there is work.
 
         Parameters
         ----------
@@ -216,27 +221,33 @@ class Jobs:
         ------
         NotFound
         Conflict
-            The job is unfinished or expired, has found nobody yet, or has another revision.
+            The job is expired, has found nobody yet, or has another revision.
         QuotaExceeded
         """
         with self._access.writing() as connection:
-            self._access.require_room(connection, unfinished_jobs=1)
+            state = job_row(connection, self._access, job_id).state
+            self._access.require_room(connection, unfinished_jobs=int(state in FINISHED))
             job = job_row(connection, self._access, job_id, lock=True)
             if revision is not None and revision != job.revision:
                 raise Conflict(f"The job has the revision {job.revision} now, not {revision}.")
             if job.people is None:
                 raise Conflict("The job has no results yet, so its people can't be edited.")
-            changed = {"edits": [document_of(edit) for edit in edits], "revision": job.revision + 1}
-            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
+            changed = {
+                "edits": [document_of(edit) for edit in edits],
+                "revision": job.revision + 1,
+                "precedence": Precedence.EDITS,
+            }
+            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
             if job.state not in EDITABLE or not move_job(
                 connection, job_id, JobState.QUEUED, **unended, **again, **changed
             ):
-                raise Conflict(f"The people of a finished job can be edited; this one is {job.state}.")
+                raise Conflict(f"The people of a job can be edited until it has expired; this one is {job.state}.")
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_EDITED, job_id)
             keep_attempt(connection, job)
-            remove_later(connection, results_prefix(job_id, job.revision))
-            connection.execute(delete(results).where(results.c.job_id == job_id))
+            # What the last attempt has left, unless its files are listed.
+            remove_later(connection, interim_prefix(job_id, job.attempt))
+            remove_unlisted(connection, job_id, results_prefix(job_id, job.revision))
             plan_changes(connection, job_id, stages)
             return self._read(connection, job_id)
 

@@ -28,16 +28,17 @@ class Results:
         ------
         NotFound
         NotFinished
+            No revision of the job has succeeded yet.
         NoResults
-            The job failed or was canceled.
+            The job failed or was canceled before a revision had succeeded.
         """
         query = select(results).where(results.c.job_id == job_id).order_by(results.c.name)
         with self._access.reading() as connection:
             job = job_row(connection, self._access, job_id)
-            if job.state not in FINISHED:
+            if job.results_revision is None and job.state not in FINISHED:
                 raise NotFinished("The job is unfinished; its results come with its end.")
             found = [result_of(row) for row in connection.execute(query)]
-        if not found and job.state != JobState.SUCCEEDED:
+        if not found and job.results_revision is None:
             problem = Problem(**job.problem) if job.problem else None
             reason = f"{problem.code}: {problem.detail}" if problem else None
             raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))

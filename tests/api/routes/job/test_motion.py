@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from api.contract.examples import ANSWERS
+from pipeline.edits import PersonSpan
 from tests.api.conftest import Live, problem_of
 
 RECORD_BYTES = 44
@@ -51,7 +52,7 @@ def path(live: Live) -> str:
 def test_the_description_is_the_stored_one(live: Live, path: str) -> None:
     answer = live.client.get(f"{path}/description")
     assert answer.status_code == 200
-    assert answer.json() == description()
+    assert answer.json() == description() | {"revision": 0}
     again = live.client.get(f"{path}/description", headers={"If-None-Match": answer.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
 
@@ -135,3 +136,28 @@ def test_downloads_leave_motion_out(live: Live, path: str) -> None:
     results = path.removesuffix("motion") + "results"
     assert [one["name"] for one in live.client.get(results).json()["results"]] == ["person-1.bvh"]
     assert live.client.get(f"{results}/motion.json").status_code == 200
+
+
+def test_motion_of_a_revision_stays_until_the_next_one_is_made(live: Live) -> None:
+    job_id = live.job_id()
+    found = (PersonSpan(1, 0, 30),)
+    live.finish(job_id, motion=FILES, people=found)
+    path = f"/v1/jobs/{job_id}/motion"
+
+    def described() -> tuple[int, str]:
+        answer = live.client.get(f"{path}/description")
+        assert answer.status_code == 200, answer.text
+        return answer.json()["revision"], answer.headers["etag"]
+
+    first = described()
+    assert first[0] == 0
+    edits = {"edits": [{"action": "rename", "person": 1, "name": "Anna"}]}
+    assert live.client.patch(f"/v1/jobs/{job_id}/people", json=edits).status_code == 202
+    assert described() == first
+    assert live.client.get(path, params={"revision": 0}).content == WHOLE
+    live.finish(job_id, motion=FILES, people=found)
+    revision, etag = described()
+    assert revision == 1
+    assert etag != first[1]
+    problem_of(live.client.get(path, params={"revision": 0}), 409, "conflict")
+    assert live.client.get(path, params={"revision": 1}).content == WHOLE

@@ -5,7 +5,9 @@ from typing import Any
 import pytest
 
 from pipeline.edits import PersonSpan
-from tests.api.conftest import Live, problem_of
+from tests.api.conftest import RESULT, Live, problem_of
+from worker.jobs.model import Problem
+from worker.jobs.store import MAX_ATTEMPTS
 
 FOUND = (PersonSpan(1, 0, 60), PersonSpan(2, 10, 40))
 ANNA = {"action": "rename", "person": 1, "name": "Anna"}
@@ -123,10 +125,51 @@ def test_an_unfinished_job_has_no_people(live: Live) -> None:
     live.client.post(f"/v1/jobs/{job_id}/cancel")
 
 
-def test_edits_wait_for_the_job(live: Live, job_id: str) -> None:
+def test_edits_are_stacked(live: Live, job_id: str) -> None:
     assert edit(live, job_id, ANNA).status_code == 202
-    problem_of(edit(live, job_id), 409, "conflict")
+    claim = live.services.store.leases.claim("test", 30.0)
+    assert claim is not None
+    answer = edit(live, job_id, ANNA, CUT)
+    assert (answer.status_code, answer.json()["state"], answer.json()["revision"]) == (202, "queued", 2)
+    assert not live.services.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, 30.0)
+    assert [one["action"] for one in people(live, job_id)["edits"]] == ["rename", "cut"]
     live.finish(job_id, people=FOUND)
+    job = live.client.get(f"/v1/jobs/{job_id}").json()
+    assert (job["state"], job["revision"], job["results_revision"]) == ("succeeded", 2, 2)
+    attempts = live.client.get(f"/v1/jobs/{job_id}/attempts").json()["attempts"]
+    assert [attempt["state"] for attempt in attempts] == ["succeeded", "canceled", "succeeded"]
+    assert all(attempt["finished_at"] for attempt in attempts)
+
+
+def test_files_stay_until_those_of_the_next_revision_are_made(live: Live, job_id: str) -> None:
+    def read() -> tuple[int, list[int], bytes, int]:
+        job = live.client.get(f"/v1/jobs/{job_id}").json()
+        listed = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
+        content = live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").content
+        zipped = live.client.get(f"/v1/jobs/{job_id}/results.zip").status_code
+        return job["results_revision"], [one["revision"] for one in listed], content, zipped
+
+    before = read()
+    assert before == (0, [0], RESULT, 200)
+    assert edit(live, job_id, ANNA).status_code == 202
+    assert read() == before
+    claim = live.services.store.leases.claim("test", 30.0)
+    assert claim is not None
+    assert read() == before
+    live.services.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It broke.", retryable=True))
+    for _ in range(MAX_ATTEMPTS - 1):
+        claim = live.services.store.leases.claim("test", 30.0)
+        assert claim is not None
+        problem = Problem("broken", "It broke.", retryable=True)
+        live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["state"] == "failed"
+    assert read() == before
+
+    again = live.client.post(f"/v1/jobs/{job_id}/retry").json()
+    assert "edit" in [stage["name"] for stage in again["stages"]]
+    assert read() == before
+    live.finish(job_id, b"edited", people=FOUND)
+    assert read() == (1, [1], b"edited", 200)
 
 
 def test_downloads_name_the_revision_of_the_edits(live: Live, job_id: str) -> None:

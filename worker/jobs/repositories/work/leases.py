@@ -4,14 +4,15 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, case, func, insert, select, update
+from sqlalchemy import Connection, Row, case, func, select, update
 from uuid_utils import uuid7
 
 from pipeline.edits import PersonSpan
 from pipeline.findings import Finding
 from worker.jobs.database.connection import now, upsert
+from worker.jobs.database.listed_results import list_results
 from worker.jobs.database.rows import edits_of, making_of
-from worker.jobs.database.tables import artifacts, chunks, jobs, results
+from worker.jobs.database.tables import artifacts, chunks, jobs
 from worker.jobs.database.totals import Total, count
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
@@ -48,7 +49,8 @@ class Leases:
         """Take the next ready chunk; ``None`` if no job has one.
 
         Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
-        ``worker.jobs.repositories.work.turns``. The jobs of a tenant are worked on in the order of their creation.
+        ``worker.jobs.repositories.work.turns``. The jobs of a tenant are worked on in the order of their creation,
+        but edits of people before all other work.
 
         Parameters
         ----------
@@ -156,7 +158,8 @@ class Leases:
             for stored in (KeptPiece(chunk.output_key, sha256, num_bytes), *pieces):
                 row = {"output_key": stored.key, "sha256": stored.sha256, "num_bytes": stored.num_bytes}
                 upsert(connection, artifacts, {"session_id": job.session_id, **row})
-            _record_results(connection, job.id, results, warnings, people)
+            list_results(connection, job, results)
+            _record_findings(connection, job.id, warnings, people)
             if calibration is not None:
                 complete(connection, job.id, calibration)
             move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
@@ -322,18 +325,14 @@ def _output_damaged(chunk: Row[Any]) -> Problem:
     )
 
 
-def _record_results(
-    connection: Connection,
-    job_id: str,
-    found: Sequence[Result],
-    warnings: Sequence[Finding],
-    people: Sequence[PersonSpan] | None,
+def _record_findings(
+    connection: Connection, job_id: str, warnings: Sequence[Finding], people: Sequence[PersonSpan] | None
 ) -> None:
-    if found:
-        connection.execute(insert(results), [{"job_id": job_id, **asdict(result)} for result in found])
-    if warnings:
-        said = [asdict(warning) for warning in warnings]
-        connection.execute(update(jobs).where(jobs.c.id == job_id).values(warnings=said))
+    values: dict[str, Any] = {}
     if people is not None:
-        spans = [asdict(person) for person in people]
-        connection.execute(update(jobs).where(jobs.c.id == job_id).values(people=spans))
+        values["people"] = [asdict(person) for person in people]
+    # Results of a new revision replace the warnings of the last one, also by none.
+    if warnings or people is not None:
+        values["warnings"] = [asdict(warning) for warning in warnings]
+    if values:
+        connection.execute(update(jobs).where(jobs.c.id == job_id).values(values))
