@@ -53,6 +53,7 @@ def test_list(live: Live, job_id: str, path: str) -> None:
                 "media_type": "text/plain; charset=utf-8",
                 "num_bytes": len(RESULT),
                 "sha256": ETAG.strip('"'),
+                "revision": 0,
                 "link": path,
             }
         ]
