@@ -195,6 +195,7 @@ _JOB: dict[str, Any] = {
     "spec": DOCUMENTS["spec"],
     "attempt": 1,
     "revision": 0,
+    "results_revision": None,
     "stages": [
         _stage(LOOK, "done", 24, 24),
         _stage(DETECT, "running", 150, 600),
@@ -238,6 +239,7 @@ _RESULTS: dict[str, Any] = {
             "media_type": "text/plain; charset=utf-8",
             "num_bytes": 204800,
             "sha256": _SHA256,
+            "revision": 0,
             "link": f"/v1/jobs/{_JOB_ID}/results/person-1.bvh",
         }
     ]
@@ -301,6 +303,7 @@ _CALIBRATION_JOB: dict[str, Any] = _JOB | {
 }
 
 _MOTION: dict[str, Any] = {
+    "revision": 0,
     "schema_version": 1,
     "frame_rate_hz": 25.0,
     "start_time_s": 0.0,

@@ -32,7 +32,9 @@ def description() -> dict[str, Any]:
         about = {"id": person, "start_frame": start, "num_frames": num_frames, "offset_bytes": offset_bytes}
         people.append(ANSWERS["MotionDescription"]["people"][0] | about)
         offset_bytes += num_frames * RECORD_BYTES
-    return ANSWERS["MotionDescription"] | {"num_frames": 60, "people": people}
+    document = ANSWERS["MotionDescription"] | {"num_frames": 60, "people": people}
+    del document["revision"]  # which the file lacks
+    return document
 
 
 FILES = {
