@@ -3,17 +3,22 @@
 A service without keys serves all clients as the default tenant.
 """
 
+import contextlib
+import inspect
 import uuid
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyCookie, APIKeyQuery, HTTPBearer
 from fastapi.security.http import HTTPAuthorizationCredentials
+from starlette.requests import HTTPConnection
 
 from api.dependencies import Services, ServicesDep
 from api.errors import ApiError
+from api.http.browser_cookie import NAME, cookie_name, deletion
 from api.http.clients import client_network
 from api.http.keys_in_use import Credential
 from worker.jobs.database.tables import DEFAULT_TENANT
@@ -21,7 +26,6 @@ from worker.jobs.errors import NotFound
 from worker.jobs.model import Actor, Key, Link, LinkScope, Scope
 from worker.jobs.tenant_records import TenantRecords
 
-COOKIE = "multicap_session"
 LINK = "link"
 """Parameter of an address with the secret of a link."""
 ALL_RESULTS = "results.zip"
@@ -30,8 +34,18 @@ ALL_RESULTS = "results.zip"
 _READING = frozenset({"GET", "HEAD", "OPTIONS"})
 
 _bearer = HTTPBearer(auto_error=False, scheme_name="key", description="A key, `mc_...`, of `multicap keys create`.")
-_cookie = APIKeyCookie(
-    name=COOKIE, auto_error=False, scheme_name="browser", description="Session of a browser that signed in with a key."
+
+
+class _BrowserCookie(APIKeyCookie):
+    async def __call__(self, request: HTTPConnection) -> str | None:
+        return request.cookies.get(cookie_name(request))
+
+
+_cookie = _BrowserCookie(
+    name=NAME,
+    auto_error=False,
+    scheme_name="browser",
+    description="Session of a browser that signed in with a key. Over TLS the name has the prefix `__Host-`.",
 )
 _link = APIKeyQuery(
     name=LINK,
@@ -88,6 +102,14 @@ def wrong_key(request: Request, services: Services) -> ApiError:
     return _key_required("This key is not known, has expired or was revoked.", rate_limit)
 
 
+def _ended_session(request: Request) -> ApiError:
+    """Error for a cookie that is not valid; the browser forgets it, and its page asks for a key.
+
+    It is not counted as a wrong key: nobody guesses a cookie, and a browser that slept sends an old one.
+    """
+    return _key_required("The browser's session has ended.", {"Set-Cookie": deletion(request)})
+
+
 def _key_required(detail: str, headers: Mapping[str, str]) -> ApiError:
     return ApiError(
         "key_required",
@@ -111,7 +133,7 @@ def _find_caller(
     elif cookie is not None and (key := services.store.browser_sessions.find(cookie)) is not None:
         _refuse_foreign_pages(request)
     elif services.store.keys.exist():
-        raise wrong_key(request, services) if cookie is not None else _key_required("The service asks for a key.", {})
+        raise _key_required("The service asks for a key.", {}) if cookie is None else _ended_session(request)
     else:
         key = None
     tenant, scopes = (DEFAULT_TENANT, frozenset(Scope)) if key is None else (key.tenant, key.scopes)
@@ -140,17 +162,46 @@ def _require(caller: Caller, scope: Scope) -> Caller:
     return caller
 
 
-def _authorize(request: Request, caller: Annotated[Caller, Depends(_find_caller)]) -> Caller:
-    """Return the caller if its key allows the request's method."""
+def _require_method(request: Request, caller: Caller) -> Caller:
     return _require(caller, Scope.READ if request.method in _READING else Scope.WRITE)
 
 
-def _authorize_admin(caller: Annotated[Caller, Depends(_find_caller)]) -> Caller:
+async def _authorize(request: Request, caller: Annotated[Caller, Depends(_find_caller)]) -> Caller:
+    """Return the caller if its key allows the request's method."""
+    return _require_method(request, caller)
+
+
+def _turn(request: Request, services: Services, caller: Caller) -> AbstractAsyncContextManager[None]:
+    """Turn of the caller, for as long as the route works.
+
+    Routes that are ``async`` wait for their clients and take no turn: their work has shares of its own.
+    """
+    waits_for_client = inspect.iscoroutinefunction(request.scope["endpoint"])
+    return contextlib.nullcontext() if waits_for_client else services.turns.turn(caller.owner)
+
+
+async def _any_in_turn(
+    request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_find_caller)]
+) -> AsyncIterator[Caller]:
+    async with _turn(request, services, caller):
+        yield caller
+
+
+async def _authorize_admin(caller: Annotated[Caller, Depends(_any_in_turn, scope="function")]) -> Caller:
     return _require(caller, Scope.ADMIN)
 
 
-def _records_of(
+async def _authorized_in_turn(
     request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_authorize)]
+) -> AsyncIterator[Caller]:
+    async with _turn(request, services, caller):
+        yield caller
+
+
+async def _records_of(
+    request: Request,
+    services: ServicesDep,
+    caller: Annotated[Caller, Depends(_authorized_in_turn, scope="function")],
 ) -> TenantRecords:
     actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
     return services.store.of(caller.tenant, services.quotas, actor)
@@ -165,7 +216,7 @@ def _find_viewer(
 ) -> Caller:
     """Identify the caller of a route that links may open. With a link, its rights alone count."""
     if secret is None:
-        return _authorize(request, _find_caller(request, services, bearer, cookie))
+        return _require_method(request, _find_caller(request, services, bearer, cookie))
     link = services.store.link_secrets.find(secret)
     if link is None:
         raise _unknown_link(request, services)
@@ -187,6 +238,13 @@ def _unknown_link(request: Request, services: Services) -> ApiError:
     )
 
 
+async def _viewer_in_turn(
+    request: Request, services: ServicesDep, viewer: Annotated[Caller, Depends(_find_viewer)]
+) -> AsyncIterator[Caller]:
+    async with _turn(request, services, viewer):
+        yield viewer
+
+
 class Viewing:
     """Dependency of a route that links may open: records of the caller's tenant.
 
@@ -199,8 +257,11 @@ class Viewing:
     def __init__(self, scope: LinkScope) -> None:
         self._scope = scope
 
-    def __call__(
-        self, request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_find_viewer)]
+    async def __call__(
+        self,
+        request: Request,
+        services: ServicesDep,
+        caller: Annotated[Caller, Depends(_viewer_in_turn, scope="function")],
     ) -> TenantRecords:
         """Return the records; raise 404 for everything that the caller's link does not open."""
         if caller.link is not None and not self._is_opened(caller.link, request.path_params):
@@ -231,7 +292,7 @@ JobViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.JOB))]
 FileViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.FILE))]
 VideoViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.VIDEO))]
 EventsViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.EVENTS))]
-AnyCallerDep = Annotated[Caller, Depends(_find_caller)]
+AnyCallerDep = Annotated[Caller, Depends(_any_in_turn, scope="function")]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
 # TenantRecords of the caller's tenant: routes have no other access to sessions and jobs.
 RecordsDep = Annotated[TenantRecords, Depends(_records_of)]

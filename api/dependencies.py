@@ -9,7 +9,7 @@ from fastapi import Depends, Path, Query, Request
 from api.events import JobChanges
 from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
-from api.requests.fair_threads import FairThreads
+from api.requests.fair_turns import FairThreads, FairTurns
 from api.requests.form import Limits
 from api.requests.preflight import PreflightProgram
 from api.settings import Settings
@@ -38,7 +38,9 @@ class Services:
     uploads: UploadSpool
     queue: WorkQueue
     preflight: PreflightProgram
+    turns: FairTurns
     checks: FairThreads
+    blocks: FairThreads
     changes: JobChanges
     keys_in_use: KeysInUse
     rates: Rates
@@ -73,11 +75,16 @@ def services_of(request: Request) -> Services:
     return services
 
 
-def _session_id(session_id: Annotated[str, Path(description="Id of a session.", json_schema_extra=_UUID)]) -> str:
+# Dependencies that do not wait are ``async``: others take a thread.
+async def _services(request: Request) -> Services:
+    return services_of(request)
+
+
+async def _session_id(session_id: Annotated[str, Path(description="Id of a session.", json_schema_extra=_UUID)]) -> str:
     return canonical_id(session_id, "session")
 
 
-def _job_id(job_id: Annotated[str, Path(description="Id of a job.", json_schema_extra=_UUID)]) -> str:
+async def _job_id(job_id: Annotated[str, Path(description="Id of a job.", json_schema_extra=_UUID)]) -> str:
     return canonical_id(job_id, "job")
 
 
@@ -89,17 +96,17 @@ def canonical_id(value: str, kind: str) -> str:
         raise NotFound(f"There is no such {kind}.") from None
 
 
-def _upload_id(upload_id: Annotated[str, Path(description="Id of an upload.", json_schema_extra=_UUID)]) -> str:
+async def _upload_id(upload_id: Annotated[str, Path(description="Id of an upload.", json_schema_extra=_UUID)]) -> str:
     return canonical_id(upload_id, "upload")
 
 
-def _calibration_id(
+async def _calibration_id(
     calibration_id: Annotated[str, Path(description="Id of a calibration.", json_schema_extra=_UUID)],
 ) -> str:
     return canonical_id(calibration_id, "calibration")
 
 
-ServicesDep = Annotated[Services, Depends(services_of)]
+ServicesDep = Annotated[Services, Depends(_services)]
 SessionId = Annotated[str, Depends(_session_id)]
 CalibrationId = Annotated[str, Depends(_calibration_id)]
 JobId = Annotated[str, Depends(_job_id)]

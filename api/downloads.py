@@ -1,7 +1,7 @@
 """Stored files as responses: whole or a range, with strong entity tags, streamed or by the artifact store itself."""
 
 import contextlib
-from collections.abc import Generator
+from collections.abc import AsyncIterator, Generator, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, BinaryIO, Literal, Self
 
@@ -15,6 +15,7 @@ from api.errors import ApiError, ErrorItem
 from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.http.conditional import NOT_MODIFIED, IfNoneMatch
 from api.http.file_names import disposition_of
+from api.requests.fair_turns import FairThreads
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result
 
@@ -218,13 +219,20 @@ class Stream(StreamingResponse):
         self._content, self._file = content, file
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the response."""
+        """Send the response; its blocks are made in the turns of the caller."""
+        services, owner = scope["app"].state.services, scope["state"]["caller"].owner
+        self.body_iterator = _in_turns(services.blocks, owner, self._content)
         try:
             await super().__call__(scope, receive, send)
         finally:
             self._content.close()
             if self._file is not None:
                 self._file.close()
+
+
+async def _in_turns(threads: FairThreads, owner: str, content: Iterator[bytes]) -> AsyncIterator[bytes]:
+    while (block := await threads.run(owner, next, content, None)) is not None:
+        yield block
 
 
 def blocks_of(file: BinaryIO, sent: ByteRange) -> Generator[bytes, None, None]:

@@ -4,9 +4,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Request, Response, status
 
-from api.auth import COOKIE, AnyCallerDep, wrong_key
+from api.auth import AnyCallerDep, wrong_key
 from api.contract.description import answer, problems
 from api.dependencies import ServicesDep
+from api.http.browser_cookie import cookie_name, delete_cookie, set_cookie
 from api.requests.bodies import SmallBodyRoute
 from api.schemas.service import BrowserSession, CallerOut, QuotasOut
 
@@ -58,14 +59,8 @@ def open_browser_session(
         raise wrong_key(request, services)
     request.state.rate_limit = services.rates.count(key.tenant)
     request_id = request.state.request_id
-    response.set_cookie(
-        COOKIE,
-        services.disk.using_reserve(lambda: services.store.browser_sessions.open(key, _LIFETIME_S, request_id)),
-        max_age=_LIFETIME_S,
-        httponly=True,
-        samesite="strict",
-        secure=request.url.scheme == "https",
-    )
+    secret = services.disk.using_reserve(lambda: services.store.browser_sessions.open(key, _LIFETIME_S, request_id))
+    set_cookie(request, response, secret, _LIFETIME_S)
 
 
 @router.delete(
@@ -77,7 +72,6 @@ def open_browser_session(
 )
 def close_browser_session(request: Request, response: Response, services: ServicesDep) -> None:
     """Sign this browser out, and delete its session."""
-    if COOKIE in request.cookies:
-        secret = request.cookies[COOKIE]
+    if (secret := request.cookies.get(cookie_name(request))) is not None:
         services.disk.using_reserve(lambda: services.store.browser_sessions.close(secret))
-    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
+    delete_cookie(request, response)

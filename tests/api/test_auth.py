@@ -298,6 +298,29 @@ class TestBrowser:
             assert "set-cookie" not in answer.headers
 
 
+def test_over_tls_the_cookie_is_of_this_host_alone(make_settings: Callable[..., Settings]) -> None:
+    with running(make_settings(trusted_proxies=frozenset({"127.0.0.1"}))) as live:
+        _, secret = live.services.store.keys.add("mine", "portal", USUAL)
+        live.client.headers |= {"X-Forwarded-Proto": "https", "Origin": f"https://127.0.0.1:{live.address[1]}"}
+        answer = live.client.post("/v1/browser-session", json={"key": secret})
+        kept, expired = answer.headers.get_list("set-cookie")
+        name, _, value = kept.partition(";")[0].partition("=")
+        attributes = {part.strip().lower() for part in kept.split(";")[1:]}
+        assert name == "__Host-multicap_session"
+        assert {"secure", "httponly", "samesite=strict", "path=/"} <= attributes
+        assert not any(attribute.startswith("domain") for attribute in attributes)
+        assert expired.startswith('multicap_session=""; ')  # of an older version
+        live.client.cookies.clear()
+        assert live.client.get("/v1/jobs", headers={"Cookie": f"{name}={value}"}).status_code == 200
+        # Another host of the domain may have set a cookie without the prefix.
+        foreign = live.client.get("/v1/jobs", headers={"Cookie": f"multicap_session={value}"})
+        problem_of(foreign, 401, "key_required")
+        live.client.cookies.clear()
+        ended = live.client.delete("/v1/browser-session", headers={"Cookie": f"{name}={value}"})
+        assert {line.partition("=")[0] for line in ended.headers.get_list("set-cookie")} == {name, "multicap_session"}
+        problem_of(live.client.get("/v1/jobs", headers={"Cookie": f"{name}={value}"}), 401, "key_required")
+
+
 def test_browsers_come_and_go_on_a_full_disk(make_settings: Callable[..., Settings], tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 64) as disk, running(make_settings(data_dir=disk / "data")) as live:
         _, secret = live.services.store.keys.add("mine", "portal", USUAL)

@@ -14,9 +14,9 @@ import structlog
 
 from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.kernel_cache import cache_folder, is_complete
+from pipeline.runtime.lifeline import tied_to_parent
 from worker.jobs.store import JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
-from worker.process.lifeline import tied_to_parent
 from worker.process.presence import Presence, process_name
 
 log = structlog.get_logger()

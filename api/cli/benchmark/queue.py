@@ -20,12 +20,12 @@ from api.cli.client import ServiceError
 from api.cli.console import emit, reporting
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.runtime.child_processes import module_command
+from pipeline.runtime.lifeline import tied_to_parent
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.model import InputFile
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.planning import plan_job
-from worker.process.lifeline import tied_to_parent
 
 _FEW = 20
 _CAMERAS, _NUM_FRAMES, _RATE_HZ = 4, 3000, 25.0

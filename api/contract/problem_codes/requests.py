@@ -196,6 +196,18 @@ ANSWERS = CodeGroup(
             "Close the streams of jobs that are no longer followed.",
         ),
         ProblemCode(
+            "too_many_at_once",
+            ("429",),
+            "Too many requests of this tenant wait to be answered.",
+            "Wait for the answers of earlier requests before you send more.",
+        ),
+        ProblemCode(
+            "service_busy",
+            ("503",),
+            "The service is busy with the requests of other tenants.",
+            "Send the request again after `Retry-After` seconds.",
+        ),
+        ProblemCode(
             "too_many_checks",
             ("429",),
             "Too many sessions of this tenant are being checked.",

@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -16,6 +17,7 @@ from pipeline.detect.registry import Head, LooseWeights, NetworkEntry, NetworkIn
 from pipeline.errors import ModelError
 from pipeline.layouts import LAYOUTS
 from pipeline.runtime.child_processes import module_command
+from pipeline.runtime.lifeline import tied_to_parent
 from pipeline.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
 
 OWN_PREFIX = "own-"
@@ -23,7 +25,8 @@ UNKNOWN_LICENCE = "unknown"
 _NAME = re.compile(r"own-[a-z0-9]+(?:-[a-z0-9]+)*-[0-9a-f]{12}")
 _MAX_BYTES = 2**30
 _MAX_INPUT_PX = 2048
-_TIMEOUT_S = 300.0
+_TIMEOUT_S = 60.0
+_OUT_OF_TIME = frozenset({-signal.SIGXCPU, -signal.SIGKILL})
 _NUM_NAME = 40
 
 
@@ -118,16 +121,28 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _run_check(path: Path, filename: str, input_px: tuple[int, int]) -> Mapping[str, Any]:
-    """Check a file in a child process; returns the shapes of its input and outputs."""
-    command = module_command("pipeline.detect.own.check", str(path), *map(str, input_px))
+    """Check a file in a child process, which ends with this one; returns the shapes of its input and outputs."""
+    command = tied_to_parent(module_command("pipeline.detect.own.check", str(path), *map(str, input_px)))
     try:
         done = subprocess.run(command, capture_output=True, check=False, timeout=_TIMEOUT_S)  # noqa: S603 (our module)
+    except subprocess.TimeoutExpired as error:
+        raise _endless(filename) from error
+    if done.returncode in _OUT_OF_TIME:
+        raise _endless(filename)
+    try:
         found: dict[str, Any] = json.loads(done.stdout)
-    except (subprocess.TimeoutExpired, ValueError) as error:
-        raise ModelError(f"{filename} can't be used: its check took too long, or too much memory.") from error
+    except ValueError as error:
+        raise ModelError(f"{filename} can't be used: its check took too much memory.") from error
     if "problem" in found:
         raise ModelError(f"{filename} can't be used: {found['problem']}.")
     return found
+
+
+def _endless(filename: str) -> ModelError:
+    return ModelError(
+        f"{filename} can't be used: it gave no output for one image within the time of the check. Use a network "
+        "without endless loops, or a smaller one."
+    )
 
 
 def _with_size(network: OwnNetwork, shape: Sequence[int | None], has_chosen_size: bool, filename: str) -> OwnNetwork:

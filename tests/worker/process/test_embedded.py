@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.runtime.lifeline import tied_to_parent
 from tests.small_disk import fill, small_disk
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.private_files import make_private
 from worker.jobs.queue import WorkQueue
 from worker.process import embedded
-from worker.process.lifeline import tied_to_parent
 
 
 @contextlib.contextmanager

@@ -62,6 +62,28 @@ def rtmo(boxes: np.ndarray, keypoints: np.ndarray, size_px: int = 640) -> onnx.M
     return _model(nodes, (1, 3, size_px, size_px), {"dets": 3, "keypoints": 4}, constants)
 
 
+def endless() -> onnx.ModelProto:
+    """Network with a loop that never ends."""
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["go_in"], ["go_out"]),
+            helper.make_node("Add", ["sum_in", "image"], ["sum_out"]),
+        ],
+        "body",
+        [
+            helper.make_tensor_value_info("turn", TensorProto.INT64, []),
+            helper.make_tensor_value_info("go_in", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("sum_in", TensorProto.FLOAT, None),
+        ],
+        [
+            helper.make_tensor_value_info("go_out", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("sum_out", TensorProto.FLOAT, None),
+        ],
+    )
+    nodes = [helper.make_node("Loop", ["", "go", "image"], ["endless"], body=body)]
+    return _model(nodes, (1, 3, 8, 8), {"endless": 4}, {"go": np.array(True)})
+
+
 def write(model: onnx.ModelProto, path: Path) -> Path:
     """Write a network; return its path."""
     onnx.save(model, path)

@@ -1,9 +1,12 @@
 import json
+import os
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import onnx
+import psutil
 import pytest
 from onnx import TensorProto
 
@@ -18,8 +21,11 @@ from pipeline.detect.profiles import detection
 from pipeline.detect.profiles.detection import joints_of, open_detection
 from pipeline.errors import ModelError
 from pipeline.joints import BODY_FEET, COCO_17
-from tests.pipeline.detect.own.networks import heatmaps, rtmo, simcc, write
+from pipeline.runtime.child_processes import python_command
+from tests.pipeline.detect.own.networks import endless, heatmaps, rtmo, simcc, write
+from tests.waiting import is_alive, wait_for
 
+ROOT = Path(__file__).parents[4]
 SIMCC = usual_network("simcc", "coco-17")
 
 
@@ -83,6 +89,32 @@ def test_another_file_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "net.onnx").write_bytes(content)
     with pytest.raises(ModelError, match=r"^net\.onnx can't be used: it "):
         add_own(tmp_path / "net.onnx", SIMCC)
+
+
+def test_a_network_without_end_is_refused(tmp_path: Path) -> None:
+    # By the limit of processor time: the limit of the clock is longer.
+    with pytest.raises(ModelError, match=r"loop\.onnx can't be used: it gave no output for one image"):
+        add_own(write(endless(), tmp_path / "loop.onnx"), SIMCC, has_chosen_size=False)
+    assert files._TIMEOUT_S <= 60
+
+
+def test_the_check_ends_with_its_command(tmp_path: Path) -> None:
+    path = write(endless(), tmp_path / "loop.onnx")
+    program = (
+        "import sys; from pathlib import Path; from pipeline.detect.own.files import add_own; "
+        "from pipeline.detect.own.description import usual_network; "
+        "add_own(Path(sys.argv[1]), usual_network('simcc', 'coco-17'))"
+    )
+    command = subprocess.Popen(python_command("-c", program, str(path)), env=os.environ | {"PYTHONPATH": str(ROOT)})
+    try:
+        parent = psutil.Process(command.pid)
+        wait_for(lambda: any("pipeline.detect.own.check" in child.cmdline() for child in parent.children()))
+        (check,) = parent.children()
+        wait_for(lambda: "pipeline.runtime.lifeline" not in check.cmdline())
+    finally:
+        command.kill()
+        command.wait()
+    wait_for(lambda: not is_alive(check))
 
 
 def test_weights_in_another_file_are_refused(tmp_path: Path) -> None:

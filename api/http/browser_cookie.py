@@ -1,0 +1,39 @@
+"""Cookie of a browser's session: its name by the connection, set and deleted."""
+
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+
+NAME = "multicap_session"
+
+
+def cookie_name(connection: HTTPConnection) -> str:
+    """Name of the cookie on this connection.
+
+    Over TLS the prefix makes browsers refuse a cookie that another host of the domain has set, or that came over an
+    unencrypted connection; without TLS they refuse the prefix.
+    """
+    return f"__Host-{NAME}" if connection.url.scheme == "https" else NAME
+
+
+def set_cookie(connection: HTTPConnection, response: Response, secret: str, lifetime_s: int) -> None:
+    """Let a browser keep the secret of its session."""
+    is_secure = connection.url.scheme == "https"
+    response.set_cookie(
+        cookie_name(connection), secret, max_age=lifetime_s, httponly=True, samesite="strict", secure=is_secure
+    )
+    if is_secure:  # a cookie of an older version
+        response.delete_cookie(NAME, httponly=True, samesite="strict", secure=True)
+
+
+def delete_cookie(connection: HTTPConnection, response: Response) -> None:
+    """Let a browser forget its session."""
+    is_secure = connection.url.scheme == "https"
+    for name in sorted({cookie_name(connection), NAME}):
+        response.delete_cookie(name, httponly=True, samesite="strict", secure=is_secure)
+
+
+def deletion(connection: HTTPConnection) -> str:
+    """Value of ``Set-Cookie`` that deletes the cookie of this connection."""
+    response = Response()
+    delete_cookie(connection, response)
+    return response.headers["set-cookie"]
