@@ -25,6 +25,7 @@ LIBRARIES = (
     "onnxruntime",
     "opencv-python-headless",
     "pygltflib",
+    "scikit-learn",
     "scipy",
     "tflite",
 )

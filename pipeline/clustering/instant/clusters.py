@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
@@ -179,7 +177,7 @@ def _draft(
     drafts: list[_Draft] = []
     joint = candidates.joint[hypotheses.pair[:, 0]]
     parent_of = value.argmax(0) if value.size else np.full(len(joint), NOWHERE)
-    clusters = list(_clusters(hypotheses.xyz_m, joint, parameters.eps_m, effort))
+    clusters = list(cluster_hypotheses(hypotheses.xyz_m, joint, parameters.eps_m, effort))
     may_split = parameters.split_clusters and value.size > 0
     outbid = _outbid(value, joint, parent_of, clusters) if may_split else {}
     for cluster, members in enumerate(clusters):
@@ -201,7 +199,7 @@ def _draft(
     return drafts
 
 
-def _clusters(
+def cluster_hypotheses(
     xyz_m: Float[np.ndarray, "hypotheses 3"], joint: Int[np.ndarray, " hypotheses"], eps_m: float, effort: Effort
 ) -> Iterator[Int[np.ndarray, " _"]]:
     """Cluster hypotheses by DBSCAN with at least one sample: clusters are the connected components of neighbours.
@@ -211,18 +209,22 @@ def _clusters(
     """
     if not len(xyz_m):
         return
+    # Imported here: scikit-learn takes half a second and 30 MB, which processes that only track people are spared.
+    from sklearn import config_context  # noqa: PLC0415
+    from sklearn.cluster import DBSCAN  # noqa: PLC0415
+
     # A fourth dimension separates joints of different kinds.
     places = np.column_stack([xyz_m, 10 * eps_m * joint])
     cell_of = np.arange(len(places))
-    tree = cKDTree(places)
-    is_small = len(places) ** 2 <= 2 * MAX_NEIGHBOURS
-    if not is_small and not effort.allows(int(tree.count_neighbors(tree, eps_m)) // 2, MAX_NEIGHBOURS):
-        cells, cell_of = np.unique(np.floor(places / (eps_m / 2)), axis=0, return_inverse=True)
-        tree = cKDTree((cells + 0.5) * (eps_m / 2))
-    pairs = tree.query_pairs(eps_m, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(tree.n, tree.n))
-    _, labels = connected_components(graph, directed=False)
-    labels = labels[cell_of]
+    if len(places) ** 2 > 2 * MAX_NEIGHBOURS:
+        tree = cKDTree(places)
+        if not effort.allows(int(tree.count_neighbors(tree, eps_m)) // 2, MAX_NEIGHBOURS):
+            cells, cell_of = np.unique(np.floor(places / (eps_m / 2)), axis=0, return_inverse=True)
+            places = (cells + 0.5) * (eps_m / 2)
+    # The tree computes distances exactly and in one thread. Most sets are so small that checks of the input would take
+    # longer than their clusters.
+    with config_context(assume_finite=True, skip_parameter_validation=True):
+        labels = DBSCAN(eps=eps_m, min_samples=1, algorithm="kd_tree").fit(places).labels_[cell_of]
     in_order = np.argsort(labels, kind="stable")
     yield from np.split(in_order, np.flatnonzero(np.diff(labels[in_order])) + 1)
 
@@ -314,7 +316,7 @@ def _extract(
         candidate[views[in_order]] = used[in_order]
         candidate = candidate[candidate >= 0]
         yield candidate.tolist(), seed_m
-        members = members[~np.isin(pair, candidate).any(1)]
+        members = members[~(pair[:, :, None] == candidate).any((1, 2))]
 
 
 def _match(
