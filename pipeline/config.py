@@ -13,6 +13,7 @@ from pipeline.calibration_choices import CalibrationChoices
 from pipeline.choices import About, FileFormat, Network, OtherNames, Value, choices_of, values_of
 from pipeline.edits import PeopleEdit
 from pipeline.video.playback.choices import ProxyChoices
+from pipeline.visual_choices import VisualChoices
 
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
@@ -259,7 +260,7 @@ class ReconstructionConfig(JobChoices):
 
     tracking: Mapping[str, float] = field(default_factory=dict)
     clustering: Mapping[str, float] = field(default_factory=dict)
-    making: CalibrationChoices | ProxyChoices | None = None
+    making: CalibrationChoices | ProxyChoices | VisualChoices | None = None
     edits: tuple[PeopleEdit, ...] = ()
     chunk_frames: Annotated[
         int,
@@ -285,6 +286,11 @@ class ReconstructionConfig(JobChoices):
         return None if self.people == "auto" else self.people
 
     @property
+    def is_of_people(self) -> bool:
+        """Whether people are reconstructed, or visuals are made of people who were reconstructed."""
+        return self.making is None or isinstance(self.making, VisualChoices)
+
+    @property
     def uses_fields(self) -> bool:
         """Whether people are found from part affinity fields, where there are videos."""
         network = NETWORKS.get(networks_of(self).body)
@@ -293,7 +299,7 @@ class ReconstructionConfig(JobChoices):
     @property
     def uses_colours(self) -> bool:
         """Whether the colours of clothes are measured, where there are videos."""
-        return self.making is None and self.method == "tracking" and self.appearance == "on"
+        return self.is_of_people and self.method == "tracking" and self.appearance == "on"
 
 
 def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ from pipeline.capture.preflight_record import Preflight
 from pipeline.edits import PeopleEdit
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, SessionFacts, Task, plan
-from worker.jobs.model import ChunkPlan, Claim, InputFile, Making, StagePlan, config_of
+from pipeline.visual_choices import VisualChoices
+from worker.jobs.model import ChunkPlan, Claim, InputFile, Job, Making, StagePlan, config_of
 from worker.jobs.spec import JobSpec
 
 
@@ -33,6 +34,7 @@ def plan_job(
     codes: Mapping[str, str] | None = None,
     making: Making | None = None,
     edits: tuple[PeopleEdit, ...] = (),
+    revision: int = 0,
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
@@ -40,11 +42,18 @@ def plan_job(
     ----------
     codes
         Digests of the stages' code; ``None``: of this process's.
-    making, edits
+    making, edits, revision
         See ``worker.jobs.model.Job``.
     """
-    stages = plan(session_facts(session), config_of(spec, making, edits), codes or stage_codes(), chunk_frames)
+    stages = plan(
+        session_facts(session), config_of(spec, making, edits, revision), codes or stage_codes(), chunk_frames
+    )
     return tuple(StagePlan(stage.name, _Chunks(stage), stage.code_sha256) for stage in stages)
+
+
+def plan_visuals(session: CheckedSession, job: Job, chunk_frames: int = DEFAULT_CHUNK_FRAMES) -> tuple[StagePlan, ...]:
+    """Plan of the job that makes overlay videos and the report of an edited job anew."""
+    return plan_job(session, job.spec, chunk_frames, making=VisualChoices(), edits=job.edits, revision=job.revision)
 
 
 def session_facts(session: CheckedSession) -> SessionFacts:

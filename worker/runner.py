@@ -252,7 +252,7 @@ class Runner:
         return [content for content in contents if content is not None]
 
     def _keep(self, claim: Claim, file: ResultFile) -> Result:
-        key = result_key(claim.job_id, file.name, claim.revision)
+        key = result_key(claim.listed_by, file.name, claim.revision, file.kind)
         num_bytes = file.path.stat().st_size
         with file.path.open("rb") as content:
             sha256 = hashlib.file_digest(content, "sha256").hexdigest()

@@ -196,6 +196,7 @@ _JOB: dict[str, Any] = {
     "attempt": 1,
     "revision": 0,
     "results_revision": None,
+    "visuals_job": None,
     "stages": [
         _stage(LOOK, "done", 24, 24),
         _stage(DETECT, "running", 150, 600),
@@ -223,6 +224,7 @@ _JOB: dict[str, Any] = {
         "results_zip": f"/v1/jobs/{_JOB_ID}/results.zip",
         "people": None,
         "cancel": f"/v1/jobs/{_JOB_ID}/cancel",
+        "visuals": None,
         "retry": None,
     },
 }

@@ -10,6 +10,7 @@ from pipeline.config import FILE_FORMATS
 from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.model import (
     CANCELABLE,
+    RETRYABLE,
     Attempt,
     ChunkState,
     Failure,
@@ -129,13 +130,27 @@ class JobLinks(ResponseModel):
     results_zip: str = Field(description="Path of the archive of all result files.")
     people: str | None = Field(description="Path of the job's people, to edit them; null until they are found.")
     cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
+    visuals: str | None = Field(
+        description="Path that makes overlay videos and the report anew; null unless they are of earlier edits than "
+        "the other files, and no job makes them."
+    )
     retry: str | None = Field(
         description="Path that retries the job; null unless the job was canceled, or failed with a retryable error."
     )
 
 
+class VisualsJobOut(ResponseModel):
+    """Job that makes overlay videos and the report of an edited job anew."""
+
+    id: Id
+    state: JobState = Field(description="State of that job.")
+
+
 class JobOut(ResponseModel):
-    """Job: a reconstruction of a session, the making of a calibration from it, or of proxies of its videos."""
+    """Job: a reconstruction of a session, or the making of a calibration, of proxies of its videos, or of visuals.
+
+    Visuals are the overlay videos and the report of an edited job.
+    """
 
     id: Id
     kind: JobKind = Field(description="What the job makes.")
@@ -151,6 +166,9 @@ class JobOut(ResponseModel):
     results_revision: int | None = Field(
         description="Revision whose result files can be read, also while those of `revision` are made; null before the "
         "first files are."
+    )
+    visuals_job: VisualsJobOut | None = Field(
+        description="Job that makes overlay videos and the report of these edits; null without one."
     )
     stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
     progress: float = Field(
@@ -181,11 +199,16 @@ class JobOut(ResponseModel):
         """Build the response from a job."""
         address = f"/v1/jobs/{job.id}"
         return cls(
-            **fields_of(job, cls, without=("kind", "calibration_id", "stages", "error", "result_warnings", "links")),
+            **fields_of(
+                job,
+                cls,
+                without=("kind", "calibration_id", "stages", "error", "result_warnings", "visuals_job", "links"),
+            ),
             kind=kind_of(job.making),
             calibration_id=job.id if kind_of(job.making) == "calibration" else None,
             stages=tuple(StageOut.of(stage) for stage in job.stages),
             error=JobError.of(job.problem) if job.problem else None,
+            visuals_job=None if job.visuals_job is None else VisualsJobOut(**fields_of(job.visuals_job, VisualsJobOut)),
             result_warnings=tuple(WarningOut(**fields_of(warning, WarningOut)) for warning in job.result_warnings),
             links=JobLinks(
                 self=address,
@@ -196,14 +219,21 @@ class JobOut(ResponseModel):
                 results_zip=f"{address}/results.zip",
                 people=None if job.people is None else f"{address}/people",
                 cancel=f"{address}/cancel" if job.state in CANCELABLE else None,
+                visuals=f"{address}/visuals" if _may_make_visuals(job) else None,
                 retry=f"{address}/retry" if is_worth_a_retry(job.state, job.problem) else None,
             ),
         )
 
     def for_link(self) -> Self:
         """Job as a link shows it: without the receiver of its webhooks, and without what may be done with it."""
-        links = self.links.model_copy(update={"people": None, "cancel": None, "retry": None})
+        links = self.links.model_copy(update={"people": None, "cancel": None, "visuals": None, "retry": None})
         return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
+
+
+def _may_make_visuals(job: Job) -> bool:
+    """Whether a request makes the visuals of a job anew."""
+    has_failed = job.visuals_job is not None and job.visuals_job.state in RETRYABLE
+    return job.state is JobState.SUCCEEDED and (job.has_old_visuals or has_failed)
 
 
 class JobPage(ResponseModel):

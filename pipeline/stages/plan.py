@@ -1,7 +1,7 @@
 """Plan of a job: stages, their tasks and the keys of the tasks' outputs. Standard library only.
 
-A job reconstructs a session, makes a calibration from the board or the people that its videos show, or makes proxies
-of its videos.
+A job reconstructs a session, makes a calibration from the board or the people that its videos show, makes proxies of
+its videos, or makes overlay videos and the report of a reconstruction anew.
 
 ``STAGES`` declares each stage once; progress, labels, keys, the page and the command line read it. ``plan`` is pure:
 equal inputs give equal plans on every machine. The key of a task is a hash of the stage, the digest of its code, the
@@ -157,7 +157,7 @@ class Stage:
     follows: tuple[str, ...]
     choices: tuple[str, ...]
     function: str
-    is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.making is None
+    is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.is_of_people
     unit: Literal["frames", "steps"] = "steps"
     is_reusable: bool = True
     leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
@@ -165,7 +165,7 @@ class Stage:
 
 def _is_detecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
     making = config.making
-    is_wanted = making is None or (isinstance(making, CalibrationChoices) and making.board is None)
+    is_wanted = config.is_of_people or (isinstance(making, CalibrationChoices) and making.board is None)
     return facts.has_videos and is_wanted
 
 
@@ -186,27 +186,35 @@ def _is_making_proxies(_: SessionFacts, config: ReconstructionConfig) -> bool:
 
 
 def _is_clustering(_: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.making is None and config.method == "clustering"
+    return config.is_of_people and config.method == "clustering"
 
 
 def _is_refining(_: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.making is None and config.refine_calibration == "auto"
+    return config.is_of_people and config.refine_calibration == "auto"
 
 
 def _is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.is_of_people and bool(config.edits)
+
+
+def _is_exporting(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is None
+
+
+def _is_exporting_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
     return config.making is None and bool(config.edits)
 
 
 def _is_overlaid(facts: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.making is None and config.overlay and facts.has_videos
+    return config.is_of_people and config.overlay and facts.has_videos
 
 
 def _is_reported(_: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.making is None and config.report
+    return config.is_of_people and config.report
 
 
 def _is_synchronizing(_: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.making is None and config.sync == "auto"
+    return config.is_of_people and config.sync == "auto"
 
 
 STAGES = (
@@ -376,7 +384,7 @@ STAGES = (
         follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
         choices=("exports", "bvh", "output_rate_hz"),
         function="write_people_of_part",
-        is_planned=_is_edited,
+        is_planned=_is_exporting_edited,
     ),
     Stage(
         EXPORT,
@@ -385,6 +393,7 @@ STAGES = (
         follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT, WRITE),
         choices=("exports", "bvh", "output_rate_hz"),
         function="export",
+        is_planned=_is_exporting,
         is_reusable=False,
     ),
 )

@@ -54,7 +54,12 @@ def test_report_and_overlays_follow_an_edit(served: Served, sample: Sample) -> N
     longest = max(people, key=lambda person: person["num_frames"])
     rename = {"action": "rename", "person": longest["id"], "name": "Anna"}
     served.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": [rename]}).raise_for_status()
-    assert served.wait_for_end(job_id)["state"] == "succeeded"
+    job = served.wait_for_end(job_id)
+    assert (job["state"], job["results_revision"]) == ("succeeded", 1)
+    assert not {"draw_overlay", "write_report"} & {stage["name"] for stage in job["stages"]}
+    assert downloaded(served, job_id) == first
+    visuals = served.client.post(job["links"]["visuals"]).raise_for_status().json()
+    assert served.wait_for_end(visuals["id"])["state"] == "succeeded"
     second = downloaded(served, job_id)
     assert set(second) == set(first)
     assert "Anna" in second["report.html"].decode()

@@ -10,7 +10,21 @@ import pytest
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import ASSOCIATE, CHECK, DETECT, EDIT, EXPORT, FIT, IDENTIFY, LOOK, REFIT, WRITE
+from pipeline.stages.plan import (
+    ASSOCIATE,
+    CHECK,
+    DETECT,
+    EDIT,
+    EXPORT,
+    FIT,
+    IDENTIFY,
+    LOOK,
+    OVERLAY,
+    REFIT,
+    REPORT,
+    WRITE,
+)
+from pipeline.visual_choices import OVERLAY_KIND, REPORT_KIND
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
@@ -70,6 +84,18 @@ def refit(work: Work) -> Output:
     return Output(work.outputs(FIT)[0] + work.outputs(EDIT)[0])
 
 
+def draw_overlay(work: Work) -> Output:
+    path = work.scratch / "overlay-left.mp4"
+    path.write_bytes(b"video of " + work.outputs(REFIT if work.claim.edits else FIT)[0])
+    return Output(b"{}", (ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path),))
+
+
+def write_report(work: Work) -> Output:
+    path = work.scratch / "report.html"
+    path.write_bytes(b"report of " + work.outputs(REFIT if work.claim.edits else FIT)[0])
+    return Output(b"{}", (ResultFile(path.name, REPORT_KIND, None, "text/html", path),))
+
+
 def write(work: Work) -> Output:
     return Output(work.outputs(REFIT)[work.claim.index])
 
@@ -83,6 +109,8 @@ LIGHT_STAGES: dict[str, Callable[[Work], Output]] = {
     FIT: fit,
     EDIT: edit,
     REFIT: refit,
+    OVERLAY: draw_overlay,
+    REPORT: write_report,
     WRITE: write,
     EXPORT: export,
 }
@@ -118,12 +146,12 @@ class Bench:
     def _publish(self) -> None:
         self.published += 1
 
-    def create_job(self, retention_s: float | None = None) -> Job:
-        stages = plan_job(self.session, JobSpec(), CHUNK_FRAMES)
-        return self.store.jobs.add(self.session.id, JobSpec(), stages, retention_s)
+    def create_job(self, retention_s: float | None = None, spec: JobSpec = JobSpec()) -> Job:  # noqa: B008 - frozen
+        stages = plan_job(self.session, spec, CHUNK_FRAMES)
+        return self.store.jobs.add(self.session.id, spec, stages, retention_s)
 
-    def result(self, job_id: str) -> bytes:
-        (result,) = self.store.results.of_job(job_id)
+    def result(self, job_id: str, name: str = "person-1.bvh") -> bytes:
+        result = self.store.results.get(job_id, name)
         with self.artifacts.open(result.key) as file:
             content = file.read()
         assert (result.num_bytes, result.sha256) == (len(content), hashlib.sha256(content).hexdigest())

@@ -27,6 +27,7 @@ from pipeline.config import ReconstructionConfig
 from pipeline.edits import PeopleEdit, PersonSpan
 from pipeline.findings import Finding
 from pipeline.video.playback.choices import ProxyChoices
+from pipeline.visual_choices import VisualChoices
 from worker.jobs.spec import JobSpec
 
 
@@ -317,8 +318,10 @@ class MadeCalibration:
     report: Mapping[str, Any]
 
 
-JobKind = Literal["reconstruction", "calibration", "proxies"]
-Making = CalibrationChoices | ProxyChoices
+JobKind = Literal["reconstruction", "calibration", "proxies", "visuals"]
+SIDE_KINDS: frozenset[JobKind] = frozenset({"proxies", "visuals"})
+"""Kinds of jobs beside a reconstruction: in no list unless asked for, and in no quota of unfinished jobs."""
+Making = CalibrationChoices | ProxyChoices | VisualChoices
 """Choices of a job that makes something else than a reconstruction."""
 
 
@@ -331,11 +334,13 @@ def kind_of(making: Making | None) -> JobKind:
             return "calibration"
         case ProxyChoices():
             return "proxies"
+        case VisualChoices():
+            return "visuals"
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A reconstruction of a session, the making of a calibration from it, or of proxies of its videos.
+    """A reconstruction of a session, the making of a calibration from it, of proxies of its videos, or of visuals.
 
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
     units took as long as the finished ones; ``None`` before any is finished. ``warnings`` are sentences, and include
@@ -343,6 +348,8 @@ class Job:
     ``edits`` are the edits of its people, ``revision`` the number of times that they were changed, and ``people`` those
     whom the reconstruction found, before any edit; ``None`` until its first results are written. ``results_revision``
     is the revision whose files can be read, while those of a newer one are made; ``None`` before the first success.
+    ``has_old_visuals``: overlay videos or the report are of an earlier revision, and no job makes them; ``visuals_job``
+    is the job that does.
     """
 
     id: str
@@ -369,6 +376,8 @@ class Job:
     revision: int = 0
     people: tuple[PersonSpan, ...] | None = None
     results_revision: int | None = None
+    has_old_visuals: bool = False
+    visuals_job: NewestJob | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -534,13 +543,25 @@ class Claim:
     making: Making | None = None  # as of ``Job``, like the next two
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0
+    of_job: str | None = None  # reconstruction of which it makes visuals
 
     @property
     def config(self) -> ReconstructionConfig:
         """Configuration of the job."""
-        return config_of(self.spec, self.making, self.edits)
+        return config_of(self.spec, self.making, self.edits, self.revision)
+
+    @property
+    def listed_by(self) -> str:
+        """Id of the job whose result files those of the chunk are."""
+        return self.of_job or self.job_id
 
 
-def config_of(spec: JobSpec, making: Making | None = None, edits: tuple[PeopleEdit, ...] = ()) -> ReconstructionConfig:
-    """Configuration of a job by its spec, the choices of what else it makes, and the edits of its people."""
-    return replace(spec.config, making=making, edits=edits)
+def config_of(
+    spec: JobSpec, making: Making | None = None, edits: tuple[PeopleEdit, ...] = (), revision: int = 0
+) -> ReconstructionConfig:
+    """Configuration of a job by its spec, what else it makes, the edits of its people, and their number of changes.
+
+    Visuals of people who were edited are made by a job of their own: edits don't wait for them.
+    """
+    config = replace(spec.config, making=making, edits=edits)
+    return replace(config, overlay=False, report=False) if making is None and revision else config

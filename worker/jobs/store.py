@@ -21,6 +21,7 @@ from worker.jobs.repositories.rights.keys import Keys
 from worker.jobs.repositories.rights.links import Links, LinkSecrets
 from worker.jobs.repositories.sessions import Sessions
 from worker.jobs.repositories.uploads import Uploads
+from worker.jobs.repositories.visuals import Visuals
 from worker.jobs.repositories.webhook_secrets import WebhookSecrets
 from worker.jobs.repositories.webhooks import Webhooks
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS, Leases
@@ -53,6 +54,7 @@ class JobStore:
         self.sessions = Sessions(access)
         self.calibrations = Calibrations(access)
         self.jobs = Jobs(access)
+        self.visuals = Visuals(access)
         self.results = Results(access)
         self.uploads = Uploads(access)
         self.idempotency_keys = IdempotencyKeys(access)

@@ -15,6 +15,7 @@ from worker.jobs.repositories.results import Results
 from worker.jobs.repositories.rights.links import Links
 from worker.jobs.repositories.sessions import Sessions
 from worker.jobs.repositories.uploads import Uploads
+from worker.jobs.repositories.visuals import Visuals
 from worker.jobs.repositories.webhook_secrets import read_secrets
 
 
@@ -29,6 +30,7 @@ class TenantRecords:
         self.sessions = Sessions(access)
         self.calibrations = Calibrations(access)
         self.jobs = Jobs(access)
+        self.visuals = Visuals(access)
         self.results = Results(access)
         self.uploads = Uploads(access)
         self.idempotency_keys = IdempotencyKeys(access)

@@ -33,7 +33,7 @@ from worker.jobs.files.removals import remove_files
 from worker.jobs.model import RETRYABLE, Job, JobKind, JobState
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
-from worker.planning import has_videos, plan_job
+from worker.planning import has_videos, plan_job, plan_visuals
 from worker.telemetry import tracing
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -130,7 +130,9 @@ def list_jobs(
     records: RecordsDep,
     state: State = None,
     session_id: Annotated[uuid.UUID | None, Query(description="Only jobs of this session.")] = None,
-    kind: Annotated[JobKind | None, Query(description="Only jobs of this kind; without it all but `proxies`.")] = None,
+    kind: Annotated[
+        JobKind | None, Query(description="Only jobs of this kind; without it all but `proxies` and `visuals`.")
+    ] = None,
     limit: Limit = 50,
     cursor: Cursor = None,
 ) -> JobPage:
@@ -221,9 +223,37 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         if may_retry and has_videos(session) and (errors := network_errors(job.spec, services, None)):
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan_job(session, job.spec, services.settings.chunk_frames, making=job.making, edits=job.edits)
+        frames = services.settings.chunk_frames
+        stages = plan_job(session, job.spec, frames, making=job.making, edits=job.edits, revision=job.revision)
         with idempotent.records.transaction() as work:
             answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
+    services.queue.publish()
+    return answer.response()
+
+
+@small.post(
+    "/jobs/{job_id}/visuals",
+    operation_id="makeJobVisuals",
+    summary="Make visuals of a job anew",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
+)
+def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Make the overlay videos and the report of an edited job anew, by a job of their own, which is answered.
+
+    It is the same job if it is at work already. A newer edit deletes it. Each file takes the place of the earlier one.
+    """
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        job = idempotent.records.jobs.get(job_id)
+        services.disk.require_room()
+        session = idempotent.records.sessions.get(job.session_id)
+        stages = plan_visuals(session, job, services.settings.chunk_frames)
+        with idempotent.records.transaction() as work:
+            made = work.visuals.add(job_id, stages, job.revision, tracing.current())
+            answer = idempotent.store(work, _accepted(made))
     services.queue.publish()
     return answer.response()
 

@@ -20,8 +20,8 @@ from pipeline.video.decode import decode
 from pipeline.video.playback.h264 import even_size_px
 from pipeline.video.playback.written import write_pictures
 from pipeline.video.timeline import frames_in
+from pipeline.visual_choices import OVERLAY_KIND
 
-OVERLAY_KIND = "overlay"
 LONG_SIDE_PX = 1280
 """Longest side of an overlay's pictures; smaller videos keep their size."""
 

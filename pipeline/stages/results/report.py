@@ -29,9 +29,10 @@ from pipeline.stages.output import ResultFile
 from pipeline.stages.results.assembly import assemble
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
+from pipeline.visual_choices import REPORT_KIND
 
-REPORT, REPORT_KIND = "report.html", "report"
-"""Name and kind of the report's file."""
+REPORT = "report.html"
+"""Name of the report's file."""
 
 
 def report_file(context: Context, on_share: OnShare) -> ResultFile:

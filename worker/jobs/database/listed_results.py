@@ -2,21 +2,21 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import asdict
-from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select
+from sqlalchemy import ColumnElement, Connection, delete, insert, select
 
+from pipeline.visual_choices import VISUAL_KINDS
 from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.tables import results
 from worker.jobs.model import Result
 
 
-def list_results(connection: Connection, job: Row[Any], files: Sequence[Result]) -> None:
+def list_results(connection: Connection, job_id: str, files: Sequence[Result]) -> None:
     """List result files of a locked job; each takes the place of the file of the same name."""
     if files:
-        folders = _drop(connection, job.id, results.c.name.in_([file.name for file in files]))
-        connection.execute(insert(results), [{"job_id": job.id, **asdict(file)} for file in files])
-        _remove_unlisted(connection, job.id, folders)
+        folders = _drop(connection, job_id, results.c.name.in_([file.name for file in files]))
+        connection.execute(insert(results), [{"job_id": job_id, **asdict(file)} for file in files])
+        _remove_unlisted(connection, job_id, folders)
 
 
 def drop_results(connection: Connection, job_id: str, condition: ColumnElement[bool]) -> None:
@@ -29,6 +29,12 @@ def remove_unlisted(connection: Connection, job_id: str, prefix: str) -> None:
     listed = select(results.c.name).where(results.c.job_id == job_id, results.c.key.startswith(prefix, autoescape=True))
     if connection.execute(listed.limit(1)).first() is None:
         remove_later(connection, prefix)
+
+
+def has_visuals(connection: Connection, job_id: str) -> bool:
+    """Whether overlay videos or a report of a job are listed."""
+    listed = select(results.c.name).where(results.c.job_id == job_id, results.c.kind.in_(VISUAL_KINDS))
+    return connection.execute(listed.limit(1)).first() is not None
 
 
 def _drop(connection: Connection, job_id: str, condition: ColumnElement[bool]) -> Collection[str]:

@@ -6,7 +6,7 @@ from sqlalchemy import Connection, func, select
 
 from worker.jobs.database.tables import artifacts, calibrations, jobs, results, sessions, uploads
 from worker.jobs.errors import QuotaExceeded
-from worker.jobs.model import FINISHED, JobState, Usage
+from worker.jobs.model import FINISHED, SIDE_KINDS, JobState, Usage
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
     num_uploads, upload_bytes = connection.execute(
         select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)
     ).one()
-    is_unfinished = jobs.c.state.not_in(FINISHED) & (jobs.c.kind != "proxies")
+    is_unfinished = jobs.c.state.not_in(FINISHED) & jobs.c.kind.not_in(SIDE_KINDS)
     unfinished = select(func.count()).select_from(jobs).where(mine, is_unfinished)
     return Usage(
         sessions=num_sessions,

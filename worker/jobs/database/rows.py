@@ -14,6 +14,7 @@ from pipeline.edits import PeopleEdit, PersonSpan, edit_of
 from pipeline.findings import Finding
 from pipeline.stages.plan import DETECT
 from pipeline.video.playback.choices import ProxyChoices
+from pipeline.visual_choices import VisualChoices
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model import (
@@ -23,6 +24,7 @@ from worker.jobs.model import (
     Job,
     JobState,
     Making,
+    NewestJob,
     Problem,
     Result,
     Session,
@@ -97,10 +99,19 @@ def select_jobs() -> Select[Any]:
 def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
     """Jobs with their stages, from rows of ``select_jobs``."""
     stages = _stages(connection, [row.id for row in rows])
-    return [_job(row, stages[row.id]) for row in rows]
+    visuals = _visuals_jobs(connection, [row.id for row in rows if row.revision > 0])
+    return [_job(row, stages[row.id], visuals.get(row.id)) for row in rows]
 
 
-def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
+def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, NewestJob]:
+    """Jobs that make visuals of edited jobs, by the ids of these."""
+    if not job_ids:
+        return {}
+    query = select(jobs.c.of_job, jobs.c.id, jobs.c.state).where(jobs.c.of_job.in_(job_ids))
+    return {row.of_job: NewestJob(row.id, JobState(row.state)) for row in connection.execute(query)}
+
+
+def _job(row: Row[Any], stages: tuple[Stage, ...], visuals_job: NewestJob | None) -> Job:
     spec = JobSpec.model_validate(row.spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
@@ -134,6 +145,8 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         revision=row.revision,
         people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),
         results_revision=row.results_revision,
+        has_old_visuals=row.visuals_old_at is not None,
+        visuals_job=visuals_job,
     )
 
 
@@ -148,6 +161,8 @@ def making_of(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
         return None
     if kind == "proxies":
         return ProxyChoices(tuple(choices["cameras"]))
+    if kind == "visuals":
+        return VisualChoices()
     points = tuple(
         KnownPoint(one["name"], tuple(one["xyz_m"]), tuple(tuple(view) for view in one["seen_px"]))
         for one in choices.get("known_points", ())

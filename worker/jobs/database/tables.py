@@ -96,12 +96,16 @@ jobs = Table(
     Column("trace", String(55)),  # W3C traceparent of the request for this attempt
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # of its session
     Column("warnings", JSON, nullable=False, server_default="[]"),  # about its results: objects with code and message
-    Column("kind", String(16), nullable=False, server_default="reconstruction"),  # or "calibration", "proxies"
+    Column(
+        "kind", String(16), nullable=False, server_default="reconstruction"
+    ),  # or "calibration", "proxies", "visuals"
     Column("making", JSON(none_as_null=True)),  # choices of what it makes; null: it reconstructs
     Column("edits", JSON, nullable=False, server_default="[]"),  # of its people
     Column("revision", Integer, nullable=False, server_default="0"),  # number of changes of the edits
     Column("people", JSON(none_as_null=True)),  # who was found, before any edit; null until there are results
     Column("results_revision", Integer),  # revision whose files can be read; null before the first success
+    Column("of_job", String(36), index=True),  # reconstruction whose visuals it makes, which deletes it with itself
+    Column("visuals_old_at", UtcTimestamp, index=True),  # last edit; null: no visuals, or they are new or being made
     Column("precedence", Integer, nullable=False, server_default="1"),  # 0: edits of people, before other work
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),

@@ -1,21 +1,23 @@
 """Transitions of jobs and chunks from state to state, inside a transaction of the caller.
 
-Every change of a job or its chunks locks the job first. So two changes of one job never overlap and never wait for each
-other in a circle. (A heartbeat updates one row and locks nothing else.)
+Every change of a job or its chunks locks the job first, and before a job that makes visuals, if they change, the
+reconstruction that lists them. So two changes of one job never overlap and never wait for each other in a circle. (A
+heartbeat updates one row and locks nothing else.)
 """
 
 from collections.abc import Collection
 from dataclasses import asdict
 from typing import Any, Literal
 
-from sqlalchemy import Connection, Row, insert, select, update
+from sqlalchemy import Connection, Row, delete, insert, select, update
 
+from pipeline.visual_choices import VISUAL_KINDS
 from worker.jobs.database.connection import now
 from worker.jobs.database.listed_results import drop_results
 from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.totals import Total, count
-from worker.jobs.files.artifacts import interim_prefix
+from worker.jobs.files.artifacts import interim_prefix, job_prefix
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
 from worker.jobs.repositories.webhooks import queue_delivery
 
@@ -49,16 +51,28 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
     if moved.rowcount == 1:
         note(connection, job_id, "state", to)
         if ends:
-            attempt, revision = connection.execute(
-                select(jobs.c.attempt, jobs.c.revision).where(jobs.c.id == job_id)
-            ).one()
-            remove_later(connection, interim_prefix(job_id, attempt))
-        if to is JobState.SUCCEEDED:
-            drop_results(connection, job_id, results.c.revision < revision)
+            job = connection.execute(select(jobs).where(jobs.c.id == job_id)).one()
+            remove_later(connection, interim_prefix(job_id, job.attempt))
+            if to is JobState.SUCCEEDED:
+                _drop_earlier_results(connection, job)
         if to in FINISHED:
             count(connection, Total.JOBS_ENDED, to)
             queue_delivery(connection, job_id, to)
     return moved.rowcount == 1
+
+
+def _drop_earlier_results(connection: Connection, job: Row[Any]) -> None:
+    """Drop the files that those of a job that has succeeded replace: visuals are replaced by visuals alone."""
+    is_visual = results.c.kind.in_(VISUAL_KINDS)
+    of_same_kind = is_visual if job.of_job is not None else ~is_visual
+    drop_results(connection, job.of_job or job.id, of_same_kind & (results.c.revision < job.revision))
+
+
+def delete_visuals_job(connection: Connection, job_id: str) -> None:
+    """Delete the job that makes visuals of a locked job; a worker that makes them stops when it finds its job gone."""
+    for visuals_id in connection.scalars(select(jobs.c.id).where(jobs.c.of_job == job_id)).all():
+        remove_later(connection, job_prefix(visuals_id))
+        connection.execute(delete(jobs).where(jobs.c.id == visuals_id))
 
 
 def move_chunk(connection: Connection, chunk_id: int, to: ChunkState, **values: Any) -> None:

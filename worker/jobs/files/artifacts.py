@@ -6,7 +6,9 @@
     sessions/<session>/record
     sessions/<session>/thumbnails/<camera number>-<picture number>.jpg
     sessions/<session>/stages/<output key>
-    jobs/<job>/results/<name>
+    jobs/<job>/results/<name>                 of the reconstruction
+    jobs/<job>/revisions/<revision>/<name>    after edits of its people
+    jobs/<job>/visuals/<revision>/<name>      overlay videos and the report
     jobs/<job>/interim/<attempt>/<output key>
 """
 
@@ -25,6 +27,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol
 
+from pipeline.visual_choices import VISUAL_KINDS
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.checksums import VerifiedFile, found, no_check, require_file
 from worker.jobs.files.disk import is_disk_full, sync
@@ -86,9 +89,15 @@ def results_prefix(job_id: str, revision: int = 0) -> str:
     return f"{job_prefix(job_id)}results/" if revision == 0 else f"{job_prefix(job_id)}revisions/{revision}/"
 
 
-def result_key(job_id: str, name: str, revision: int = 0) -> str:
-    """Key of a result file."""
-    return f"{results_prefix(job_id, revision)}{name}"
+def visuals_prefix(job_id: str, revision: int = 0) -> str:
+    """Prefix of the keys of overlay videos and the report of a revision of a job; they may outlast its other files."""
+    return f"{job_prefix(job_id)}visuals/{revision}/"
+
+
+def result_key(job_id: str, name: str, revision: int = 0, kind: str = "") -> str:
+    """Key of a result file of a kind."""
+    prefix = visuals_prefix(job_id, revision) if kind in VISUAL_KINDS else results_prefix(job_id, revision)
+    return f"{prefix}{name}"
 
 
 class ArtifactStore(Protocol):

@@ -10,17 +10,18 @@ from uuid_utils import uuid7
 from pipeline.edits import PeopleEdit, document_of
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
-from worker.jobs.database.listed_results import remove_unlisted
+from worker.jobs.database.listed_results import has_visuals, remove_unlisted
 from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.rows import jobs_of, select_jobs
 from worker.jobs.database.tables import chunks, events, jobs, results
-from worker.jobs.database.transitions import cancel_chunks, move_job, note, settle_canceling
+from worker.jobs.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
-from worker.jobs.files.artifacts import interim_prefix, job_prefix, results_prefix
+from worker.jobs.files.artifacts import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.jobs.model import (
     EDITABLE,
     FINISHED,
     RETRYABLE,
+    SIDE_KINDS,
     Attempt,
     Change,
     ChunkState,
@@ -76,7 +77,7 @@ class Jobs:
         """
         access, job_id = self._access, str(uuid7())
         with access.writing() as connection:
-            if kind_of(making) != "proxies":  # which the tenant has not asked for
+            if kind_of(making) not in SIDE_KINDS:  # which the tenant has not asked for
                 access.require_room(connection, unfinished_jobs=1)
             tenant = lock_session(connection, access, session_id)
             connection.execute(
@@ -120,14 +121,14 @@ class Jobs:
         after
             Last id of the page before.
         kind
-            Only jobs of the kind; ``None``: all but those that make proxies, which no client has asked for.
+            Only jobs of the kind; ``None``: all but those of ``SIDE_KINDS``.
         """
         query = select_jobs().where(self._access.may_reach(jobs)).order_by(jobs.c.id.desc()).limit(limit)
         if state is not None:
             query = query.where(jobs.c.state == state)
         if session_id is not None:
             query = query.where(jobs.c.session_id == session_id)
-        query = query.where(jobs.c.kind != "proxies" if kind is None else jobs.c.kind == kind)
+        query = query.where(jobs.c.kind.not_in(SIDE_KINDS) if kind is None else jobs.c.kind == kind)
         if after is not None:
             query = query.where(jobs.c.id < after)
         with self._access.reading() as connection:
@@ -236,6 +237,7 @@ class Jobs:
                 "edits": [document_of(edit) for edit in edits],
                 "revision": job.revision + 1,
                 "precedence": Precedence.EDITS,
+                "visuals_old_at": now() if has_visuals(connection, job_id) else None,
             }
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
@@ -248,6 +250,8 @@ class Jobs:
             # What the last attempt has left, unless its files are listed.
             remove_later(connection, interim_prefix(job_id, job.attempt))
             remove_unlisted(connection, job_id, results_prefix(job_id, job.revision))
+            delete_visuals_job(connection, job_id)
+            remove_unlisted(connection, job_id, visuals_prefix(job_id, job.revision))
             plan_changes(connection, job_id, stages)
             return self._read(connection, job_id)
 
@@ -264,6 +268,7 @@ class Jobs:
             job = job_row(connection, self._access, job_id, lock=True)
             if job.state not in FINISHED:
                 raise Conflict("The job is unfinished; cancel it first.")
+            delete_visuals_job(connection, job_id)
             remove_later(connection, job_prefix(job_id))
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_DELETED, job_id)
             forget_unmade(connection, job_id)

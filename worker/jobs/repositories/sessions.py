@@ -18,7 +18,7 @@ from worker.jobs.database.rows import session_of
 from worker.jobs.database.tables import jobs, results, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix
-from worker.jobs.model import FINISHED, Capture, InputFile, JobState, NewestJob, Purpose, Session
+from worker.jobs.model import FINISHED, SIDE_KINDS, Capture, InputFile, JobState, NewestJob, Purpose, Session
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.calibrations import forget_unmade
 
@@ -162,8 +162,8 @@ class Sessions:
                 select(jobs.c.id, jobs.c.state, jobs.c.kind).where(jobs.c.session_id == session_id)
             )
             for job in of_session.all():
-                # No client has asked for proxies: a worker that makes one stops when it finds its job gone.
-                if job.state not in FINISHED and job.kind != "proxies":
+                # No client waits for such jobs: a worker stops when it finds its job gone.
+                if job.state not in FINISHED and job.kind not in SIDE_KINDS:
                     raise Conflict(f"The job {job.id} of this session is unfinished; cancel it first.")
                 remove_later(connection, job_prefix(job.id))
                 forget_unmade(connection, job.id)

@@ -1,5 +1,7 @@
 """People of a job by the API: read, edited, undone, refused with the edit's place."""
 
+import io
+import zipfile
 from typing import Any
 
 import pytest
@@ -186,3 +188,44 @@ def test_downloads_name_the_revision_of_the_edits(live: Live, job_id: str) -> No
         live.finish(job_id, people=FOUND)
         edited = f"{take}_revision-{revision}"
         assert names() == [f"{edited}_person-1.bvh", f"{edited}_person-1.bvh", f"{edited}.zip"]
+
+
+def test_visuals_are_made_on_request(live: Live) -> None:
+    answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json={"report": True})
+    job_id = str(answer.json()["id"])
+    address = f"/v1/jobs/{job_id}/visuals"
+    live.finish(job_id, people=FOUND, overlays={"overlay-cam_0.mp4": b"video"})
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["links"]["visuals"] is None
+    problem_of(live.client.post(address), 409, "conflict")
+
+    assert edit(live, job_id, ANNA).status_code == 202
+    problem_of(live.client.post(address), 409, "conflict")
+    live.finish(job_id, people=FOUND)
+    listed = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
+    names = {one["name"]: (one["revision"], "revision-1" in one["download_name"]) for one in listed}
+    assert names == {"overlay-cam_0.mp4": (0, False), "person-1.bvh": (1, True)}
+    zipped = live.client.get(f"/v1/jobs/{job_id}/results.zip")
+    assert zipped.status_code == 200
+    with zipfile.ZipFile(io.BytesIO(zipped.content)) as archive:
+        kept = {name.rpartition("/")[2] for name in archive.namelist()}
+    assert kept == {one["download_name"] for one in listed}
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["links"]["visuals"] == address
+
+    answer = live.client.post(address)
+    assert answer.status_code == 202, answer.text
+    visuals = answer.json()
+    assert (visuals["kind"], visuals["state"], visuals["revision"]) == ("visuals", "queued", 1)
+    assert answer.headers["location"] == f"/v1/jobs/{visuals['id']}"
+    assert [stage["name"] for stage in visuals["stages"] if stage["state"] != "done"] == ["write_report"]
+    assert live.client.post(address).json()["id"] == visuals["id"]
+    job = live.client.get(f"/v1/jobs/{job_id}").json()
+    assert job["visuals_job"] == {"id": visuals["id"], "state": "queued"}
+    assert job["links"]["visuals"] is None
+    assert [one["id"] for one in live.client.get("/v1/jobs", params={"kind": "visuals"}).json()["jobs"]] == [
+        visuals["id"]
+    ]
+    assert visuals["id"] not in [one["id"] for one in live.client.get("/v1/jobs").json()["jobs"]]
+
+    assert edit(live, job_id).status_code == 202
+    problem_of(live.client.get(f"/v1/jobs/{visuals['id']}"), 404, "not_found")
+    live.finish(job_id, people=FOUND)

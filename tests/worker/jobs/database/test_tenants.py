@@ -12,6 +12,7 @@ from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.results import Results
 from worker.jobs.repositories.rights.links import Links
 from worker.jobs.repositories.sessions import Sessions
+from worker.jobs.repositories.visuals import Visuals
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 
@@ -55,6 +56,7 @@ ACTS: dict[str, Act] = {
     "jobs.cancel": lambda records, session_id, job_id: records.jobs.cancel(job_id),
     "jobs.retry": lambda records, session_id, job_id: records.jobs.retry(job_id, stages(1)),
     "jobs.edit": lambda records, session_id, job_id: records.jobs.edit(job_id, (), stages(1)),
+    "visuals.add": lambda records, session_id, job_id: records.visuals.add(job_id, stages(1), 0),
     "jobs.delete": lambda records, session_id, job_id: records.jobs.delete(job_id),
 }
 
@@ -71,12 +73,13 @@ def test_nothing_can_be_done_with_another_s(jobs: Bench, act: str) -> None:
 def test_every_act_is_tried() -> None:
     public = {
         f"{resource.__name__.lower()}.{name}"
-        for resource in (Sessions, Jobs, Results, Links)
+        for resource in (Sessions, Jobs, Visuals, Results, Links)
         for name in vars(resource)
         if not name.startswith("_")
     }
     assert public - set(ACTS) == {
         *("sessions.add", "sessions.reserve_id", "sessions.page", "jobs.page", "jobs.changes"),
+        "visuals.due",  # the reaper asks for those of all tenants
         "results.proxy",  # None of another's: tests/worker/jobs/repositories/test_captures.py
         "links.revoke",  # tests/worker/jobs/repositories/rights/test_links.py tries it
     }

@@ -110,6 +110,7 @@ class Leases:
             making=making_of(job.kind, job.making),
             edits=edits_of(job.edits),
             revision=job.revision,
+            of_job=job.of_job,
         )
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
@@ -158,7 +159,7 @@ class Leases:
             for stored in (KeptPiece(chunk.output_key, sha256, num_bytes), *pieces):
                 row = {"output_key": stored.key, "sha256": stored.sha256, "num_bytes": stored.num_bytes}
                 upsert(connection, artifacts, {"session_id": job.session_id, **row})
-            list_results(connection, job, results)
+            list_results(connection, job.of_job or job.id, results)
             _record_findings(connection, job.id, warnings, people)
             if calibration is not None:
                 complete(connection, job.id, calibration)
@@ -268,6 +269,9 @@ def _lock_held(
     seen = connection.execute(held).one_or_none()
     if seen is None:
         return None
+    reconstruction = connection.scalar(select(jobs.c.of_job).where(jobs.c.id == seen.job_id))
+    if reconstruction is not None:
+        lock_job(connection, reconstruction)  # whose visuals the job makes: an edit locks it, and deletes this job
     job = lock_job(connection, seen.job_id)
     # Again: the chunk may have been taken back before the job was locked. From here on a heartbeat waits.
     chunk = connection.execute(held.with_for_update()).one_or_none()

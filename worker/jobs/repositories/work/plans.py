@@ -1,10 +1,10 @@
 """Plans of jobs: rows of chunks, added with a job, and replaced if no worker runs the code that they were made for."""
 
 from collections.abc import Iterable, Sequence
-from itertools import islice
+from itertools import islice, takewhile
 from typing import Any
 
-from sqlalchemy import Connection, delete, insert, or_, select
+from sqlalchemy import Connection, delete, insert, literal, or_, select, true
 
 from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.database.tables import chunks, jobs
@@ -73,13 +73,28 @@ def insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePla
 
 def plan_changes(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> None:
     """Plan a finished job again; the first stages stay done whose chunks are done under the same keys."""
-    num_kept = 0
-    for stage in stages:
-        if not _is_done(connection, job_id, num_kept, stage):
-            break
-        num_kept += 1
+    num_kept = _count_done(connection, job_id, stages)
     connection.execute(delete(chunks).where(chunks.c.job_id == job_id, chunks.c.stage_index >= num_kept))
     insert_chunks(connection, job_id, stages, num_kept)
+
+
+def insert_following(connection: Connection, job_id: str, stages: Sequence[StagePlan], of_job: str) -> None:
+    """Insert the chunks of a job that goes on from another one; what the other one has done is done."""
+    num_done = _count_done(connection, of_job, stages)
+    copied = "stage_index", "stage", "code", "chunk_index", "payload", "output_key", "unit_count", "done_units", "state"
+    times = "started_at", "finished_at"
+    rows = select(literal(job_id), literal(1), true(), *(chunks.c[name] for name in (*copied, *times))).where(
+        chunks.c.job_id == of_job, chunks.c.stage_index < num_done
+    )
+    columns = ["job_id", "attempt", "reused", *copied, *times]
+    connection.execute(insert(chunks).from_select(columns, rows, include_defaults=False))
+    insert_chunks(connection, job_id, stages, num_done)
+
+
+def _count_done(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> int:
+    """Count the first stages whose chunks a job has done under the same keys."""
+    done = (_is_done(connection, job_id, number, stage) for number, stage in enumerate(stages))
+    return sum(1 for _ in takewhile(bool, done))
 
 
 def _is_done(connection: Connection, job_id: str, stage_index: int, stage: StagePlan) -> bool:

@@ -10,7 +10,7 @@ from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.tables import jobs, removals
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.database.transitions import lock_job, move_job
+from worker.jobs.database.transitions import delete_visuals_job, lock_job, move_job
 from worker.jobs.files.artifacts import job_prefix
 from worker.jobs.model import JobState, Removal
 
@@ -33,6 +33,7 @@ class Removals:
                 # Again: the job may have been deleted or retried before it was locked.
                 if connection.scalar(due.where(jobs.c.id == job_id)) is not None:
                     move_job(connection, job_id, JobState.EXPIRED)
+                    delete_visuals_job(connection, job_id)
                     remove_later(connection, job_prefix(job_id))
                     expired.append(job_id)
         return expired
