@@ -59,7 +59,8 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
         "getMotionDescription", "getOptions", "getReadiness", "getResult", "getSample", "getSampleFile",
         "getSession", "getSessionThumbnail", "getSessionVideo", "getUpload", "listAttempts", "listCalibrations",
         "listJobs",
-        "listLinks", "listResults", "listSessionJobs", "listSessions", "makeJobVisuals", "openBrowserSession", "renameSession",
+        "listLinks", "listResults", "listSessionJobs", "listSessions", "makeJobVisuals", "openBrowserSession",
+        "renameSession",
         "retryJob", "revokeLink", "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
