@@ -5,8 +5,7 @@ Reconstruct a capture in this process:
 >>> import multicap
 >>> session = multicap.open_session(Path("videos"), Path("Calib.qca.txt"))  # doctest: +SKIP
 >>> config = multicap.ReconstructionConfig(frame_range=(0, 100))  # doctest: +SKIP
->>> reconstruction = multicap.reconstruct(session, config)  # doctest: +SKIP
->>> multicap.write_results(reconstruction, Path("results"), exports=["bvh", "glb"])  # doctest: +SKIP
+>>> multicap.reconstruct_to_files(session, Path("results"), config)  # doctest: +SKIP
 
 or send it to a service:
 
@@ -24,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from api.cli.client import Client, Job, ServiceError
-    from api.cli.commands.reconstruct import write_results
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.session import CaptureSession, Recording, open_session
     from pipeline.config import ReconstructionConfig
@@ -32,9 +30,10 @@ if TYPE_CHECKING:
     from pipeline.detect.models import install as install_network
     from pipeline.detect.models import install_networks
     from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem
+    from pipeline.export.results import WrittenResults, write_results
     from pipeline.progress import Progress
     from pipeline.runtime.packages.samples import install as install_sample
-    from pipeline.stages.local import reconstruct
+    from pipeline.stages.local import reconstruct, reconstruct_to_files
 
 __all__ = [
     "CaptureSession",
@@ -51,12 +50,14 @@ __all__ = [
     "ReconstructionConfig",
     "Recording",
     "ServiceError",
+    "WrittenResults",
     "install_network",
     "install_networks",
     "install_sample",
     "open_keypoints",
     "open_session",
     "reconstruct",
+    "reconstruct_to_files",
     "write_results",
 ]
 
@@ -76,13 +77,15 @@ _REFERENCES = {
     "ReconstructionConfig": "pipeline.config:ReconstructionConfig",
     "Recording": "pipeline.capture.session:Recording",
     "ServiceError": "api.cli.client:ServiceError",
+    "WrittenResults": "pipeline.export.results:WrittenResults",
     "install_network": "pipeline.detect.models:install",
     "install_networks": "pipeline.detect.models:install_networks",
     "install_sample": "pipeline.runtime.packages.samples:install",
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",
     "reconstruct": "pipeline.stages.local:reconstruct",
-    "write_results": "api.cli.commands.reconstruct:write_results",
+    "reconstruct_to_files": "pipeline.stages.local:reconstruct_to_files",
+    "write_results": "pipeline.export.results:write_results",
 }
 
 

@@ -130,6 +130,14 @@ class _TaskContext(Context):
     def scratch(self) -> Path:
         return self.work.scratch
 
+    @property
+    def has_viewers(self) -> bool:
+        return True
+
+    @property
+    def keeps_pieces(self) -> bool:
+        return True
+
     def on_unit(self) -> None:
         self.work.on_unit()
 

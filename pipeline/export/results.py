@@ -1,8 +1,10 @@
 """Write the result files of a reconstruction; the service's results have the same names."""
 
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pipeline.calibration.write import encode as encode_calibration
 from pipeline.config import (
@@ -15,7 +17,7 @@ from pipeline.config import (
     unlimited_alternatives,
 )
 from pipeline.data import Reconstruction, Timebase
-from pipeline.errors import InputError, Problem
+from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export.person_files import (
     SKELETONS,
     KeptFiles,
@@ -35,11 +37,17 @@ from pipeline.quality.views import PersonViews, views_of
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
 NOTHING_KEPT = KeptFiles()
 ViewsOf = Callable[[Reconstruction], Sequence[PersonViews]]
+OnFile = Callable[[Path], None]
+"""Callback for the path of a result file that is complete."""
 METRICS = "metrics.json"
 CALIBRATION = "calibration.json"
 """Refined cameras, in the format that ``pipeline.calibration.write`` writes and every command reads."""
 
 _DECIMALS_MM = 4
+
+
+def no_file(_: Path) -> None:
+    """Report no file."""
 
 
 def check_exports(timebase: Timebase, exports: Collection[Export], frame_rate_hz: float | None = None) -> None:
@@ -70,7 +78,52 @@ def check_exports(timebase: Timebase, exports: Collection[Export], frame_rate_hz
         raise InputError(problems)
 
 
+@dataclass(frozen=True, slots=True)
+class WrittenResults:
+    """Result files of a take.
+
+    Parameters
+    ----------
+    paths
+        Files in the order in which they were completed.
+    metrics
+        Content of ``metrics.json``.
+    """
+
+    paths: tuple[Path, ...]
+    metrics: dict[str, Any]
+
+
 def write_results(
+    reconstruction: Reconstruction,
+    folder: Path,
+    exports: Collection[Export] = DEFAULT_EXPORTS,
+    preset: Preset = "default",
+    frame_rate_hz: float | None = None,
+) -> list[Path]:
+    """Write all result files of a reconstruction into a folder, which is created if missing; return their paths.
+
+    The parameters are those of ``write_files``.
+
+    Raises
+    ------
+    InputError
+        See ``check_exports``.
+    PipelineError
+        If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
+    """
+    try:
+        return list(write_files(reconstruction, folder, exports, preset, frame_rate_hz).paths)
+    except OSError as error:
+        raise not_written(folder, error) from error
+
+
+def not_written(folder: Path, error: OSError) -> PipelineError:
+    """Error of results that can't be written to a folder."""
+    return PipelineError(f"The results can't be written to {folder}: {error.strerror or error}.")
+
+
+def write_files(
     reconstruction: Reconstruction,
     folder: Path,
     exports: Collection[Export] = DEFAULT_EXPORTS,
@@ -79,8 +132,9 @@ def write_results(
     on_share: OnShare = ignore,
     kept: KeptFiles = NOTHING_KEPT,
     views: ViewsOf = views_of,
-) -> Iterator[Path]:
-    """Write all result files into a folder, which is created if missing; yield each path when its file is complete.
+    on_file: OnFile = no_file,
+) -> WrittenResults:
+    """Write all result files into a folder, which is created if missing.
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
     ``calibration.json`` is written if the calibration was refined. ``metrics.json`` is the last file. It contains the
@@ -101,6 +155,8 @@ def write_results(
         Files of people that were written before.
     views
         Computes the figures of the observations for ``metrics.json``, after the people's files: they take much memory.
+    on_file
+        Called with the path of each file when it is complete.
 
     Raises
     ------
@@ -112,34 +168,41 @@ def write_results(
     check_exports(reconstruction.timebase, exports, frame_rate_hz)
     shown = _at_rate(reconstruction, frame_rate_hz)
     folder.mkdir(parents=True, exist_ok=True)
+    paths: list[Path] = []
+
+    def complete(path: Path) -> None:
+        paths.append(path)
+        on_file(path)
+
     far_mm: dict[str, list[float | None]] = {name: [] for name in (SKELETONS, *exports)}
     num_frames = [track.num_frames for track in shown.tracks]
     on_people = split(part_of(on_share, 0.0, 0.9), num_frames)
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
         for person, on_person in zip(people_of(shown), on_people, strict=True):
-            paths = _paths(person, folder, Path(tracks_folder), exports)
-            tracks.append(paths[SKELETONS])
-            for name, distance_mm in write_person(person, paths, preset, kept, on_person):
+            of_person = _paths(person, folder, Path(tracks_folder), exports)
+            tracks.append(of_person[SKELETONS])
+            for name, distance_mm in write_person(person, of_person, preset, kept, on_person):
                 far_mm[name].append(distance_mm)
                 if name != SKELETONS:
-                    yield paths[name]
+                    complete(of_person[name])
         path = folder / "skeletons.json"
         with replacing(path, skeletons_json.join(shown, tracks)) as part:
             _require_equal(part, path, skeletons_json.join(shown, tracks))
     on_share(0.95)
-    yield path
+    complete(path)
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         path = folder / CALIBRATION
         with replacing(path, [encode_calibration(reconstruction.cameras)]):
             pass
-        yield path
-    path = folder / METRICS
-    with replacing(path, [encode_metrics(quality_report(reconstruction, views(reconstruction)) | {"exports": check})]):
+        complete(path)
+    path, metrics = folder / METRICS, quality_report(reconstruction, views(reconstruction)) | {"exports": check}
+    with replacing(path, [encode_metrics(metrics)]):
         pass
     on_share(1.0)
-    yield path
+    complete(path)
+    return WrittenResults(tuple(paths), metrics)
 
 
 def keep_people(
@@ -152,7 +215,7 @@ def keep_people(
     on_share: OnShare,
     kept: KeptFiles,
 ) -> None:
-    """Write the files of some people into a folder and keep them, for ``write_results`` with the same choices.
+    """Write the files of some people into a folder and keep them, for ``write_files`` with the same choices.
 
     Parameters
     ----------

@@ -56,18 +56,26 @@ class BoardPainter:
         ideal_px = undistort_px(camera, ((grid + 0.5) / fine - 0.5).reshape(-1, 2))
         rays = np.column_stack([ideal_px, np.ones(len(ideal_px))]) @ np.linalg.inv(camera.matrix).T
         self._rays = rays.reshape(height * fine, width * fine, 3)
+        # The board lies or is held still for many pictures, which differ by their noise alone.
+        self._last: tuple[Rigid3, Float[np.ndarray, "height width"]] | None = None
 
     def paint(self, world_from_board: Rigid3, rng: np.random.Generator) -> UInt8[np.ndarray, "height width 3"]:
         """Paint the board at a pose, in front of a grey wall; from behind it is not painted."""
+        if self._last is None or self._last[0] is not world_from_board:
+            self._last = world_from_board, self._blurred(world_from_board)
+        blurred = self._last[1]
+        noisy = blurred + rng.normal(0.0, self._noise, blurred.shape)
+        gray = np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+        return np.repeat(gray[..., None], 3, axis=-1)
+
+    def _blurred(self, world_from_board: Rigid3) -> Float[np.ndarray, "height width"]:
+        """Shades of a picture without noise."""
         width, height = self._camera.size_px
         image = np.full((height, width), _BACKGROUND, np.float32)
         towards = center_in_world(self._camera) - world_from_board.translation_m
         if -world_from_board.rotation[:, 2] @ towards > 0 and (window := self._window(world_from_board)) is not None:
             image[window] = self._shades(world_from_board, window)
-        blurred = cv2.GaussianBlur(image, (0, 0), self._blur_px)
-        noisy = blurred + rng.normal(0.0, self._noise, image.shape)
-        gray = np.clip(np.round(noisy), 0, 255).astype(np.uint8)
-        return np.repeat(gray[..., None], 3, axis=-1)
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), self._blur_px))
 
     def _window(self, world_from_board: Rigid3) -> tuple[slice, slice] | None:
         """Rows and columns around the board; ``None`` if it is not in the picture."""

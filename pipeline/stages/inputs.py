@@ -66,6 +66,16 @@ class Context(ABC):
     def scratch(self) -> Path:
         """Folder for temporary files and result files of this task."""
 
+    @property
+    @abstractmethod
+    def has_viewers(self) -> bool:
+        """Whether the files for viewers are wanted beside the result files."""
+
+    @property
+    @abstractmethod
+    def keeps_pieces(self) -> bool:
+        """Whether pieces of the outputs are kept, so that later edits of people find them."""
+
     @abstractmethod
     def session(self) -> Session:
         """The whole session."""

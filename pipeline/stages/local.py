@@ -3,11 +3,10 @@
 import contextlib
 import hashlib
 import json
-import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from pipeline.config import ReconstructionConfig, method_warnings
 from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate
 from pipeline.errors import ChildError, InputError, PipelineError, Problem
+from pipeline.export.results import OnFile, WrittenResults, check_exports, no_file, not_written
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages.storage import sha256_of
@@ -48,28 +48,8 @@ from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import folder_sha256
 
 _DEFAULTS = ReconstructionConfig()
-
-
-@dataclass(frozen=True, slots=True)
-class FilesWanted:
-    """Place of the files that a reconstruction makes beside its result, such as overlay videos.
-
-    Parameters
-    ----------
-    folder
-        Folder of the files, made if it is missing.
-    name
-        Name of the take in its report.
-    sources
-        Files that the report names with their digests beside the videos, such as the calibration.
-    made
-        Paths of the files, filled by the reconstruction.
-    """
-
-    folder: Path
-    name: str
-    sources: tuple[Path, ...] = ()
-    made: list[Path] = field(default_factory=list)
+# Stages whose outputs are result files.
+_FILE_STAGES = {OVERLAY, REPORT, WRITE, EXPORT}
 
 
 def reconstruct(
@@ -77,9 +57,8 @@ def reconstruct(
     config: ReconstructionConfig = _DEFAULTS,
     on_progress: OnProgress = silent,
     cache: Path | None = None,
-    files: FilesWanted | None = None,
 ) -> Reconstruction:
-    """Reconstruct everybody in a capture session.
+    """Reconstruct everybody in a capture session; write no file.
 
     The result does not depend on the cut of the frames or on the number of processes.
 
@@ -94,8 +73,6 @@ def reconstruct(
     cache
         Folder in which outputs of tasks are kept for later runs, see ``pipeline.stages.output_folder``; ``None``: no
         output is kept.
-    files
-        Where to make the files that ``config.report`` and ``config.overlay`` ask for; ``None``: they are not made.
 
     Raises
     ------
@@ -105,23 +82,13 @@ def reconstruct(
     ModelError
         If the detector is not installed.
     PipelineError
-        If the folder for intermediate outputs, or that for files, can't be written.
+        If the folder for intermediate outputs can't be written.
     """
     _check(session, config)
     facts = session_facts(session, () if cache is None else _inputs(session))
-    with (
-        output_folder(cache) as outputs,
-        tempfile.TemporaryDirectory(prefix="multicap-") as interim,
-        tempfile.TemporaryDirectory(prefix="multicap-") as scratch,
-    ):
-        codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
-        left_out = {WRITE, EXPORT} | (set() if files is not None else {OVERLAY, REPORT})
-        stages = [one for one in plan(facts, config, codes, config.chunk_frames) if one.name not in left_out]
-        job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch), files)
-        for stage in stages:
-            made = _run_stage(job, stage, on_progress)
-            if files is not None:
-                files.made.extend(made)
+    with _planned(session, config, facts, STAGE_BY_NAME.keys() - _FILE_STAGES, cache) as job:
+        for stage in job.stages:
+            _run_stage(job, stage, on_progress)
         reconstruction = assemble(_TaskContext(job))
         return replace(
             reconstruction,
@@ -130,6 +97,54 @@ def reconstruct(
             observations=tuple(reconstruction.observations),
             warnings=(*reconstruction.warnings, *method_warnings(config, facts.has_videos)),
         )
+
+
+def reconstruct_to_files(
+    session: Session,
+    folder: Path,
+    config: ReconstructionConfig = _DEFAULTS,
+    on_progress: OnProgress = silent,
+    cache: Path | None = None,
+    name: str = "",
+    sources: Sequence[Path] = (),
+    on_file: OnFile = no_file,
+) -> WrittenResults:
+    """Reconstruct everybody in a capture session, and write the result files as the service does, by its stages.
+
+    Parameters
+    ----------
+    session, config, on_progress, cache
+        See ``reconstruct``. ``config`` names the files.
+    folder
+        Folder of the result files, made if it is missing.
+    name
+        Name of the take in its report; by default that of the folder.
+    sources
+        Files that the report names with their digests beside the videos, such as the calibration.
+    on_file
+        Called with the path of each file when it is whole and has its name.
+
+    Raises
+    ------
+    InputError
+        See ``reconstruct`` and ``check_exports``.
+    ModelError
+        If the detector is not installed.
+    PipelineError
+        If a folder can't be written to, the disk is full, or the content of a file differs from the written content.
+    """
+    _check(session, config)
+    check_exports(restrict(session, config.frames).timebase, config.exports, config.output_rate_hz)
+    facts = session_facts(session, () if cache is None else _inputs(session))
+    files = _Destination(folder, name or folder.resolve().name or "take", tuple(sources))
+    paths: list[Path] = []
+    with _planned(session, config, facts, STAGE_BY_NAME.keys(), cache, files) as job:
+        for stage in job.stages:
+            for path in _run_stage(job, stage, on_progress):
+                paths.append(path)
+                on_file(path)
+        (exported,) = _TaskContext(job).outputs(EXPORT)
+        return WrittenResults(tuple(paths), json.loads(exported)["metrics"])
 
 
 def detect_people(
@@ -154,20 +169,47 @@ def detect_people(
         Bodies by camera, with the joints of ``pipeline.stages.run.detection_joints``.
     """
     config = replace(config, method="tracking", appearance="off")
-    facts = session_facts(session)
-    with (
-        output_folder(None) as outputs,
-        tempfile.TemporaryDirectory(prefix="multicap-") as interim,
-        tempfile.TemporaryDirectory(prefix="multicap-") as scratch,
-    ):
-        codes = dict.fromkeys(STAGE_BY_NAME, "")
-        stages = [one for one in plan(facts, config, codes, config.chunk_frames) if one.name in {LOOK, DETECT}]
-        job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch))
-        for stage in stages:
+    with _planned(session, config, session_facts(session), {LOOK, DETECT}, None) as job:
+        for stage in job.stages:
             _run_stage(job, stage, on_progress)
         chunks = map(decode_detections, _TaskContext(job).outputs(DETECT))
         names = [camera.name for camera in session.cameras]
         return concatenate(chunks, names, len(detection_joints(config).names))
+
+
+@contextlib.contextmanager
+def _planned(
+    session: Session,
+    config: ReconstructionConfig,
+    facts: SessionFacts,
+    wanted: Collection[str],
+    cache: Path | None,
+    files: "_Destination | None" = None,
+) -> Iterator["_Job"]:
+    """Plan the wanted stages of a job, with the folders of their outputs for the block."""
+    with contextlib.ExitStack() as stack:
+        outputs = stack.enter_context(output_folder(cache))
+        interim = stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))
+        scratch = stack.enter_context(_scratch_folder(files))
+        codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
+        stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name in wanted]
+        yield _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), scratch, files)
+
+
+@contextlib.contextmanager
+def _scratch_folder(files: "_Destination | None") -> Iterator[Path]:
+    """Folder for temporary files: beside the result files, which get their names by a move on one disk."""
+    if files is None:
+        with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+            yield Path(folder)
+        return
+    try:
+        files.folder.mkdir(parents=True, exist_ok=True)
+        scratch = tempfile.TemporaryDirectory(prefix=".new-", dir=files.folder)
+    except OSError as error:
+        raise not_written(files.folder, error) from error
+    with scratch as folder:
+        yield Path(folder)
 
 
 def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFacts:
@@ -233,6 +275,23 @@ def _check(session: Session, config: ReconstructionConfig) -> None:
 
 
 @dataclass(frozen=True, slots=True)
+class _Destination:
+    """Destination of result files.
+
+    Parameters
+    ----------
+    folder
+        Folder of the files.
+    name, sources
+        Name of the take, and files beside its videos, for its report.
+    """
+
+    folder: Path
+    name: str
+    sources: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class _Job:
     """A reconstruction under way.
 
@@ -247,7 +306,7 @@ class _Job:
     scratch
         Folder for temporary files of the process that runs a task.
     files
-        Files that tasks make; ``None``: no task makes any.
+        Destination of result files; ``None``: no task makes any.
     """
 
     session: Session
@@ -257,7 +316,7 @@ class _Job:
     outputs: OutputFolder
     interim: OutputFolder
     scratch: Path
-    files: FilesWanted | None = None
+    files: _Destination | None = None
 
     def tasks_of(self, stage: str) -> Iterable[Task]:
         """Tasks of a stage; none if it is not planned."""
@@ -283,6 +342,14 @@ class _TaskContext(Context):
     @property
     def scratch(self) -> Path:
         return self.job.scratch
+
+    @property
+    def has_viewers(self) -> bool:
+        return False
+
+    @property
+    def keeps_pieces(self) -> bool:
+        return bool(self.job.config.edits)  # without edits nobody asks for them again
 
     def session(self) -> Session:
         return self.job.session
@@ -381,7 +448,12 @@ def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[], None]) -> 
 
 
 def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> Task:
-    output = run_task(task, _TaskContext(job, task, on_unit))
+    try:
+        output = run_task(task, _TaskContext(job, task, on_unit))
+    except OSError as error:
+        if job.files is None:
+            raise
+        raise not_written(job.files.folder, error) from error
     if output.interim is not None:
         job.interim.write(task.key, output.interim)
     for key, path in output.pieces.items():
@@ -394,17 +466,11 @@ def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> T
 
 
 def _keep(file: ResultFile, folder: Path) -> None:
-    """Move a result file to its folder, under its name when it is whole."""
-    part = folder / f".{file.name}.part"
+    """Move a result file to its folder."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            shutil.move(file.path, part)
-            part.replace(folder / file.name)
-        finally:
-            part.unlink(missing_ok=True)
+        file.path.replace(folder / file.name)
     except OSError as error:
-        raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
+        raise not_written(folder, error) from error
 
 
 def _finished_in_processes(job: _Job, tasks: Sequence[Task]) -> Iterator[Task]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from pipeline.detect.profiles.detection import load_detector, open_detection
 from pipeline.detect.profiles.look import look_at_people
 from pipeline.detect.profiles.sizes import RULES, CameraSizes
 from pipeline.errors import InputError, PipelineError, Problem, listed
-from pipeline.export.results import METRICS, keep_people, write_results
+from pipeline.export.results import NOTHING_KEPT, keep_people, write_files
 from pipeline.findings import Finding
 from pipeline.hands.attach import has_hands, without_fingers
 from pipeline.joints import without_hands
@@ -422,24 +423,25 @@ def export(task: Task, context: Context) -> Output:
     reconstruction = assemble(context)
     config = context.config
     on_share = _on_share(task, context)
-    kept = FilesInPieces(Pieces(task, context), context.scratch)
+    pieces = Pieces(task, context)
+    kept = FilesInPieces(pieces, context.scratch) if context.keeps_pieces else NOTHING_KEPT
     choices = config.exports, config.bvh, config.output_rate_hz
     views = cache(views_of)
-    paths = write_results(reconstruction, context.scratch, *choices, on_share, kept, views)
-    files = [_result_file(path) for path in paths]
-    report = json.loads((context.scratch / METRICS).read_bytes())
-    frames = kept_frames(context)
-    first_frame = 0 if frames is None else frames.start
-    files += viewer_files(
-        reconstruction, views(reconstruction), context.outline(), report, context.scratch, first_frame
-    )
-    warnings, pieces = tuple(all_checks(report)), kept.pieces.made
-    return replace(_made(files), warnings=warnings, people=spans_found(context), pieces=pieces)
+    written = write_files(reconstruction, context.scratch, *choices, on_share, kept, views)
+    files = [_result_file(path) for path in written.paths]
+    if context.has_viewers:
+        frames = kept_frames(context)
+        first_frame = 0 if frames is None else frames.start
+        shown, metrics = views(reconstruction), written.metrics
+        files += viewer_files(reconstruction, shown, context.outline(), metrics, context.scratch, first_frame)
+    warnings = tuple(all_checks(written.metrics))
+    output = _made(files, metrics=written.metrics)
+    return replace(output, warnings=warnings, people=spans_found(context), pieces=pieces.made)
 
 
-def _made(files: Sequence[ResultFile]) -> Output:
-    """Result files, and an index of them."""
-    return Output(json.dumps({"files": [file.name for file in files]}).encode(), tuple(files))
+def _made(files: Sequence[ResultFile], **figures: Any) -> Output:
+    """Result files, and an index of them with figures about them."""
+    return Output(json.dumps({"files": [file.name for file in files], **figures}).encode(), tuple(files))
 
 
 def _sizes(context: Context, camera: str) -> CameraSizes | None:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from api.cli.commands.reconstruct import write_results
 from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
+from pipeline.export.results import write_results
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
 from pipeline.stages.local import reconstruct

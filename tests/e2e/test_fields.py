@@ -9,11 +9,11 @@ import av
 import numpy as np
 import pytest
 
-from api.cli.commands.reconstruct import write_results
 from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.detect import models
+from pipeline.export.results import write_results
 from pipeline.joints import COCO_18
 from pipeline.quality.report import all_checks
 from pipeline.quality.views import reprojection_error_px

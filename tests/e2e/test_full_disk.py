@@ -8,9 +8,9 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
+from pipeline.export.results import write_results
 from pipeline.stages.local import reconstruct
 from tests.e2e.captures import keypoint_capture
 from tests.e2e.serving import Served, digests, serving

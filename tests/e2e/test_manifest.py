@@ -7,9 +7,9 @@ from typing import Any
 import httpx2
 import pytest
 
-from api.cli.commands.reconstruct import write_results
 from pipeline.capture.session import Recording, open_session
 from pipeline.config import ReconstructionConfig
+from pipeline.export.results import write_results
 from pipeline.runtime.packages.samples import Sample
 from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Method, ReconstructionConfig
+from pipeline.export.results import write_results
 from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests, serving
 from tests.e2e.test_serve_keypoints import capture, files

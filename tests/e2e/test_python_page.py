@@ -28,6 +28,7 @@ def test_examples_of_the_page(
     found = digests(tmp_path / "results")
     assert {"skeletons.json", "metrics.json", "person-1.bvh", "person-2.trc"} <= found.keys()
     assert digests(tmp_path / "downloaded") == found
+    assert {"report.html", "skeletons.json", "metrics.json", "person-1.bvh"} <= digests(tmp_path / "take").keys()
     said = capsys.readouterr().out
     assert "100 frames at 60.0 Hz" in said
     assert "succeeded: 100%" in said

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.edits import Cut, Rename
-from pipeline.stages.local import FilesWanted, reconstruct
+from pipeline.stages.local import reconstruct_to_files
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.captures import keypoint_capture
 from tests.e2e.foreign import READERS
@@ -43,12 +43,11 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
     source = folder / "b<b>old.csv"
     source.write_text("", encoding="utf-8")
-    files = FilesWanted(folder, HOSTILE, (source,))
     config = ReconstructionConfig(
         report=True, edits=(Rename(person=1, name=HOSTILE), Cut(start_frame=5, stop_frame=45))
     )
-    reconstruct(renamed(session), config, files=files)
-    assert files.made == [folder / "report.html"]
+    written = reconstruct_to_files(renamed(session), folder, config, name=HOSTILE, sources=[source])
+    assert written.paths[0] == folder / "report.html"
     return folder / "report.html"
 
 

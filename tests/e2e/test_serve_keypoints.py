@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
-from api.cli.commands.reconstruct import write_results
 from api.contract.openapi import COMMITTED
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing
 from pipeline.data import FrameTimes
 from pipeline.evaluation.camera_errors import disturb_calibration
+from pipeline.export.results import write_results
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct

@@ -13,7 +13,7 @@ from api.cli.benchmark.takes import longer_observations, longer_track, peak_rss_
 from api.cli.console import emit, print_table, reporting
 from pipeline.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.data import Animation, Reconstruction, SkeletonMotion, Timebase, Track3D
-from pipeline.export.results import write_results
+from pipeline.export.results import write_files
 from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.skeleton.animate import animate
@@ -73,12 +73,16 @@ def measure(num_people: int, num_frames: int) -> dict[str, Any]:
     num_bytes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         last_s = started_s = time.perf_counter()
-        for path in write_results(take, Path(folder), tuple(FILE_FORMATS)):
+
+        def count(path: Path) -> None:
+            nonlocal last_s
             now_s = time.perf_counter()
             kind = path.suffix.removeprefix(".") if path.stem.startswith("person-") else path.stem
             seconds[kind] += now_s - last_s
             num_bytes[kind] += path.stat().st_size
             last_s = now_s
+
+        write_files(take, Path(folder), tuple(FILE_FORMATS), on_file=count)
     return {
         "people": num_people,
         "frames": num_frames,

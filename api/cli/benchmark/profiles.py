@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.benchmark.videos import loop_video
-from api.cli.commands.reconstruct import write_results
 from api.cli.console import console, emit, print_table, reporting
 from pipeline.capture.session import open_session
 from pipeline.config import JOINTS, PROFILES, Detector, ReconstructionConfig
@@ -19,7 +18,7 @@ from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import warm_up
-from pipeline.stages.local import reconstruct
+from pipeline.stages.local import reconstruct_to_files
 
 _REFERENCE: Detector = "movenet-multipose"
 
@@ -81,7 +80,7 @@ def _time_job(videos: list[Path], calibration: Path, config: ReconstructionConfi
     """Time a job in this process: seconds of the whole and of its networks, and passes of the networks."""
     started_s = time.perf_counter()
     network_s, passes = NETWORK_CLOCK.total_s, NETWORK_CLOCK.num_passes
-    write_results(reconstruct(open_session(videos, calibration), config), results)
+    reconstruct_to_files(open_session(videos, calibration), results, config)
     return {
         "job_s": time.perf_counter() - started_s,
         "network_s": NETWORK_CLOCK.total_s - network_s,

@@ -22,7 +22,6 @@ from api.cli.benchmark.takes import peak_rss_mib
 from api.cli.benchmark.tracking import tracking
 from api.cli.benchmark.videos import loop_video
 from api.cli.client import Json
-from api.cli.commands.reconstruct import write_results
 from api.cli.console import StageBars, emit, print_table, reporting
 from api.cli.options import DEFAULTS, DetectorOption, JointsOption, ProfileOption, known
 from api.cli.served import served
@@ -34,8 +33,8 @@ from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import warm_up
-from pipeline.stages.local import reconstruct
-from pipeline.stages.plan import DETECT, EXPORT
+from pipeline.stages.local import reconstruct_to_files
+from pipeline.stages.plan import DETECT
 from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
@@ -84,14 +83,13 @@ def pipeline(
         session = open_session(videos, sample.calibration)
         opened_s = time.perf_counter()
         before_s = NETWORK_CLOCK.total_s
-        reconstruction = reconstruct(session, config, bars.update)
+        written = reconstruct_to_files(session, Path(folder) / "results", config, bars.update)
         network_s = NETWORK_CLOCK.total_s - before_s
-        reconstructed_s = time.perf_counter()
-        num_bytes = sum(path.stat().st_size for path in write_results(reconstruction, Path(folder) / "results"))
         ended_s = time.perf_counter()
+        num_bytes = sum(path.stat().st_size for path in written.paths)
         peak_mib = peak_rss_mib()
     wall_s = ended_s - started_s
-    stages = {"open": opened_s - started_s, **bars.seconds, EXPORT: ended_s - reconstructed_s}
+    stages = {"open": opened_s - started_s, **bars.seconds}
     result = {
         "frames": sum(video.num_frames for video in session.videos),
         "stages": stages,
@@ -144,7 +142,7 @@ def time_library(sample: Sample, folder: Path) -> float:
     """Time the library in one process, from the videos to the result files."""
     started_s = time.perf_counter()
     session = open_session(list(sample.videos.values()), sample.calibration)
-    write_results(reconstruct(session, ReconstructionConfig()), folder)
+    reconstruct_to_files(session, folder)
     return time.perf_counter() - started_s
 
 

@@ -1,8 +1,7 @@
 """`multicap reconstruct`: videos, or 2D joints of another program, to people in motion; no service needed."""
 
-import json
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -15,48 +14,14 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.session import Recording, open_session
-from pipeline.config import Export, Preset, ReconstructionConfig, method_warnings
-from pipeline.data import Reconstruction
-from pipeline.errors import InputError, PipelineError, Problem
-from pipeline.export import results
-from pipeline.export.results import DEFAULT_EXPORTS, check_exports
+from pipeline.config import ReconstructionConfig, method_warnings
+from pipeline.errors import InputError, Problem
 from pipeline.quality.report import all_checks
-from pipeline.stages.association import Session, restrict
-from pipeline.stages.local import FilesWanted, reconstruct
+from pipeline.stages.association import Session
+from pipeline.stages.local import reconstruct_to_files
 from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME
 from pipeline.video.images.files import SEQUENCE
-
-
-def write_results(
-    reconstruction: Reconstruction,
-    folder: Path,
-    exports: Collection[Export] = DEFAULT_EXPORTS,
-    preset: Preset = "default",
-    frame_rate_hz: float | None = None,
-) -> list[Path]:
-    """Write all result files into a folder, as ``pipeline.export.results`` does.
-
-    Raises
-    ------
-    PipelineError
-        If the folder can't be written to or the disk is full.
-    """
-    return list(_written(reconstruction, folder, exports, preset, frame_rate_hz))
-
-
-def _written(
-    reconstruction: Reconstruction,
-    folder: Path,
-    exports: Collection[Export],
-    preset: Preset,
-    frame_rate_hz: float | None,
-) -> Iterator[Path]:
-    """Write the result files; yields each as soon as it is there."""
-    try:
-        yield from results.write_results(reconstruction, folder, exports, preset, frame_rate_hz)
-    except OSError as error:
-        raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
 
 
 def _what_is_left(paths: Sequence[Path], folder: Path) -> str:
@@ -237,37 +202,33 @@ def command(
             if frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
                 message = "A frame rate belongs to keypoints and to images; videos have their own times."
                 raise InputError([Problem("sources", message, hint="Omit --frame-rate.")])
-        check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
         for warning in session.warnings:
             warn(warning)
         sources = (calibration, *([] if timestamps is None else [timestamps]))
-        wanted = FilesWanted(out, out.resolve().name or "take", sources, paths)
         kept = None if no_cache else cache or _users_cache()
-        reconstruction = reconstruct(session, config, bars.update, kept, wanted)
-        paths.extend(_written(reconstruction, out, choices.exports, choices.bvh, choices.output_rate_hz))
-    metrics = json.loads((out / "metrics.json").read_bytes())
+        written = reconstruct_to_files(session, out, config, bars.update, kept, sources=sources, on_file=paths.append)
+    metrics, warnings = written.metrics, method_warnings(config, keypoints is None)
     if as_json:
         emit(
             {
                 "tracks": [
-                    {"id": track.track_id, "start_frame": track.start_frame, "num_frames": track.num_frames}
-                    for track in reconstruction.tracks
+                    {name: person[name] for name in ("id", "start_frame", "num_frames")} for person in metrics["people"]
                 ],
                 "metrics": metrics,
                 "calibration": metrics["calibration"],
                 "sync": metrics["sync"],
-                "files": [str(path) for path in paths],
+                "files": [str(path) for path in written.paths],
                 "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
                 "reused": bars.reused,
-                "warnings": list(reconstruction.warnings),
+                "warnings": [*session.warnings, *warnings],
             }
         )
         return
     print_summary(metrics)
-    for warning in method_warnings(config, keypoints is None):
+    for warning in warnings:
         warn(warning)
     if bars.reused:
         parts = (f"{STAGE_BY_NAME[name].label} ({units})" for name, units in bars.reused.items())
         typer.echo(f"Reused from an earlier run: {', '.join(parts)}; --no-cache computes all anew.")
-    for path in paths:
+    for path in written.paths:
         typer.echo(f"  {path}")

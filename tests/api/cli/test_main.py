@@ -16,12 +16,13 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.commands import keys
-from api.cli.commands.reconstruct import print_summary, write_results
+from api.cli.commands.reconstruct import print_summary
 from api.cli.console import print_table
 from api.cli.main import COMMANDS, app
 from pipeline.data import Animation, Reconstruction, Timebase
 from pipeline.detect import models
 from pipeline.errors import PipelineError
+from pipeline.export.results import write_results
 from pipeline.joints import COCO_17
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.capture.test_session import calibration

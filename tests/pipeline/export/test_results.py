@@ -11,7 +11,7 @@ import pytest
 from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
 from pipeline.data import Reconstruction, Timebase, Track3D
 from pipeline.errors import InputError
-from pipeline.export.results import write_results
+from pipeline.export.results import write_files, write_results
 from pipeline.export.writers import csv_table
 from pipeline.joints import COCO_17
 from pipeline.skeleton.animate import animate
@@ -41,8 +41,8 @@ def without(joints: list[int], num_frames: int = 30) -> np.ndarray:
 def test_every_file_reports_progress(tmp_path: Path) -> None:
     shares: list[float] = []
     people = (track_of(walker(30)), replace(track_of(walker(30)), track_id=2))
-    paths = write_results(take(*people), tmp_path, EXPORTS, on_share=shares.append)
-    done = [(shares or [0.0])[-1] for _ in paths]
+    done: list[float] = []
+    write_files(take(*people), tmp_path, EXPORTS, on_share=shares.append, on_file=lambda _: done.append(shares[-1]))
     assert shares == sorted(shares)
     assert len(set(done)) == len(done) == 2 + 2 * len(EXPORTS)
     assert done[-1] == 1.0
@@ -61,7 +61,7 @@ def test_every_file_reports_progress(tmp_path: Path) -> None:
     ],
 )
 def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path: Path) -> None:
-    paths = list(write_results(take(track_of(xyz_m), rate_hz=rate_hz), tmp_path, EXPORTS))
+    paths = write_results(take(track_of(xyz_m), rate_hz=rate_hz), tmp_path, EXPORTS)
     assert {path.name for path in paths} == {
         "skeletons.json",
         "metrics.json",
@@ -83,7 +83,7 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
 
 
 def test_nobody(tmp_path: Path) -> None:
-    paths = list(write_results(take(), tmp_path, EXPORTS))
+    paths = write_results(take(), tmp_path, EXPORTS)
     assert [path.name for path in paths] == ["skeletons.json", "metrics.json"]
     check = json.loads(paths[-1].read_bytes())["exports"]
     assert check == {export: {"max_distance_mm": None} for export in ("skeletons", *EXPORTS)}
@@ -92,17 +92,17 @@ def test_nobody(tmp_path: Path) -> None:
 def test_a_take_too_long_for_c3d_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     long = take(num_frames=65536)
     with pytest.raises(InputError) as refused:
-        list(write_results(long, tmp_path / "out", ("csv", "c3d")))
+        write_results(long, tmp_path / "out", ("csv", "c3d"))
     (problem,) = refused.value.problems
     assert (problem.code, problem.field) == ("too_long_for_c3d", "exports")
     assert not (tmp_path / "out").exists()
-    assert list(write_results(long, tmp_path / "out", CSV))
+    assert write_results(long, tmp_path / "out", CSV)
 
 
 def test_too_many_frames_at_another_rate_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     long = take(num_frames=200_000)
     with pytest.raises(InputError) as refused:
-        list(write_results(long, tmp_path / "out", EXPORTS, frame_rate_hz=240.0))
+        write_results(long, tmp_path / "out", EXPORTS, frame_rate_hz=240.0)
     assert [(problem.code, problem.field) for problem in refused.value.problems] == [
         ("too_many_frames", "output_rate_hz"),
         ("too_long_for_c3d", "exports"),
@@ -130,7 +130,7 @@ def test_a_file_that_does_not_hold_what_was_written_is_no_result(
 
     monkeypatch.setattr(csv_table, "encode", spoilt)
     with pytest.raises(OSError, match=r"person-1\.csv"):
-        list(write_results(take(track_of(without([9]))), tmp_path, CSV))
+        write_files(take(track_of(without([9]))), tmp_path, CSV)
     assert not list(tmp_path.iterdir())
 
 

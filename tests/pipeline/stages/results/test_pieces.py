@@ -13,7 +13,7 @@ from pipeline.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
 from pipeline.export.person_files import PersonOfTake, people_of
-from pipeline.export.results import keep_people, write_results
+from pipeline.export.results import keep_people, write_files
 from pipeline.export.writers import bvh
 from pipeline.progress import ignore
 from pipeline.simulation.scenes import find_scene, record
@@ -65,7 +65,7 @@ def fail(*_: object) -> NoReturn:
 def files(
     take: Reconstruction, folder: Path, pieces: Pieces, frame_rate_hz: float | None = None
 ) -> Mapping[str, bytes]:
-    paths = list(write_results(take, folder, FORMATS, "default", frame_rate_hz, kept=FilesInPieces(pieces, folder)))
+    paths = write_files(take, folder, FORMATS, "default", frame_rate_hz, kept=FilesInPieces(pieces, folder)).paths
     return {path.name: path.read_bytes() for path in paths}
 
 

@@ -1,6 +1,7 @@
 """The report of a run: what it states about choices and files, and that it is the same each time."""
 
 import hashlib
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.edits import Rename
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import FilesWanted, reconstruct
+from pipeline.stages.local import reconstruct, reconstruct_to_files
 from pipeline.stages.results.report import settings_of
 from tests.pipeline.simulations import write_simulation
 
@@ -39,11 +40,14 @@ def test_the_same_take_gives_the_same_report_with_the_digests_of_its_files(tmp_p
     session = open_keypoints(tmp_path / "keypoints", calibration, tmp_path / "timestamps.csv")
     texts = []
     for number in range(2):
-        files = FilesWanted(tmp_path / str(number), "take", (calibration,))
         # The second run finds all other outputs.
-        reconstruct(session, ReconstructionConfig(report=True), cache=tmp_path / "cache", files=files)
-        assert files.made == [tmp_path / str(number) / "report.html"]
-        texts.append(files.made[0].read_text(encoding="utf-8"))
+        config, cache = ReconstructionConfig(report=True, exports=("csv",)), tmp_path / "cache"
+        folder = tmp_path / str(number)
+        written = reconstruct_to_files(session, folder, config, cache=cache, name="take", sources=[calibration])
+        assert written.paths[0] == folder / "report.html"
+        assert sorted(folder.iterdir()) == sorted(written.paths)
+        assert json.loads((folder / "metrics.json").read_bytes()) == written.metrics
+        texts.append(written.paths[0].read_text(encoding="utf-8"))
     assert texts[0] == texts[1]
     assert hashlib.sha256(calibration.read_bytes()).hexdigest() in texts[0]
     assert texts[0].count("data:image/jpeg;base64,") >= len(session.cameras)
@@ -53,9 +57,12 @@ def test_the_same_take_gives_the_same_report_with_the_digests_of_its_files(tmp_p
 def test_nothing_is_made_that_is_not_asked_for(tmp_path: Path, is_wanted: bool) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=0.5), seed=6), tmp_path)
     session = open_keypoints(tmp_path / "keypoints", tmp_path / "calibration.json", tmp_path / "timestamps.csv")
-    files = FilesWanted(tmp_path / "out", "take")
     # Keypoints have no videos to draw over; without a folder nothing can be made.
     config = ReconstructionConfig(report=not is_wanted, overlay=True)
-    found = reconstruct(session, config, files=files if is_wanted else None)
-    assert files.made == []
+    if is_wanted:
+        names = [path.name for path in reconstruct_to_files(session, tmp_path / "out", config).paths]
+        assert names == ["person-1.bvh", "person-2.bvh", "skeletons.json", "metrics.json"]
+        return
+    found = reconstruct(session, config)
+    assert not (tmp_path / "out").exists()
     assert any("Overlay videos" in warning for warning in found.warnings)
