@@ -61,7 +61,7 @@ def test_nothing_is_made_that_is_not_asked_for(tmp_path: Path, is_wanted: bool) 
     config = ReconstructionConfig(report=not is_wanted, overlay=True)
     if is_wanted:
         names = [path.name for path in reconstruct_to_files(session, tmp_path / "out", config).paths]
-        assert names == ["person-1.bvh", "person-2.bvh", "skeletons.json", "metrics.json"]
+        assert [name for name in names if not name.startswith("person-")] == ["skeletons.json", "metrics.json"]
         return
     found = reconstruct(session, config)
     assert not (tmp_path / "out").exists()
