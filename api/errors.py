@@ -11,8 +11,6 @@ from typing import Any
 import structlog
 from fastapi import FastAPI
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy.exc import OperationalError
-from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
@@ -20,7 +18,7 @@ from starlette.routing import Match
 
 from api.contract.problem_codes import FIELDS, STATUSES
 from worker.jobs.errors import (
-    ArtifactsUnavailable,
+    ArtifactsRefused,
     DamagedArtifact,
     DamagedDatabase,
     JobStoreError,
@@ -32,10 +30,16 @@ from worker.jobs.errors import (
     QuotaExceeded,
 )
 from worker.jobs.files.disk import is_disk_full
+from worker.jobs.outages import Outage, outage_of
 
 _log = structlog.get_logger(__name__)
 
 _RETRY_AFTER_S = 5
+_OUTAGES: Mapping[Outage, str] = {
+    Outage.DATABASE: "The database does not respond.",
+    Outage.ARTIFACTS: "The artifact store does not respond.",
+    Outage.BROKER: "The broker does not respond.",
+}
 # Wait for a tenant at its quota of unfinished jobs, until one of them has probably ended.
 _QUOTA_RETRY_AFTER_S = 30
 # As many as a check of files reports, and some of the request itself.
@@ -332,9 +336,10 @@ def _from_failure(error: Exception) -> ApiError:
             return ApiError("client_disconnected", "The client closed the connection.", retryable=True)
         case _ if is_disk_full(error):
             return _storage_full()
-        case OperationalError() | PoolTimeoutError():
-            return service_unavailable("database_unavailable", "The database does not respond.")
-        case ArtifactsUnavailable():
-            return service_unavailable("artifacts_unavailable", "The artifact store does not respond.")
+        case _ if (outage := outage_of(error)) is not None:
+            return service_unavailable(outage, _OUTAGES[outage], hint="Send the request again after Retry-After.")
+        case ArtifactsRefused():
+            hint = "The operator checks MULTICAP_ARTIFACTS_URL, its bucket and its keys."
+            return service_unavailable("artifacts_refused", "The artifact store refuses the service.", hint=hint)
         case _:
             return ApiError("internal_error", "The service failed; the log says why.", retryable=True)

@@ -21,6 +21,7 @@ _TOTALS = {
     Total.CHUNKS_DONE: ("stage", "Chunks that a worker finished."),
     Total.CHUNKS_REUSED: ("stage", "Chunks whose output existed already."),
     Total.CHUNKS_RETRIED: ("stage", "Chunks that were tried again."),
+    Total.CHUNKS_GIVEN_BACK: ("stage", "Chunks that were given back because of an outage."),
     Total.CHUNK_SECONDS: ("stage", "Seconds from the first attempt to the end of finished chunks."),
     Total.CHUNK_UNITS: ("stage", "Units of work (a camera's frames in the stage detect) of finished chunks."),
     Total.JOBS_ENDED: ("state", "Jobs that ended."),

@@ -10,6 +10,7 @@ import structlog
 from worker.chunk import StoppedError
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.model import Claim
+from worker.jobs.outages import outage_of
 from worker.jobs.store import JobStore
 
 log = structlog.get_logger()
@@ -22,6 +23,9 @@ _LOOK_S = 0.25
 
 class Lease:
     """Lease of a claimed chunk, renewed by a thread of its own.
+
+    While the database does not respond, the work goes on: it is not known to be lost. If another worker gets the chunk
+    meanwhile, the lease's token is old, and what the work reports changes nothing.
 
     Parameters
     ----------
@@ -50,7 +54,13 @@ class Lease:
         self._stopping, self._on_stuck = stopping, on_stuck
         self._done_units = 0
         self._lost = False
+        self._was_cut_off = False
         self._ended = threading.Event()
+
+    @property
+    def was_cut_off(self) -> bool:
+        """Whether a heartbeat failed because the database did not respond."""
+        return self._was_cut_off
 
     def on_unit(self) -> None:
         """Count a unit of work; raise ``StoppedError`` if the work must stop."""
@@ -77,7 +87,7 @@ class Lease:
             thread.join()
 
     def _beat_until_ended(self) -> None:
-        renewed_s = beat_s = time.monotonic()
+        beat_s = time.monotonic()
         while not self._ended.wait(_LOOK_S):
             if self._must_stop():
                 break
@@ -87,13 +97,14 @@ class Lease:
             beat_s = now_s
             try:
                 self._lost |= not self._beat()
-                renewed_s = now_s
             except DamagedDatabase:
                 self._lost = True
-            except Exception:
-                # The database may be unreachable for a moment; if that lasts, the lease runs out.
-                log.exception("heartbeat_failed", chunk=self._claim.chunk_id)
-                self._lost |= now_s - renewed_s > self._lease_s
+            except Exception as error:
+                if outage_of(error) is None:
+                    log.exception("heartbeat_failed", chunk=self._claim.chunk_id)
+                elif not self._was_cut_off:  # logged once
+                    log.warning("heartbeat_failed", chunk=self._claim.chunk_id, reason=type(error).__name__)
+                self._was_cut_off = True
         if not self._ended.wait(STOP_GRACE_S):
             self._on_stuck()
 

@@ -1,8 +1,23 @@
 """Problems of jobs made from exceptions: sentences for the client, and whether another attempt may succeed."""
 
 from pipeline.errors import ChildError, InputError, ModelError, PipelineError
+from worker.jobs.errors import ArtifactsRefused
 from worker.jobs.files.disk import is_disk_full
 from worker.jobs.model import Problem
+from worker.jobs.outages import Outage
+
+_NAMES = {Outage.DATABASE: "database", Outage.ARTIFACTS: "artifact store", Outage.BROKER: "broker"}
+
+
+def waiting_for(outage: Outage, stage: str | None = None) -> Problem:
+    """Build what a job waits for during an outage."""
+    return Problem(
+        outage,
+        f"The {_NAMES[outage]} does not respond; the job waits for it.",
+        stage=stage,
+        hint="Nothing has to be done: the job continues by itself, and no attempt is lost.",
+        retryable=True,
+    )
 
 
 def problem_of(error: Exception, stage: str) -> Problem:
@@ -24,6 +39,14 @@ def problem_of(error: Exception, stage: str) -> Problem:
                 f"The stage {stage} needs more memory than the service allows a worker.",
                 stage=stage,
                 hint="Use fewer frames of the session, or ask the operator to raise MULTICAP_MEMORY_BYTES.",
+            )
+        case ArtifactsRefused():
+            return Problem(
+                "artifacts_refused",
+                f"The artifact store refused the service at the stage {stage}.",
+                stage=stage,
+                hint="The operator checks MULTICAP_ARTIFACTS_URL, its bucket and its keys; then retry the job.",
+                retryable=True,
             )
         case _ if is_disk_full(error):
             return Problem(

@@ -7,6 +7,7 @@ videos and reports of jobs whose edits rest.
 """
 
 import contextlib
+import math
 import os
 import signal
 import sys
@@ -23,9 +24,11 @@ from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.files.removals import remove_files
+from worker.jobs.outages import Outage, outage_of
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 from worker.planning import plan_job, plan_visuals
+from worker.problems import waiting_for
 from worker.process.descriptors import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
 from worker.telemetry.logs import configure_logs
@@ -34,69 +37,110 @@ from worker.webhooks.sender import Sender, deliver_forever
 log = structlog.get_logger()
 
 
-def reap(
-    store: JobStore,
-    artifacts: ArtifactStore,
-    disk: DiskSpace,
-    publish: Callable[[], object],
-    lease_s: float,
-    chunk_frames: int = DEFAULT_CHUNK_FRAMES,
-    visuals_rest_s: float = 0.0,
-) -> None:
-    """Run all steps once. A step that fails, for example because the database does not respond, is logged.
+class Reaper:
+    """Steps that repair and remove.
 
     Parameters
     ----------
+    store, artifacts, disk
+        Where the work is, its files, and the disk that they share with the database.
+    publish
+        Wakes a worker; ``False`` if the broker does not respond.
+    lease_s
+        See ``WorkerSettings``.
+    chunk_frames
+        Output frames of a chunk of a job that is planned again.
     visuals_rest_s
         Time after the last edit of a job's people at which its overlay videos and its report are made anew; 0: never.
-
-    Raises
-    ------
-    DamagedDatabase
-        If SQLite can't read its file.
     """
 
-    def free_leases() -> None:
-        if store.leases.reap(lease_s):
-            publish()
+    def __init__(
+        self,
+        store: JobStore,
+        artifacts: ArtifactStore,
+        disk: DiskSpace,
+        publish: Callable[[], bool],
+        lease_s: float,
+        chunk_frames: int = DEFAULT_CHUNK_FRAMES,
+        visuals_rest_s: float = 0.0,
+    ) -> None:
+        self._store, self._artifacts, self._disk, self._publish = store, artifacts, disk, publish
+        self._lease_s, self._chunk_frames, self._visuals_rest_s = lease_s, chunk_frames, visuals_rest_s
+        # After an outage of the database, workers have the time of a lease to renew theirs.
+        self._leases_kept_until_s = -math.inf
+        self._is_database_away = False
+        self._is_broker_away = True  # a reaper before this one may have let jobs wait
 
-    def plan_again() -> None:
-        for job_id in store.plans.unclaimable():
-            if not store.plans.is_run(stage_codes().values()):
+    def reap(self) -> None:
+        """Run all steps once. A step that fails, for example because the database does not respond, is logged.
+
+        Raises
+        ------
+        DamagedDatabase
+            If SQLite can't read its file.
+        """
+        # Each step runs even if another fails: on a full disk the last step makes space for the others.
+        for step in (self._free_leases, self._plan_again, self._queue_visuals, self._expire, self._remove):
+            try:
+                step()
+            except DamagedDatabase:
+                raise
+            except Exception as error:
+                if outage_of(error) is Outage.DATABASE:
+                    if not self._is_database_away:  # logged once
+                        log.warning("reap_failed", step=step.__name__, reason=type(error).__name__)
+                    self._is_database_away = True
+                    return
+                log.exception("reap_failed", step=step.__name__)
+
+    def _free_leases(self) -> None:
+        takes = not self._is_database_away and time.monotonic() >= self._leases_kept_until_s
+        is_ready = self._store.leases.reap(self._lease_s, takes)
+        if self._is_database_away:  # until now
+            self._is_database_away = False
+            self._leases_kept_until_s = time.monotonic() + self._lease_s
+        if is_ready:
+            self._wake()
+
+    def _wake(self) -> None:
+        """Wake a worker; jobs with ready chunks wait for the broker while it does not respond."""
+        if not self._publish():
+            self._is_broker_away = True
+            self._store.waits.begin_broker_outage(waiting_for(Outage.BROKER))
+        elif self._is_broker_away:
+            self._store.waits.end_broker_outage()
+            self._is_broker_away = False
+
+    def _plan_again(self) -> None:
+        for job_id in self._store.plans.unclaimable():
+            if not self._store.plans.is_run(stage_codes().values()):
                 return  # workers of this version may start later
-            job = store.jobs.get(job_id)
-            session = store.sessions.get(job.session_id)
+            job = self._store.jobs.get(job_id)
+            session = self._store.sessions.get(job.session_id)
             stages = plan_job(
-                session, job.spec, chunk_frames, making=job.making, edits=job.edits, revision=job.revision
+                session, job.spec, self._chunk_frames, making=job.making, edits=job.edits, revision=job.revision
             )
-            if store.plans.replace(job_id, stages):
+            if self._store.plans.replace(job_id, stages):
                 log.info("job_planned_again", job=job_id)
-                publish()
+                self._publish()
 
-    def queue_visuals() -> None:
-        for job_id in store.visuals.due(visuals_rest_s) if visuals_rest_s > 0 and disk.has_room() else ():
-            job = store.jobs.get(job_id)
-            stages = plan_visuals(store.sessions.get(job.session_id), job, chunk_frames)
+    def _queue_visuals(self) -> None:
+        if self._visuals_rest_s <= 0 or not self._disk.has_room():
+            return
+        for job_id in self._store.visuals.due(self._visuals_rest_s):
+            job = self._store.jobs.get(job_id)
+            stages = plan_visuals(self._store.sessions.get(job.session_id), job, self._chunk_frames)
             with contextlib.suppress(Conflict, NotFound):  # it was edited or deleted since
-                store.visuals.add(job_id, stages, job.revision)
+                self._store.visuals.add(job_id, stages, job.revision)
                 log.info("visuals_queued", job=job_id)
-                publish()
+                self._publish()
 
-    def expire() -> None:
-        for job_id in disk.using_reserve(store.removals.expire_jobs):
+    def _expire(self) -> None:
+        for job_id in self._disk.using_reserve(self._store.removals.expire_jobs):
             log.info("job_expired", job=job_id)
 
-    def remove() -> None:
-        disk.using_reserve(lambda: remove_files(store.removals, artifacts))
-
-    # Each step runs even if another fails: on a full disk the last step makes space for the others.
-    for step in (free_leases, plan_again, queue_visuals, expire, remove):
-        try:
-            step()
-        except DamagedDatabase:
-            raise
-        except Exception:
-            log.exception("reap_failed", step=step.__name__)
+    def _remove(self) -> None:
+        self._disk.using_reserve(lambda: remove_files(self._store.removals, self._artifacts))
 
 
 def main() -> None:
@@ -112,12 +156,13 @@ def main() -> None:
     # A thread of its own, because receivers of webhooks may be slow.
     threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    reaper = Reaper(
+        store, artifacts, disk, queue.publish, settings.lease_s, settings.chunk_frames, settings.visuals_rest_s
+    )
     exit_code = 0
     try:
         while True:
-            reap(
-                store, artifacts, disk, queue.publish, settings.lease_s, settings.chunk_frames, settings.visuals_rest_s
-            )
+            reaper.reap()
             time.sleep(settings.reap_interval_s)
     except KeyboardInterrupt:
         pass

@@ -14,22 +14,31 @@ from pipeline.stages.code import stage_codes
 from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.plan import STAGE_BY_NAME, followers
 from worker.chunk import DamagedOutputsError, StoppedError, Work
-from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
+from worker.jobs.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.jobs.files.interim import read_interim, write_interim
 from worker.jobs.model import Claim, KeptPiece, MadeCalibration, Result
+from worker.jobs.outages import Outage, Pauses, outage_of
 from worker.jobs.store import JobStore
 from worker.lease import Lease
-from worker.problems import problem_of
+from worker.problems import problem_of, waiting_for
 from worker.process.presence import process_name
 from worker.process.scratch import scratch_folder
 from worker.telemetry import tracing
 
 log = structlog.get_logger()
 
+# Pauses during an outage: before the next chunk, and before the next report of a chunk, which is lost with its lease.
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S, _LONGEST_REPORT_PAUSE_S = 0.5, 30.0, 5.0
+# Time between two looks whether the worker shuts down.
+_LOOK_S = 0.1
+
 
 class Runner:
     """Works on whatever is ready.
+
+    A chunk that meets an outage of the artifact store or the database is given back, and costs no try. The runner then
+    waits, with growing pauses, until the part responds.
 
     Parameters
     ----------
@@ -66,24 +75,29 @@ class Runner:
         self._stopping, self._on_stuck, self._has_room = stopping, on_stuck, has_room
         self._name = process_name()
         self._codes = frozenset(stage_codes().values())
+        self._pauses = Pauses(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
+        self._outage: Outage | None = None
 
     def work(self, claim_for_s: float) -> int:
         """Run ready chunks until there are none, or for about ``claim_for_s`` seconds; returns how many were run.
 
         One message may stand for many chunks: a worker that finds work wakes the next one before it begins.
         """
-        if not self._knows_schema():
-            return 0
         deadline_s = time.monotonic() + claim_for_s
         num_run = 0
         while not self._stopping():
             if time.monotonic() > deadline_s:
                 self._publish()
                 break
-            if not self._has_room():
-                log.warning("disk_full")  # the reaper wakes a worker as long as there is work
-                break
-            claim = self._store.leases.claim(self._name, self._lease_s, self._codes)
+            if self._outage is not None:
+                self._pause(self._pauses, self._outage)
+            try:
+                claim = self._next_claim(is_first=num_run == 0)
+            except Exception as error:
+                self._outage = outage_of(error)
+                if self._outage is None:
+                    raise
+                continue
             if claim is None:
                 break
             if num_run == 0:
@@ -91,6 +105,25 @@ class Runner:
             self._run(claim)
             num_run += 1
         return num_run
+
+    def _next_claim(self, is_first: bool) -> Claim | None:
+        """Claim a chunk; ``None`` if this worker can do nothing now."""
+        if is_first and not self._knows_schema():
+            return None
+        if not self._has_room():
+            log.warning("disk_full")  # the reaper wakes a worker as long as there is work
+            return None
+        if self._outage is Outage.ARTIFACTS and not self._artifacts.ping():
+            raise ArtifactsUnavailable
+        return self._store.leases.claim(self._name, self._lease_s, self._codes)
+
+    def _pause(self, pauses: Pauses, outage: Outage) -> None:
+        """Wait during an outage, or until the worker shuts down."""
+        pause_s = pauses.next_s()
+        log.warning("waiting", outage=outage, seconds=round(pause_s, 1))
+        end_s = time.monotonic() + pause_s
+        while not self._stopping() and (left_s := end_s - time.monotonic()) > 0.0:
+            time.sleep(min(_LOOK_S, left_s))
 
     def _knows_schema(self) -> bool:
         """Whether no newer version has upgraded the database while this one ran: its work is not ours."""
@@ -106,26 +139,58 @@ class Runner:
             structlog.contextvars.bound_contextvars(job=claim.job_id, stage=claim.stage, chunk=claim.index),
             tracing.chunk_span(claim) as span,
         ):
+            lease = self._lease(claim)
             try:
-                lease = self._lease(claim)
                 with lease.held():
-                    more = self._finish(claim, lease)
+                    record = self._finish(claim, lease)
+                self._outage = None
+                self._pauses.reset()
             except StoppedError:
                 log.info("chunk_stopped")
                 span.set_attribute("multicap.stopped", True)
-                more = self._store.leases.release(claim.chunk_id, claim.lease_token)
+                record = partial(self._store.leases.release, *_held(claim))
             except DamagedOutputsError as error:
                 log.warning("outputs_damaged", stage=error.stage, chunks=sorted(error.chunks))
-                more = self._store.leases.compute_again(claim.chunk_id, claim.lease_token, error.stage, error.chunks)
+                record = partial(self._store.leases.compute_again, *_held(claim), error.stage, error.chunks)
             except DamagedDatabase:
                 raise
             except Exception as error:
-                log.exception("chunk_failed", attempt=claim.attempt)
                 span.record_exception(error)
                 span.set_status(StatusCode.ERROR)
-                more = self._store.leases.fail(claim.chunk_id, claim.lease_token, problem_of(error, claim.stage))
-            if more:
+                record = self._failure(claim, error)
+            if self._report(claim, lease, record):
                 self._publish()
+
+    def _failure(self, claim: Claim, error: Exception) -> Callable[[], bool]:
+        """Report of a chunk that failed, or that met an outage."""
+        self._outage = outage_of(error)
+        if self._outage is None:
+            log.error("chunk_failed", attempt=claim.attempt, exc_info=error)
+            return partial(self._store.leases.fail, *_held(claim), problem_of(error, claim.stage))
+        log.warning("chunk_given_back", outage=self._outage, exc_info=error)
+        return partial(self._store.leases.give_back, *_held(claim), waiting_for(self._outage, claim.stage))
+
+    def _report(self, claim: Claim, lease: Lease, record: Callable[[], bool]) -> bool:
+        """Record what came of a chunk, as soon as the database responds; return whether more work became ready.
+
+        A chunk that was taken back because its worker was cut off, but not lost, gets its try back.
+        """
+        pauses = Pauses(_FIRST_PAUSE_S, _LONGEST_REPORT_PAUSE_S)
+        was_cut_off = lease.was_cut_off
+        while True:
+            try:
+                more = record()
+                if was_cut_off:
+                    self._store.waits.excuse(claim)
+            except Exception as error:
+                if outage_of(error) is not Outage.DATABASE:
+                    raise
+                was_cut_off = True
+                if self._stopping():
+                    return False  # the lease runs out
+                self._pause(pauses, Outage.DATABASE)
+            else:
+                return more
 
     def _lease(self, claim: Claim) -> Lease:
         def on_stuck() -> None:
@@ -137,13 +202,13 @@ class Runner:
 
         return Lease(self._store, claim, self._lease_s, self._heartbeat_s, self._stopping, on_stuck)
 
-    def _finish(self, claim: Claim, lease: Lease) -> bool:
-        """Run a chunk, or find its output, and record it; returns whether more work became ready."""
+    def _finish(self, claim: Claim, lease: Lease) -> Callable[[], bool]:
+        """Run a chunk, or find its output; return the report of it, which says whether more work became ready."""
         found = self._reusable(claim)
         if found is not None and not self._lacks_interim(claim):
             log.info("chunk_reused")
             trace.get_current_span().set_attribute("multicap.reused", True)
-            return self._store.leases.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
+            return partial(self._store.leases.finish, *_held(claim), *found, reused=True)
         stored = None if found is None else self._stored(claim, found[0])
         started_s = time.monotonic()
         with scratch_folder() as scratch:
@@ -169,9 +234,9 @@ class Runner:
         if stored is None:
             self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
-        return self._store.leases.finish(
-            claim.chunk_id,
-            claim.lease_token,
+        return partial(
+            self._store.leases.finish,
+            *_held(claim),
             _sha256(output.content),
             len(output.content),
             results=results,
@@ -267,6 +332,10 @@ class Runner:
             sha256=sha256,
             revision=claim.revision,
         )
+
+
+def _held(claim: Claim) -> tuple[int, str]:
+    return claim.chunk_id, claim.lease_token
 
 
 def _sha256(content: bytes) -> str:

@@ -213,6 +213,7 @@ _JOB: dict[str, Any] = {
     "finished_at": None,
     "expires_at": None,
     "error": None,
+    "waiting_for": None,
     "warnings": [],
     "result_warnings": [],
     "links": {

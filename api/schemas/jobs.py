@@ -186,6 +186,10 @@ class JobOut(ResponseModel):
         description="Time at which results are deleted; null if they are kept until the job is deleted."
     )
     error: JobError | None = Field(description="Error that ended the job; null if it did not fail.")
+    waiting_for: JobError | None = Field(
+        description="Outage that the job waits for, such as `artifacts_unavailable`: a part of the service does not "
+        "respond. The job continues by itself, and no attempt is lost. Null if nothing keeps it waiting."
+    )
     warnings: tuple[str, ...] = Field(
         description="Warnings about the files, the choices and, once finished, the result."
     )
@@ -202,13 +206,17 @@ class JobOut(ResponseModel):
             **fields_of(
                 job,
                 cls,
-                without=("kind", "calibration_id", "stages", "error", "result_warnings", "visuals_job", "links"),
+                without=(
+                    *("kind", "calibration_id", "stages", "error", "waiting_for"),
+                    *("result_warnings", "visuals_job", "links"),
+                ),
             ),
             kind=kind_of(job.making),
             calibration_id=job.id if kind_of(job.making) == "calibration" else None,
             stages=tuple(StageOut.of(stage) for stage in job.stages),
             error=JobError.of(job.problem) if job.problem else None,
             visuals_job=None if job.visuals_job is None else VisualsJobOut(**fields_of(job.visuals_job, VisualsJobOut)),
+            waiting_for=JobError.of(job.waiting_for) if job.waiting_for else None,
             result_warnings=tuple(WarningOut(**fields_of(warning, WarningOut)) for warning in job.result_warnings),
             links=JobLinks(
                 self=address,

@@ -15,7 +15,7 @@ from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import JobState
 from worker.jobs.store import JobStore
-from worker.reaper import reap
+from worker.reaper import Reaper
 
 LEASE_S = 20.0
 
@@ -26,19 +26,20 @@ class Publisher:
     def __init__(self) -> None:
         self.count = 0
 
-    def __call__(self) -> None:
+    def __call__(self) -> bool:
         self.count += 1
+        return True
 
 
 def test_messages_are_published_for_ready_work_only(bench: Bench) -> None:
     publish = Publisher()
-    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
+    Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S).reap()
     assert publish.count == 0
     bench.create_job()
-    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
+    Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S).reap()
     assert publish.count == 1
     bench.runner().work(60.0)
-    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
+    Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S).reap()
     assert publish.count == 1
 
 
@@ -47,7 +48,7 @@ def test_leases_of_silent_workers_are_freed(bench: Bench) -> None:
     assert bench.store.leases.claim("gone", 0.05)
     publish = Publisher()
     time.sleep(0.1)
-    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
+    Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S).reap()
     assert publish.count == 1
     bench.runner().work(60.0)
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
@@ -55,7 +56,7 @@ def test_leases_of_silent_workers_are_freed(bench: Bench) -> None:
 
 def test_the_reaper_survives_an_unreachable_database(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     store = JobStore("sqlite:////nonexistent/folder/multicap.db")
-    reap(store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
+    Reaper(store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S).reap()
     store.close()
     assert "reap_failed" in "".join(capfd.readouterr())
 
@@ -64,7 +65,7 @@ def test_expired_results_are_removed(bench: Bench, capfd: pytest.CaptureFixture[
     kept, short = bench.create_job(), bench.create_job(retention_s=0.05)
     bench.runner().work(60.0)
     time.sleep(0.1)
-    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
+    Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S).reap()
     assert bench.store.jobs.get(short.id).state is JobState.EXPIRED
     assert not bench.artifacts.exists(result_key(short.id, "person-1.bvh"))
     assert bench.store.jobs.get(kept.id).state is JobState.SUCCEEDED
@@ -81,7 +82,7 @@ def test_files_of_interrupted_deletions_are_removed(bench: Bench) -> None:
     ]
     assert all(bench.artifacts.exists(key) for key in files)
     bench.store.sessions.delete(bench.session.id)
-    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
+    Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S).reap()
     assert not any(bench.artifacts.exists(key) for key in files)
     assert bench.store.removals.due() == []
 

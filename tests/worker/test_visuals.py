@@ -15,7 +15,7 @@ from worker.jobs.files.removals import remove_files
 from worker.jobs.model import Job, JobState
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job, plan_visuals
-from worker.reaper import reap
+from worker.reaper import Reaper
 
 ANNA, EVE = Rename(person=1, name="Anna"), Rename(person=1, name="Eve")
 SPEC = JobSpec(overlay=True, report=True)
@@ -207,7 +207,7 @@ def test_they_are_refused_without_need(bench: Bench, done: Job) -> None:
 def test_the_reaper_queues_them_when_edits_rest(bench: Bench, done: Job) -> None:
     def reaped(rest_s: float) -> list[Job]:
         disk = DiskSpace(bench.data_dir, 0)
-        reap(bench.store, bench.artifacts, disk, lambda: None, 20.0, CHUNK_FRAMES, rest_s)
+        Reaper(bench.store, bench.artifacts, disk, lambda: True, 20.0, CHUNK_FRAMES, rest_s).reap()
         return bench.store.jobs.page(kind="visuals")
 
     assert reaped(1e-9) == []  # nothing was edited

@@ -14,7 +14,8 @@
     ├── DamagedDatabase      the database's file can't be read (a SQLAlchemyError too)
     └── DamagedArtifact      a stored file does not have its SHA-256
     OSError
-    └── ArtifactsUnavailable the artifact store does not answer, or refuses its keys
+    ├── ArtifactsUnavailable the artifact store does not respond: an outage (``worker.jobs.outages``)
+    └── ArtifactsRefused     the artifact store refuses its keys, or has no such bucket
 """
 
 import shlex
@@ -118,7 +119,11 @@ class DamagedArtifact(JobStoreError):  # noqa: N818
 
 
 class ArtifactsUnavailable(OSError):  # noqa: N818
-    """The artifact store does not answer, or refuses its keys."""
+    """The artifact store does not respond, is overloaded, or broke off."""
+
+
+class ArtifactsRefused(OSError):  # noqa: N818
+    """The artifact store responds, and refuses: the keys are wrong, or the bucket is missing."""
 
 
 class QuotaExceeded(JobStoreError):  # noqa: N818

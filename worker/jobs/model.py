@@ -343,13 +343,13 @@ class Job:
     """A reconstruction of a session, the making of a calibration from it, of proxies of its videos, or of visuals.
 
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
-    units took as long as the finished ones; ``None`` before any is finished. ``warnings`` are sentences, and include
-    those of ``result_warnings``. ``making`` has the choices of what it makes; without it, the job reconstructs.
-    ``edits`` are the edits of its people, ``revision`` the number of times that they were changed, and ``people`` those
-    whom the reconstruction found, before any edit; ``None`` until its first results are written. ``results_revision``
-    is the revision whose files can be read, while those of a newer one are made; ``None`` before the first success.
-    ``has_old_visuals``: overlay videos or the report are of an earlier revision, and no job makes them; ``visuals_job``
-    is the job that does.
+    units took as long as the finished ones; ``None`` before any is finished. ``waiting_for`` is the outage that keeps
+    its work waiting. ``warnings`` are sentences, and include those of ``result_warnings``. ``making`` has the choices
+    of what it makes; without it, the job reconstructs. ``edits`` are the edits of its people, ``revision`` the number
+    of times that they were changed, and ``people`` those whom the reconstruction found, before any edit; ``None`` until
+    its first results are written. ``results_revision`` is the revision whose files can be read, while those of a newer
+    one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos or the report are of
+    an earlier revision, and no job makes them; ``visuals_job`` is the job that does.
     """
 
     id: str
@@ -369,6 +369,7 @@ class Job:
     expires_at: datetime | None
     eta_s: float | None
     problem: Problem | None
+    waiting_for: Problem | None
     warnings: tuple[str, ...]
     result_warnings: tuple[Finding, ...]
     making: Making | None = None

@@ -28,6 +28,7 @@ from worker.jobs.repositories.work.leases import MAX_ATTEMPTS, Leases
 from worker.jobs.repositories.work.outputs import Outputs
 from worker.jobs.repositories.work.plans import Plans
 from worker.jobs.repositories.work.removals import Removals
+from worker.jobs.repositories.work.waits import Waits
 from worker.jobs.repositories.work.workers import Workers
 from worker.jobs.tenant_records import TenantRecords
 
@@ -61,6 +62,7 @@ class JobStore:
         self.links = Links(access)
         # Of the workers.
         self.leases = Leases(self._database)
+        self.waits = Waits(self._database)
         self.outputs = Outputs(self._database)
         self.workers = Workers(self._database)
         # Of the reaper.

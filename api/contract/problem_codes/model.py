@@ -13,8 +13,9 @@ class ProblemCode:
         The code, such as ``video_truncated``.
     where
         Places in which clients meet the code: HTTP statuses of answers as digits, the usual one first; ``job`` (the
-        error of a job), ``attempt`` (a failed attempt at a chunk), ``readyz`` (the errors of ``/readyz``), ``command``
-        (the command line), ``warning`` (a warning of a job and in ``metrics.json``), ``finding`` (of a check).
+        error of a job), ``waiting`` (what a job waits for), ``attempt`` (a failed attempt at a chunk), ``readyz`` (the
+        errors of ``/readyz``), ``command`` (the command line), ``warning`` (a warning of a job and in
+        ``metrics.json``), ``finding`` (of a check).
     meaning, remedy
         One sentence each.
     """

@@ -17,9 +17,9 @@ This page lists every code of a problem or warning, what it means, and what to d
 Codes are stable; sentences may change. Answers of the API are `application/problem+json` (RFC 9457): `code` names the
 problem, `errors` lists everything that is wrong with the request, `retryable` says whether the same request may succeed
 later, and `request_id` is in the service's log. The column *where* says where a code appears: a number is the HTTP
-status of the answer; `job` is the error of a job, `attempt` a failed attempt at one of its chunks, `readyz` an entry of
-`/readyz`, `command` the command line, `warning` a warning of a result, `finding` a finding of a check
-(see [preflight](preflight.md) and [calibration](calibration.md)).
+status of the answer; `job` is the error of a job, `waiting` an outage that a job waits for, `attempt` a failed attempt
+at one of its chunks, `readyz` an entry of `/readyz`, `command` the command line, `warning` a warning of a result,
+`finding` a finding of a check (see [preflight](preflight.md) and [calibration](calibration.md)).
 
 This page is made from the code: `python -m api.contract.problem_codes.page` writes it.
 """

@@ -227,7 +227,7 @@ ANSWERS = CodeGroup(
         ),
         ProblemCode(
             "database_unavailable",
-            ("503", "readyz"),
+            ("503", "readyz", "waiting"),
             "The database does not respond.",
             "Send the request again later; the operator starts the database.",
         ),
@@ -239,9 +239,15 @@ ANSWERS = CodeGroup(
         ),
         ProblemCode(
             "artifacts_unavailable",
-            ("503", "readyz"),
-            "The artifact store does not respond or refuses its keys.",
-            "Send the request again later; the operator checks `MULTICAP_ARTIFACTS_URL` and its keys.",
+            ("503", "readyz", "waiting"),
+            "The artifact store does not respond. Jobs wait for it.",
+            "Send the request again later; the operator starts the store. Nothing has to be done for jobs.",
+        ),
+        ProblemCode(
+            "artifacts_refused",
+            ("503", "job"),
+            "The artifact store responds and refuses the service: the keys are wrong, or the bucket is missing.",
+            "The operator checks `MULTICAP_ARTIFACTS_URL`, its bucket and its keys; then retry the job.",
         ),
         ProblemCode(
             "storage_full",

@@ -166,7 +166,12 @@ READINESS = CodeGroup(
     "Values of `code` in the `errors` of a 503 of `GET /readyz`, beside `database_unavailable`, `database_damaged`, "
     "`artifacts_unavailable` and `storage_full` above.",
     (
-        ProblemCode("broker_unavailable", _READYZ, "The broker does not respond.", "Start the broker."),
+        ProblemCode(
+            "broker_unavailable",
+            (*_READYZ, "waiting"),
+            "The broker does not respond. Queued work waits for it.",
+            "Start the broker.",
+        ),
         ProblemCode("worker_unavailable", _READYZ, "No worker runs.", "Start a worker, and see its log."),
         ProblemCode("worker_starting", _READYZ, "The workers are starting; `message` states their progress.", "Wait."),
         ProblemCode(

@@ -6,7 +6,7 @@ import { factsOf, hasEnded, stateOf } from "../shared/jobs.js";
 import { html, nothing, render } from "../shared/lit.js";
 import { readOptions } from "../shared/options.js";
 import { problemBox, warningList } from "../shared/problem.js";
-import { choiceList, errorBox, stageList } from "../watch/job.js";
+import { choiceList, errorBox, stageList, waitingBox } from "../watch/job.js";
 import { downloads } from "./downloads.js";
 import { Motion } from "./motion.js";
 import { PeoplePanel } from "./people/panel.js";
@@ -103,7 +103,7 @@ class Look {
         <p class="quiet facts">${factsOf(job).map((fact) => html`<span>${fact}</span>`)}</p>
       </div>
       ${hasEnded(job) || job.revision > 0 ? nothing : html`<div class="panel">${stageList(job)}</div>`}
-      ${errorBox(job)}${problemBox(this.problem)}
+      ${errorBox(job)}${waitingBox(job)}${problemBox(this.problem)}
       ${warningList(job.warnings, `Warnings of ${job.session_name}`)}`;
   }
 

@@ -34,6 +34,12 @@ export function errorBox(job) {
   return problemBox({ message: where ? `${job.error.detail} (${where})` : job.error.detail, hint: advice });
 }
 
+// Outage that a job waits for; it continues by itself.
+export function waitingBox(job) {
+  const outage = job.waiting_for;
+  return outage ? warningList([`${outage.detail} ${outage.hint}`], "Waiting") : nothing;
+}
+
 // `number`: that of the job among those of its capture, from 1; null if it is the only one.
 export function jobRow(view, job, number) {
   const { words, tone } = stateOf(job);
@@ -67,6 +73,7 @@ export function jobRow(view, job, number) {
     </div>
     ${hasEnded(job) ? nothing : stageList(job)}
     ${errorBox(job)}
+    ${waitingBox(job)}
     ${problemBox(view.problems.get(job.id))}
     ${warningList(job.warnings, `Warnings of ${name}`)}
   </li>`;

@@ -134,6 +134,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...], visuals_job: NewestJob | None
         expires_at=row.expires_at,
         eta_s=_eta_s(row, stages),
         problem=None if row.problem is None else Problem(**row.problem),
+        waiting_for=None if row.waiting_for is None else Problem(**row.waiting_for),
         warnings=(
             *preflight.warnings,
             *method_warnings(spec.config, has_videos),

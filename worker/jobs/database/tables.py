@@ -74,6 +74,7 @@ uploads = Table(
     Column("num_bytes", BigInteger, nullable=False),  # of the complete file
     Column("metadata", String, nullable=False),
     Column("expires_at", UtcTimestamp, nullable=False),
+    Column("spool", String),  # host and folder that hold its bytes; null: upload of an older version
     Index(None, "tenant", "id"),
     Index(None, "expires_at"),
 )
@@ -107,6 +108,7 @@ jobs = Table(
     Column("of_job", String(36), index=True),  # reconstruction whose visuals it makes, which deletes it with itself
     Column("visuals_old_at", UtcTimestamp, index=True),  # last edit; null: no visuals, or they are new or being made
     Column("precedence", Integer, nullable=False, server_default="1"),  # 0: edits of people, before other work
+    Column("waiting_for", JSON(none_as_null=True)),  # problem of an outage; null: nothing keeps it waiting
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
@@ -189,7 +191,7 @@ events = Table(
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
     Column("created_at", UtcTimestamp, nullable=False),
-    Column("kind", String(16), nullable=False),  # "state" or "stage"; ``value`` is the new one
+    Column("kind", String(16), nullable=False),  # "state", "stage" or "waiting"; ``value`` is the new one
     Column("value", String(32), nullable=False),
     Index(None, "job_id", "id"),
     sqlite_autoincrement=True,  # ids grow, also after deletions

@@ -19,6 +19,7 @@ class Total(StrEnum):
     CHUNKS_DONE = "chunks_done"  # by stage, without those that were reused
     CHUNKS_REUSED = "chunks_reused"  # by stage
     CHUNKS_RETRIED = "chunks_retried"  # by stage
+    CHUNKS_GIVEN_BACK = "chunks_given_back"  # by stage, because of an outage
     CHUNK_SECONDS = "chunk_seconds"  # by stage, of those that were done, from the first try's start
     CHUNK_UNITS = "chunk_units"  # by stage, likewise
     JOBS_ENDED = "jobs_ended"  # by state

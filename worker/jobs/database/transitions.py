@@ -21,7 +21,7 @@ from worker.jobs.files.artifacts import interim_prefix, job_prefix
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
 from worker.jobs.repositories.webhooks import queue_delivery
 
-EventKind = Literal["state", "stage"]
+EventKind = Literal["state", "stage", "waiting"]
 
 _NO_LEASE = {"lease_token": None, "lease_until": None}
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
@@ -42,7 +42,7 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
     sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
     ends = to in FINISHED - {JobState.EXPIRED}
     if ends:
-        values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s}
+        values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s, "waiting_for": None}
     if to is JobState.SUCCEEDED:
         values["results_revision"] = jobs.c.revision
     moved = connection.execute(
@@ -73,6 +73,17 @@ def delete_visuals_job(connection: Connection, job_id: str) -> None:
     for visuals_id in connection.scalars(select(jobs.c.id).where(jobs.c.of_job == job_id)).all():
         remove_later(connection, job_prefix(visuals_id))
         connection.execute(delete(jobs).where(jobs.c.id == visuals_id))
+
+
+def set_waiting(connection: Connection, job: Row[Any], problem: Problem | None) -> None:
+    """Set the outage that a locked job waits for; ``None``: it does not wait any more."""
+    before = None if job.waiting_for is None else job.waiting_for["code"]
+    after = None if problem is None else problem.code
+    if before == after:
+        return
+    document = None if problem is None else asdict(problem)
+    connection.execute(update(jobs).where(jobs.c.id == job.id).values(waiting_for=document))
+    note(connection, job.id, "waiting", after or "")
 
 
 def move_chunk(connection: Connection, chunk_id: int, to: ChunkState, **values: Any) -> None:

@@ -3,17 +3,21 @@
 import structlog
 
 from worker.jobs.files.artifacts import ArtifactStore
+from worker.jobs.outages import outage_of
 from worker.jobs.repositories.work.removals import Removals
 
 log = structlog.get_logger()
 
 
 def remove_files(removals: Removals, artifacts: ArtifactStore) -> None:
-    """Remove the files of all due removals. A removal that fails stays due, and is logged."""
+    """Remove the files of all due removals. A removal that fails stays due, and is logged; an outage ends all."""
     for removal in removals.due():
         try:
             artifacts.delete_prefix(removal.prefix)
-        except OSError:
+        except OSError as error:
+            if outage_of(error) is not None:
+                log.warning("removals_wait", outage=outage_of(error))
+                return  # of hundreds of removals, each would wait for the store
             log.exception("removal_failed", prefix=removal.prefix)
         else:
             removals.done(removal.id)

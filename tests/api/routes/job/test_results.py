@@ -21,7 +21,7 @@ from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.s3 import running_s3
 from worker.jobs.files.artifacts import result_key
 from worker.jobs.model import Problem
-from worker.reaper import reap
+from worker.reaper import Reaper
 
 # More than the buffers of a connection hold.
 LARGE = os.urandom(2**20) * 64
@@ -232,7 +232,7 @@ def test_expired_results_are_gone(make_settings: Callable[..., Settings]) -> Non
         kept_until = live.client.get(f"/v1/jobs/{job_id}").json()["expires_at"]
         assert kept_until is not None
         time.sleep(0.05)
-        reap(live.services.store, live.services.artifacts, live.services.disk, lambda: None, 20.0)
+        Reaper(live.services.store, live.services.artifacts, live.services.disk, lambda: True, 20.0).reap()
         job = live.client.get(f"/v1/jobs/{job_id}").json()
         assert (job["state"], job["expires_at"]) == ("expired", kept_until)
         problem_of(live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh"), 410, "expired")

@@ -1,4 +1,4 @@
-"""Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, reap."""
+"""Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, give back, reap."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
@@ -15,7 +15,15 @@ from worker.jobs.database.rows import edits_of, making_of
 from worker.jobs.database.tables import artifacts, chunks, jobs
 from worker.jobs.database.totals import Total, count
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.database.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
+from worker.jobs.database.transitions import (
+    advance,
+    fail_job,
+    lock_job,
+    move_chunk,
+    move_job,
+    set_waiting,
+    settle_canceling,
+)
 from worker.jobs.model import (
     AT_WORK,
     ChunkState,
@@ -33,6 +41,9 @@ from worker.jobs.spec import JobSpec
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
+
+# Code of the problem of a lost lease.
+WORKER_LOST = "worker_lost"
 
 
 class Leases:
@@ -165,6 +176,7 @@ class Leases:
                 complete(connection, job.id, calibration)
             move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
             _count_done(connection, chunk, reused)
+            set_waiting(connection, job, None)
             if job.state == JobState.CANCELING:
                 settle_canceling(connection, job.id)
                 return False
@@ -187,6 +199,26 @@ class Leases:
                 _cancel(connection, job, chunk)
                 return False
             move_chunk(connection, chunk.id, ChunkState.READY)
+            return True
+
+    def give_back(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
+        """Give a chunk back because of an outage: it costs no try, and the job waits for ``problem``.
+
+        Returns
+        -------
+            Whether the chunk became ready.
+        """
+        with self._transactions.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, chunk = held
+            if job.state == JobState.CANCELING:
+                _cancel(connection, job, chunk)
+                return False
+            move_chunk(connection, chunk.id, ChunkState.READY)
+            count(connection, Total.CHUNKS_GIVEN_BACK, chunk.stage)
+            set_waiting(connection, job, problem)
             return True
 
     def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
@@ -223,7 +255,7 @@ class Leases:
                 for chunk in again
             )
 
-    def reap(self, lease_s: float) -> bool:
+    def reap(self, lease_s: float, takes: bool = True) -> bool:
         """Take chunks back whose leases have ended; return whether any chunk is ready now.
 
         A chunk that is taken back is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is
@@ -233,6 +265,8 @@ class Leases:
         ----------
         lease_s
             Time of a lease. Longer leases are shortened: they were made before the clock was put back.
+        takes
+            Whether chunks are taken back; else their workers may still renew the leases.
         """
         with self._transactions.writing() as connection:
             connection.execute(
@@ -244,7 +278,7 @@ class Leases:
             chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
         )
         with self._transactions.reading() as connection:
-            found = connection.execute(expired).all()
+            found = connection.execute(expired).all() if takes else []
         for chunk_id, lease_token in found:
             with self._transactions.writing() as connection:
                 held = _lock_held(connection, chunk_id, lease_token, expired=True)
@@ -311,7 +345,7 @@ def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:
 
 def _worker_lost(stage: str) -> Problem:
     return Problem(
-        "worker_lost",
+        WORKER_LOST,
         f"A worker of the stage {stage} fell silent.",
         stage=stage,
         hint="It may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",
