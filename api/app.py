@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
 
 from api import errors
+from api.checks import LimitedChecks
 from api.contract import description as contract
 from api.dependencies import Services
 from api.events import JobChanges
@@ -56,6 +57,7 @@ _EXPOSED_HEADERS = [
     *("Tus-Checksum-Algorithm", "Tus-Extension", "Tus-Max-Size", "Tus-Resumable", "Tus-Version"),
     *("Upload-Expires", "Upload-Length", "Upload-Metadata", "Upload-Offset"),
 ]
+_READINESS_LIMIT_S = 5.0
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -198,4 +200,5 @@ def _start(settings: Settings) -> Services:
         keys_in_use=KeysInUse(store),
         rates=Rates(settings.max_requests_per_minute),
         wrong_keys=WrongKeys(settings.max_wrong_keys_per_minute),
+        readiness=LimitedChecks(_READINESS_LIMIT_S),
     )

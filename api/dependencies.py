@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import Depends, Path, Query, Request
 
+from api.checks import LimitedChecks
 from api.events import JobChanges
 from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
@@ -45,6 +46,7 @@ class Services:
     keys_in_use: KeysInUse
     rates: Rates
     wrong_keys: WrongKeys
+    readiness: LimitedChecks
 
     @property
     def quotas(self) -> Quotas:

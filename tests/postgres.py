@@ -6,7 +6,7 @@ import shutil
 import socket
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,28 +26,43 @@ class Postgres:
     bin_dir: Path
     folder: Path
     port: int
+    address: str = "127.0.0.1"
+    prefix: Sequence[str] = ()
 
     @property
     def url(self) -> str:
         """URL of the server's first database."""
-        return f"postgresql://postgres@127.0.0.1:{self.port}/postgres"
+        return f"postgresql://postgres@{self.address}:{self.port}/postgres"
 
     def control(self, *arguments: str) -> None:
         """Call ``pg_ctl``."""
-        options = f"-p {self.port} -c listen_addresses=127.0.0.1 -c unix_socket_directories={self.folder}"
+        options = f"-p {self.port} -c listen_addresses={self.address} -c unix_socket_directories={self.folder}"
         log = ["-l", str(self.folder / "log"), "-o", " ".join([options, *_TESTS_ONLY])]
-        _call(self.bin_dir / "pg_ctl", "-w", "-D", self.folder / "data", *log, *arguments)
+        _call(
+            *self.prefix, *_as_postgres(), self.bin_dir / "pg_ctl", "-w", "-D", self.folder / "data", *log, *arguments
+        )
+
+
+def _as_postgres() -> list[str]:
+    # Its programs refuse root.
+    return ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
 
 
 def _call(*command: str | Path) -> None:
-    # Its programs refuse root.
-    prefix = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
-    subprocess.run([*prefix, *command], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 @contextlib.contextmanager
-def running_postgres() -> Iterator[Postgres]:
-    """Run a server during the block; skip the test if it can't be run."""
+def running_postgres(address: str = "127.0.0.1", prefix: Sequence[str] = ()) -> Iterator[Postgres]:
+    """Run a server during the block; skip the test if it can't be run.
+
+    Parameters
+    ----------
+    address
+        Address to listen on.
+    prefix
+        Command that runs another one, for example in another network.
+    """
     if not _PROGRAMS:
         pytest.skip(f"PostgreSQL is not installed, and {POSTGRES_VARIABLE} names no server")
     with socket.create_server(("127.0.0.1", 0)) as listening:
@@ -56,8 +71,10 @@ def running_postgres() -> Iterator[Postgres]:
     with tempfile.TemporaryDirectory(prefix="multicap-postgres-") as folder:
         if os.geteuid() == 0:
             shutil.chown(folder, "postgres")
-        server = Postgres(_PROGRAMS[-1], Path(folder), port)
-        _call(server.bin_dir / "initdb", "-U", "postgres", "-A", "trust", "-D", server.folder / "data")
+        server = Postgres(_PROGRAMS[-1], Path(folder), port, address, prefix)
+        _call(*_as_postgres(), server.bin_dir / "initdb", "-U", "postgres", "-A", "trust", "-D", server.folder / "data")
+        with (server.folder / "data" / "pg_hba.conf").open("a") as rules:
+            rules.write("host all all samenet trust\nhost all all 10.0.0.0/8 trust\n")
         server.control("start")
         try:
             yield server

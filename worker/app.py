@@ -21,7 +21,7 @@ from celery.signals import (
 
 from pipeline.runtime.memory import limit_memory
 from worker import tasks
-from worker.jobs.queue import QUEUE_NAME, TASK_NAME
+from worker.jobs.queue import QUEUE_NAME, TASK_NAME, transport_options
 from worker.process.presence import Presence
 from worker.process.priorities import lower_priority
 from worker.process.scratch import remove_abandoned
@@ -31,6 +31,9 @@ from worker.telemetry.logs import configure_logs
 
 # Longer than the longest chunk, the association of a capture of several hours.
 _TIME_LIMIT_S = 3600
+
+# Longer than the broker keeps a worker waiting for a message, a second.
+_BROKER_TIMEOUT_S = 15.0
 
 _LOOK_S = 0.1
 
@@ -58,7 +61,7 @@ def create_celery(settings: WorkerSettings) -> Celery:
             "visibility_timeout": _TIME_LIMIT_S + 600,
             "unacked_restore_interval": 10,
             "unacked_restore_throttle": 1,
-            "socket_keepalive": True,
+            **transport_options(_BROKER_TIMEOUT_S),
         },
     )
     celery.task(name=TASK_NAME, bind=True)(_work)

@@ -29,6 +29,7 @@ _MESSAGES = {
     "database": "The database does not respond.",
     "broker": "The broker does not respond.",
     "artifacts": "The artifact store can't be used.",
+    "disk": "The disk of the data folder does not respond.",
 }
 
 
@@ -49,13 +50,17 @@ def get_health() -> Health:
 )
 def get_readiness(request: Request, services: ServicesDep) -> Readiness | Response:
     """Check whether a worker could start a job now. If not, `errors` lists what is missing or starting."""
-    checks: dict[str, ErrorItem | None] = {
-        "database": _database_check(services.store),
-        "broker": _check("broker", services.queue.ping()),
-        "artifacts": _check("artifacts", services.artifacts.ping()),
-        "disk": _disk_check(services.disk),
-        **_worker_checks(services.store),
-    }
+    results = services.readiness.run(
+        {
+            "database": lambda: {"database": _database_check(services.store), **_worker_checks(services.store)},
+            "broker": lambda: {"broker": _check("broker", services.queue.ping())},
+            "artifacts": lambda: {"artifacts": _check("artifacts", services.artifacts.ping())},
+            "disk": lambda: {"disk": _disk_check(services.disk)},
+        }
+    )
+    checks: dict[str, ErrorItem | None] = {}
+    for name, items in results.items():
+        checks |= {name: _check(name, responds=False)} if items is None else items
     if errors := [item for item in checks.values() if item is not None]:
         # Not raised, because the handler would log it: clients that wait for the service ask every few seconds.
         problem = service_unavailable("not_ready", "The service can't start a job now.", errors)

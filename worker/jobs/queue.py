@@ -1,17 +1,42 @@
 """Queue of messages that wake workers; the database holds the work."""
 
+from typing import Any
+
 from celery import Celery
 from kombu.exceptions import OperationalError
 from opentelemetry import trace
 from opentelemetry.propagate import inject
 from opentelemetry.trace import SpanKind
+from redis.exceptions import RedisError
+
+from worker.jobs import keepalive
 
 QUEUE_NAME = "multicap"
 TASK_NAME = "multicap.work"
 
 _TIMEOUT_S = 2.0
+_CONNECT_TIMEOUT_S = 5.0
+# Idle time after which a connection is tested before it is used.
+_HEALTH_CHECK_S = 10
 
 _tracer = trace.get_tracer("multicap")
+
+
+def transport_options(timeout_s: float) -> dict[str, Any]:
+    """Options of connections to the broker; one that died silently is noticed in seconds, and replaced.
+
+    Parameters
+    ----------
+    timeout_s
+        Time for connecting, and for an answer.
+    """
+    return {
+        "socket_timeout": timeout_s,
+        "socket_connect_timeout": min(timeout_s, _CONNECT_TIMEOUT_S),
+        "socket_keepalive": True,
+        "socket_keepalive_options": dict(keepalive.SOCKET_OPTIONS),
+        "health_check_interval": _HEALTH_CHECK_S,
+    }
 
 
 class WorkQueue:
@@ -28,11 +53,7 @@ class WorkQueue:
         self._celery.conf.update(
             task_ignore_result=True,
             broker_connection_timeout=_TIMEOUT_S,
-            broker_transport_options={
-                "socket_timeout": _TIMEOUT_S,
-                "socket_connect_timeout": _TIMEOUT_S,
-                "max_retries": 0,
-            },
+            broker_transport_options={**transport_options(_TIMEOUT_S), "max_retries": 0},
         )
 
     def publish(self) -> bool:
@@ -49,11 +70,12 @@ class WorkQueue:
     def ping(self) -> bool:
         """Whether the broker answers."""
         try:
-            with self._celery.connection_for_write() as connection:
-                connection.ensure_connection(max_retries=0, timeout=_TIMEOUT_S)
-        except (OperationalError, OSError):
+            # On a connection of the pool that ``publish`` uses.
+            with self._celery.producer_pool.acquire(block=True, timeout=_TIMEOUT_S) as producer:
+                producer.connection.ensure_connection(max_retries=0, timeout=_TIMEOUT_S)
+                return bool(producer.connection.default_channel.client.ping())
+        except (OperationalError, RedisError, OSError):
             return False
-        return True
 
     def close(self) -> None:
         """Close the connections."""

@@ -172,6 +172,12 @@ READINESS = CodeGroup(
             "The broker does not respond. Queued work waits for it.",
             "Start the broker.",
         ),
+        ProblemCode(
+            "disk_unavailable",
+            _READYZ,
+            "The disk of the data folder does not respond.",
+            "Check the disk, or the machine that shares it.",
+        ),
         ProblemCode("worker_unavailable", _READYZ, "No worker runs.", "Start a worker, and see its log."),
         ProblemCode("worker_starting", _READYZ, "The workers are starting; `message` states their progress.", "Wait."),
         ProblemCode(

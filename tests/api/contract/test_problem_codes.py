@@ -19,7 +19,7 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 CODES = {one.name: one for group in GROUPS for one in group.codes}
 NAME = re.compile(r"[a-z]+(_[a-z0-9]+)*")
-PLACES = {"job", "attempt", "readyz", "command", "warning", "finding"}
+PLACES = {"job", "waiting", "attempt", "readyz", "command", "warning", "finding"}
 
 # Functions with tuples whose first items are codes.
 IN_TUPLES = {

@@ -23,12 +23,25 @@ from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import FunctionElement
 
+from worker.jobs import keepalive
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
 
 # Time that a transaction waits for the lock of another one.
 _LOCK_TIMEOUT_S = 30.0
 _LOCK_RETRY_S = 0.01
-_CONNECT_TIMEOUT_S = 10
+_CONNECT_TIMEOUT_S = 5
+# Age of a connection to PostgreSQL, and time that a transaction waits for one, after which a request is refused.
+_RECYCLE_S = 600
+_POOL_TIMEOUT_S = 10.0
+# Options of the client's library. A dead connection is noticed in seconds; parameters of the URL replace them.
+_POSTGRES_OPTIONS: Mapping[str, int] = {
+    "connect_timeout": _CONNECT_TIMEOUT_S,
+    "keepalives": 1,
+    "keepalives_idle": keepalive.IDLE_S,
+    "keepalives_interval": keepalive.INTERVAL_S,
+    "keepalives_count": keepalive.NUM_PROBES,
+    "tcp_user_timeout": 1000 * keepalive.UNACKNOWLEDGED_S,
+}
 
 _DAMAGE = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 _PRIMARY_CODE = 0xFF
@@ -226,7 +239,14 @@ class Database:
 
     def _create_engine(self) -> Engine:
         if self._url.get_backend_name() != "sqlite":
-            return create_engine(self._url, pool_pre_ping=True, connect_args={"connect_timeout": _CONNECT_TIMEOUT_S})
+            options = {name: value for name, value in _POSTGRES_OPTIONS.items() if name not in self._url.query}
+            return create_engine(
+                self._url,
+                pool_pre_ping=True,
+                pool_recycle=_RECYCLE_S,
+                pool_timeout=_POOL_TIMEOUT_S,
+                connect_args=options,
+            )
         engine = create_engine(self._url, connect_args={"timeout": _LOCK_TIMEOUT_S}, json_deserializer=self._read_json)
         event.listen(engine, "connect", _configure_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
