@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import psutil
 import pytest
@@ -17,6 +17,7 @@ class FarNetwork:
 
     name: str
     address: str
+    _rules: list[tuple[str, ...]] = field(default_factory=list)
 
     @property
     def prefix(self) -> Sequence[str]:
@@ -40,22 +41,37 @@ class FarNetwork:
             and (connection.raddr.ip, connection.raddr.port) == (self.address, port)
         }
         for flow in flows:
-            self._rule("add", "to", self.address, "ipproto", "tcp", "sport", str(flow), "dport", str(port))
-            self._rule("add", "from", self.address, "ipproto", "tcp", "sport", str(port), "dport", str(flow))
+            self._drop("to", self.address, "ipproto", "tcp", "sport", str(flow), "dport", str(port))
+            self._drop("from", self.address, "ipproto", "tcp", "sport", str(port), "dport", str(flow))
         return len(flows)
 
-    def cut(self, port: int) -> None:
-        """Drop all packets to and from a port, until ``mend``."""
-        self._rule("add", "to", self.address, "ipproto", "tcp", "dport", str(port))
-        self._rule("add", "from", self.address, "ipproto", "tcp", "sport", str(port))
+    @contextlib.contextmanager
+    def cut(self, port: int) -> Iterator[None]:
+        """Drop all packets to and from a port during the block."""
+        rules = [
+            ("to", self.address, "ipproto", "tcp", "dport", str(port)),
+            ("from", self.address, "ipproto", "tcp", "sport", str(port)),
+        ]
+        for rule in rules:
+            self._drop(*rule)
+        try:
+            yield
+        finally:
+            for rule in rules:
+                self._route(rule)
 
-    def mend(self, port: int) -> None:
-        """Route packets of a port again."""
-        self._rule("del", "to", self.address, "ipproto", "tcp", "dport", str(port))
-        self._rule("del", "from", self.address, "ipproto", "tcp", "sport", str(port))
+    def restore(self) -> None:
+        """Route all packets again: ports of forgotten connections may be used by new ones."""
+        for rule in list(self._rules):
+            self._route(rule)
 
-    def _rule(self, act: str, *selector: str) -> None:
-        _ip("-n", self.router, "rule", act, *selector, "blackhole")
+    def _drop(self, *rule: str) -> None:
+        _ip("-n", self.router, "rule", "add", *rule, "blackhole")
+        self._rules.append(rule)
+
+    def _route(self, rule: tuple[str, ...]) -> None:
+        _ip("-n", self.router, "rule", "del", *rule, "blackhole")
+        self._rules.remove(rule)
 
 
 def _ip(*words: str) -> None:
