@@ -18,7 +18,8 @@ from worker.jobs.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDat
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.jobs.files.interim import read_interim, write_interim
 from worker.jobs.model import Claim, KeptPiece, MadeCalibration, Result
-from worker.jobs.outages import Outage, Pauses, outage_of
+from worker.jobs.outages import Outage, outage_of
+from worker.jobs.pauses import Pauses
 from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.problems import problem_of, waiting_for

@@ -7,16 +7,20 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from http import HTTPStatus
 from pathlib import Path
-from typing import Any, Literal, Self, TypedDict, cast
+from typing import Any, BinaryIO, Literal, Self, TypedDict, cast
 
 import httpx2
 
 from pipeline.errors import PipelineError
+from worker.jobs.pauses import Pauses
 
 Json = Mapping[str, Any]
 
 _POLL_S = 0.25
+# Tries of a download that breaks off, and the pauses between them: about a minute.
+_MAX_TRIES, _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 8, 1.0, 20.0
 _ENDS = {"succeeded": "succeeded", "failed": "failed", "canceled": "was canceled", "expired": "expired"}
 
 
@@ -254,7 +258,7 @@ class Client:
         Raises
         ------
         ServiceError
-            If a file is damaged, or its download breaks off.
+            If a file is damaged, or its download breaks off again and again; else it continues where it broke.
         """
         folder.mkdir(parents=True, exist_ok=True)
         return [self._save(result, folder) for result in self._call("GET", job["links"]["results"])["results"]]
@@ -262,22 +266,42 @@ class Client:
     def _save(self, result: Json, folder: Path) -> Path:
         path = folder / result["name"]
         part = folder / f".{result['name']}.part"
-        digest = hashlib.sha256()
+        pauses = Pauses(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
+        num_tries = 0
         try:
-            with self.http.stream("GET", result["link"], follow_redirects=True) as answer, part.open("wb") as file:
+            with part.open("w+b") as file:
+                while not self._received(result, file):
+                    num_tries += 1
+                    if num_tries == _MAX_TRIES:
+                        raise ServiceError(f"The download of {path.name} broke off. Try again.")
+                    time.sleep(pauses.next_s())
+                file.seek(0)
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            if sha256 != result["sha256"]:
+                raise ServiceError(f"The downloaded file {path.name} is damaged: its SHA-256 is not the result's.")
+            return part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def _received(self, result: Json, file: BinaryIO) -> bool:
+        """Receive the rest of a result file; ``False`` if the connection breaks, or the service asks to wait."""
+        start = file.tell()
+        headers = {"Range": f"bytes={start}-", "If-Range": f'"{result["sha256"]}"'} if start else {}
+        try:
+            with self.http.stream("GET", result["link"], headers=headers, follow_redirects=True) as answer:
+                if answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE:
+                    return False
                 if answer.is_error:
                     answer.read()
                     raise _refusal(answer)
+                if answer.status_code != HTTPStatus.PARTIAL_CONTENT:  # it begins again
+                    file.seek(0)
+                    file.truncate()
                 for block in answer.iter_bytes():
-                    digest.update(block)
                     file.write(block)
-            if digest.hexdigest() != result["sha256"]:
-                raise ServiceError(f"The downloaded file {path.name} is damaged: its SHA-256 is not the result's.")
-            return part.replace(path)
-        except httpx2.TransportError as error:
-            raise ServiceError(f"The download of {path.name} broke off. Try again.") from error
-        finally:
-            part.unlink(missing_ok=True)
+        except httpx2.TransportError:
+            return False
+        return True
 
     def _call(self, method: str, path: str, **options: Any) -> Json:
         try:

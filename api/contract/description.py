@@ -74,6 +74,7 @@ _MEANINGS = {
     415: "The address does not accept the content type.",
     416: "The file has no such range.",
     422: "Fields, parts or files of the request are wrong; `errors` lists all of them.",
+    421: "The bytes of the upload are at another API process.",
     423: "Another request is writing to the upload.",
     460: "The piece that arrived does not have the checksum that was sent.",
     429: "The tenant has too many unfinished jobs, or makes too many requests.",

@@ -497,6 +497,7 @@ _PROBLEMS: dict[int, tuple[str, str]] = {
     415: ("unsupported_media_type", "A session is sent as multipart/form-data."),
     416: ("range_not_satisfiable", "The file has no such range."),
     422: ("invalid_request", "One thing is wrong with the request."),
+    421: ("upload_elsewhere", "The bytes of this upload are at another API process."),
     423: ("upload_locked", "Another request is writing to this upload."),
     460: ("checksum_mismatch", "The piece that arrived does not have the checksum that was sent."),
     429: ("too_many_requests", "At most 600 requests a minute are allowed."),

@@ -44,6 +44,7 @@ from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
 from worker.jobs.model import InputFile
+from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 
@@ -252,7 +253,7 @@ def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
     """Put the files of a session into the artifact store; the block records the session in the database.
 
     If the block fails, the files are removed; else the files of its uploads are. The reaper removes the files of a
-    process that is killed in between.
+    process that is killed in between, and those of a transaction whose answer was lost, if it was not committed.
     """
     session_id = services.store.sessions.reserve_id()
     sources = [(_KINDS.get(part, part), file) for part, files in checked.form.files.items() for file in files]
@@ -268,15 +269,20 @@ def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
             for camera, number, _ in checked.preflight.thumbnails():
                 name = thumbnail_name(camera, number)
                 services.artifacts.put_file(thumbnail_key(session_id, name), checked.thumbnails / name)
-        yield NewSession(
-            id=session_id,
-            name=checked.manifest.name,
-            files=files,
-            preflight=checked.preflight,
-            upload_ids=checked.upload_ids,
-            metadata=checked.manifest.metadata,
-            record_sha256=record_sha256,
-        )
+        try:
+            yield NewSession(
+                id=session_id,
+                name=checked.manifest.name,
+                files=files,
+                preflight=checked.preflight,
+                upload_ids=checked.upload_ids,
+                metadata=checked.manifest.metadata,
+                record_sha256=record_sha256,
+            )
+        except Exception as error:
+            if is_perhaps_recorded(error):
+                undo.pop_all()
+            raise
         undo.pop_all()
     for upload_id in checked.upload_ids:
         services.uploads.remove(upload_id)
@@ -338,10 +344,13 @@ def adopted(services: Services, records: TenantRecords, folder: Path, sent: Uplo
     for part, upload_id in sent.uploads():
         try:
             upload = records.uploads.get(str(upload_id))
-            num_bytes = services.uploads.offset(upload.id)
+            num_bytes = services.uploads.offset(upload)
         except NotFound:
             message = "There is no such upload."
             parts.lack(part, "upload_unknown", message, "It may have been used, or its time is over: send it again.")
+            continue
+        except ApiError as error:  # its bytes are elsewhere
+            parts.lack(part, error.code, error.detail, str(error.hint), upload.name)
             continue
         if num_bytes < upload.num_bytes:
             message = f"Of this upload {num_bytes} of {upload.num_bytes} bytes have come."

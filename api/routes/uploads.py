@@ -22,6 +22,7 @@ from api.requests.form import name_error, too_large
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.tus.files import Checksum
 from worker.jobs.model import Upload
+from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.tenant_records import TenantRecords
 
 VERSION = "1.0.0"
@@ -92,7 +93,7 @@ def describe_uploads(response: Response, services: ServicesDep) -> None:
     response_class=Response,
     responses={
         **_answers(201, "Location", "Upload-Offset", "Upload-Expires"),
-        **problems(400, 408, 409, 412, 413, 415, 422, 423, 460, 507),
+        **problems(400, 408, 409, 412, 413, 415, 421, 422, 423, 460, 507),
     },
 )
 async def create_upload(
@@ -128,7 +129,7 @@ async def create_upload(
         upload = await run_in_threadpool(
             idempotent.records.uploads.get, response.headers["location"].rpartition("/")[2]
         )
-        offset = await run_in_threadpool(services.uploads.offset, upload.id)
+        offset = await run_in_threadpool(services.uploads.offset, upload)
         if offset == 0:  # else this is a repeated request whose piece was stored before
             offset, upload = await _append(request, services, idempotent.records, upload, 0, checksum)
         else:
@@ -144,7 +145,7 @@ async def create_upload(
     response_class=Response,
     responses={
         **_answers(200, "Upload-Offset", "Upload-Length", "Upload-Metadata", "Upload-Expires"),
-        **problems(404, 412),
+        **problems(404, 412, 421),
     },
 )
 def get_upload(
@@ -153,7 +154,7 @@ def get_upload(
     """Read the offset of an upload, at which a client continues."""
     upload = records.uploads.get(upload_id)
     headers = {
-        "Upload-Offset": str(services.uploads.offset(upload_id)),
+        "Upload-Offset": str(services.uploads.offset(upload)),
         "Upload-Length": str(upload.num_bytes),
     }
     if upload.metadata:
@@ -169,7 +170,7 @@ def get_upload(
     response_class=Response,
     responses={
         **_answers(204, "Upload-Offset", "Upload-Expires"),
-        **problems(400, 404, 408, 409, 412, 413, 415, 423, 460, 507),
+        **problems(400, 404, 408, 409, 412, 413, 415, 421, 423, 460, 507),
     },
     openapi_extra={
         "requestBody": {
@@ -206,16 +207,21 @@ async def continue_upload(
     summary="Delete an upload",
     status_code=status.HTTP_204_NO_CONTENT,
     response_class=Response,
-    responses={**_answers(204), **problems(404, 412)},
+    responses={**_answers(204), **problems(404, 412, 421)},
 )
 async def delete_upload(
     upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_require_version)]
 ) -> Response:
     """Delete an upload with its file."""
-    await run_in_threadpool(services.disk.using_reserve, lambda: records.uploads.delete(upload_id))
+    await run_in_threadpool(_delete, services, records, upload_id)
     async with services.uploads.writing(upload_id):
         await run_in_threadpool(services.uploads.remove, upload_id)
     return Response(status_code=204)
+
+
+def _delete(services: Services, records: TenantRecords, upload_id: str) -> None:
+    services.uploads.require_here(records.uploads.get(upload_id))
+    services.disk.using_reserve(lambda: records.uploads.delete(upload_id))
 
 
 def _begin(services: Services, idempotent: IdempotentRequest, length: int, name: str, metadata: str | None) -> Response:
@@ -228,10 +234,11 @@ def _begin(services: Services, idempotent: IdempotentRequest, length: int, name:
         try:
             with idempotent.records.transaction() as work:
                 keep_s = services.settings.upload_keep_s
-                upload = work.uploads.add(upload_id, name, length, metadata or "", keep_s)
+                upload = work.uploads.add(upload_id, name, length, metadata or "", keep_s, services.uploads.name)
                 return idempotent.store(work, _begun(upload)).response()
-        except BaseException:
-            services.uploads.remove(upload_id)
+        except BaseException as error:
+            if not is_perhaps_recorded(error):
+                services.uploads.remove(upload_id)
             raise
 
 
@@ -247,7 +254,7 @@ async def _append(
         if announced_bytes(request) > upload.num_bytes - offset:
             raise too_large("piece", max(0, upload.num_bytes - offset))
         async with services.uploads.writing(upload.id):
-            offset = await services.uploads.append(upload.id, offset, upload.num_bytes, stream, checksum)
+            offset = await services.uploads.append(upload, offset, stream, checksum)
     except (ApiError, OSError):
         await drain(stream)
         raise

@@ -9,6 +9,7 @@ import contextlib
 import fcntl
 import hashlib
 import os
+import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from uuid_utils import uuid7
 from api.errors import ApiError
 from worker.jobs.errors import DamagedDatabase, NotFound
 from worker.jobs.files.disk import DiskSpace, sync
+from worker.jobs.model import Upload
 from worker.jobs.store import JobStore
 
 _log = structlog.get_logger(__name__)
@@ -85,6 +87,7 @@ class UploadSpool:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._disk = disk
+        self.name = f"{socket.gethostname()}:{folder.absolute()}"
         self._writers: dict[str, _Writer] = {}
 
     def create(self) -> str:
@@ -98,9 +101,20 @@ class UploadSpool:
         """Path of an upload's file."""
         return self._folder / upload_id
 
-    def offset(self, upload_id: str) -> int:
-        """Bytes of an upload that are on disk; raises ``NotFound`` if there is no file."""
-        with self._open(upload_id) as file:
+    def require_here(self, upload: Upload) -> None:
+        """Raise 421 if the bytes of an upload are in the folder of another API process.
+
+        A file that is here is served, whatever the upload's row says: folders are shared, moved and restored.
+        """
+        if upload.spool in {None, self.name} or self.path(upload.id).exists():
+            return
+        _log.warning("upload_elsewhere", upload=upload.id, spool=upload.spool)
+        raise upload_elsewhere()
+
+    def offset(self, upload: Upload) -> int:
+        """Bytes of an upload that are on disk; raises ``NotFound`` if there is no file, 421 if it is elsewhere."""
+        self.require_here(upload)
+        with self._open(upload.id) as file:
             os.fsync(file)
             return os.fstat(file.fileno()).st_size
 
@@ -124,9 +138,7 @@ class UploadSpool:
         if writer.scope.cancelled_caught:
             raise _locked()
 
-    async def append(
-        self, upload_id: str, offset: int, length: int, stream: AsyncIterator[bytes], checksum: Checksum | None
-    ) -> int:
+    async def append(self, upload: Upload, offset: int, stream: AsyncIterator[bytes], checksum: Checksum | None) -> int:
         """Append a piece; within ``writing`` only.
 
         Bytes that arrive before the connection breaks are kept. A piece with a checksum is kept as a whole or not at
@@ -136,8 +148,6 @@ class UploadSpool:
         ----------
         offset
             Position of the piece by the client.
-        length
-            Bytes of the whole file.
 
         Returns
         -------
@@ -146,10 +156,11 @@ class UploadSpool:
         Raises
         ------
         ApiError
-            409 if the upload has another offset, 413 if the piece goes beyond the file's length, 423 if another process
-            writes, 460 if the checksum is wrong.
+            409 if the upload has another offset, 413 if the piece goes beyond the file's length, 421 if the file is
+            elsewhere, 423 if another process writes, 460 if the checksum is wrong.
         """
-        target = await run_in_threadpool(self._lock, upload_id, offset)
+        upload_id, length = upload.id, upload.num_bytes
+        target = await run_in_threadpool(self._lock, upload, offset)
         with contextlib.ExitStack() as stack:
             stack.callback(target.close)
             if checksum is None:
@@ -208,9 +219,10 @@ class UploadSpool:
         except FileNotFoundError:
             raise NotFound("There is no such upload.") from None
 
-    def _lock(self, upload_id: str, offset: int) -> BinaryIO:
+    def _lock(self, upload: Upload, offset: int) -> BinaryIO:
+        self.require_here(upload)
         with contextlib.ExitStack() as stack:
-            file = stack.enter_context(self._open(upload_id))
+            file = stack.enter_context(self._open(upload.id))
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # other processes may share the folder
             except BlockingIOError:
@@ -291,6 +303,16 @@ def _is_old(path: Path) -> bool:
         return time.time() - path.stat().st_mtime > _UNRECORDED_S
     except FileNotFoundError:
         return False
+
+
+def upload_elsewhere() -> ApiError:
+    """Error 421 for an upload whose bytes another API process has."""
+    return ApiError(
+        "upload_elsewhere",
+        "The bytes of this upload are at another API process.",
+        hint="Requests of an upload must reach the process that began it: the operator routes clients to one process "
+        "(sticky sessions). Or begin the upload again.",
+    )
 
 
 def _locked() -> ApiError:

@@ -44,7 +44,9 @@ class SeveralMachines:
         while True:
             with contextlib.suppress(httpx2.TransportError):
                 answer: httpx2.Response = self.client.request(method, path, **request)
-                if answer.status_code != 503:
+                if answer.status_code == 409 and answer.json()["code"] == "idempotency_key_busy":
+                    answer.status_code = 503  # the first try is still under way
+                elif answer.status_code != 503:
                     assert answer.status_code < 500, answer.text
                     return answer
                 assert answer.json()["code"] in OUTAGE_CODES, answer.text

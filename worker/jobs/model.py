@@ -138,13 +138,18 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Upload:
-    """A file that arrives in pieces; ``num_bytes`` is its complete size, ``metadata`` a text of the client."""
+    """A file that arrives in pieces.
+
+    ``num_bytes`` is its complete size, ``metadata`` a text of the client, ``spool`` the host and folder that hold the
+    bytes that have arrived; ``None``: upload of an older version.
+    """
 
     id: str
     name: str
     num_bytes: int
     metadata: str
     expires_at: datetime
+    spool: str | None
 
 
 Purpose = Literal["capture", "calibration"]

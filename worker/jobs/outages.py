@@ -1,7 +1,6 @@
 """Outages: parts of the service that do not respond. They are nobody's fault, so the work waits until they end."""
 
 import errno
-import random
 from enum import StrEnum
 
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
@@ -36,6 +35,14 @@ def outage_of(error: BaseException) -> Outage | None:
     return None
 
 
+def is_perhaps_recorded(error: BaseException) -> bool:
+    """Whether a transaction that ended with an error may have been committed: the answer of the database was lost.
+
+    Files that the transaction names are kept then; files without a row are removed later.
+    """
+    return outage_of(error) is Outage.DATABASE
+
+
 def _is_database_away(error: DBAPIError) -> bool:
     if is_disk_full(error):
         return False
@@ -44,29 +51,3 @@ def _is_database_away(error: DBAPIError) -> bool:
     if (code := getattr(error.orig, "sqlite_errorcode", None)) is not None:
         return isinstance(error, OperationalError) and code & _PRIMARY_CODE != _SQLITE_ERROR
     return isinstance(error, OperationalError | InterfaceError)
-
-
-class Pauses:
-    """Pauses between tries, each up to twice as long as the one before.
-
-    Half of a pause is random, so that workers that were stopped by one outage do not all return at one moment.
-
-    Parameters
-    ----------
-    first_s, longest_s
-        Longest first pause, and longest pause at all.
-    """
-
-    def __init__(self, first_s: float, longest_s: float) -> None:
-        self._first_s, self._longest_s = first_s, longest_s
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin again with the first pause."""
-        self._next_s = self._first_s
-
-    def next_s(self) -> float:
-        """Length of the next pause."""
-        whole_s = self._next_s
-        self._next_s = min(self._longest_s, 2.0 * whole_s)
-        return whole_s * random.uniform(0.5, 1.0)  # noqa: S311 - no secret

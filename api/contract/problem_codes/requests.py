@@ -166,6 +166,13 @@ ANSWERS = CodeGroup(
             "Correct everything that `errors` lists.",
         ),
         ProblemCode(
+            "upload_elsewhere",
+            ("421", "422"),
+            "The bytes of this upload are at another API process.",
+            "The operator routes all requests of a client to one API process (sticky sessions); or begin the upload "
+            "again.",
+        ),
+        ProblemCode(
             "upload_locked",
             ("423",),
             "Another request is writing to this upload.",

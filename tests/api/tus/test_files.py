@@ -12,6 +12,7 @@ import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from api.tus import files as uploads
 from tests.api.conftest import Live, problem_of, raw, running
 from tests.waiting import wait_for
 from worker.jobs.files.disk import DiskSpace
+from worker.jobs.model import Upload
 from worker.jobs.repositories.sessions import Sessions
 
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -263,7 +265,7 @@ def test_bytes_before_a_broken_connection_are_kept(
     tmp_path: Path, compared: uploads.Checksum | None, kept: int
 ) -> None:
     spool = uploads.UploadSpool(tmp_path, DiskSpace(tmp_path))
-    upload_id = spool.create()
+    upload = Upload(spool.create(), "cam_0.mp4", 5000, "", datetime.now(UTC), spool.name)
 
     async def breaking() -> AsyncIterator[bytes]:
         yield CONTENT[:1000]
@@ -271,7 +273,7 @@ def test_bytes_before_a_broken_connection_are_kept(
         raise ClientDisconnect
 
     with pytest.raises(ClientDisconnect):
-        asyncio.run(spool.append(upload_id, 0, 5000, breaking(), compared))
+        asyncio.run(spool.append(upload, 0, breaking(), compared))
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [CONTENT[:kept]]
 
 

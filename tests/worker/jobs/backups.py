@@ -74,7 +74,7 @@ class Data:
             pass
 
     def add_upload(self, content: bytes, num_bytes: int, upload_id: str) -> None:
-        self.store.uploads.add(upload_id, "cam.mp4", num_bytes, "", 3600.0)
+        self.store.uploads.add(upload_id, "cam.mp4", num_bytes, "", 3600.0, "host:/uploads")
         (self.folder / "uploads").mkdir(exist_ok=True)
         (self.folder / "uploads" / upload_id).write_bytes(content)
 

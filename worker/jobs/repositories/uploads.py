@@ -23,7 +23,7 @@ class Uploads:
     def __init__(self, access: Access) -> None:
         self._access = access
 
-    def add(self, upload_id: str, name: str, num_bytes: int, metadata: str, keep_s: float) -> Upload:
+    def add(self, upload_id: str, name: str, num_bytes: int, metadata: str, keep_s: float, spool: str) -> Upload:
         """Add an upload; its bytes count for the tenant's quota from now on.
 
         Parameters
@@ -38,6 +38,8 @@ class Uploads:
             Text of the client, stored as it is.
         keep_s
             Time until it expires; begins again with each ``renew``.
+        spool
+            Host and folder that hold its bytes.
 
         Raises
         ------
@@ -54,6 +56,7 @@ class Uploads:
                     num_bytes=num_bytes,
                     metadata=metadata,
                     expires_at=now() + keep_s,
+                    spool=spool,
                 )
             )
             record_event(connection, access.actor, access.owner, AuditAction.UPLOAD_CREATED, upload_id)
@@ -123,4 +126,4 @@ class Uploads:
 
 
 def _upload_of(row: Row[Any]) -> Upload:
-    return Upload(row.id, row.name, row.num_bytes, row.metadata, row.expires_at)
+    return Upload(row.id, row.name, row.num_bytes, row.metadata, row.expires_at, row.spool)

@@ -127,7 +127,7 @@ def test_missing_and_damaged_files_are_listed_and_the_rest_is_there(busy: Data, 
 
 def test_uploads_that_grow_are_kept_as_far_as_they_were(data: Data, tmp_path: Path) -> None:
     data.add_upload(b"a" * 3_000_000, 9_000_000, UPLOAD)
-    data.store.uploads.add(str(uuid_utils.uuid7()), "gone.mp4", 5, "", 3600.0)
+    data.store.uploads.add(str(uuid_utils.uuid7()), "gone.mp4", 5, "", 3600.0, "host:/uploads")
 
     def grow(done: int, total: int) -> None:
         with (data.folder / "uploads" / UPLOAD).open("ab") as file:

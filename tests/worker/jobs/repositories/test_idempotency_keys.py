@@ -122,7 +122,7 @@ Act = Callable[[Bench, TenantRecords], Any]
 ACTS: dict[str, Act] = {
     "cancel": lambda jobs, work: work.jobs.cancel(work.jobs.page()[0].id),
     "session": lambda jobs, work: work.sessions.add("take", [], PREFLIGHT, work.sessions.reserve_id()),
-    "upload": lambda jobs, work: work.uploads.add("0190", "cam.mp4", 5, "", 60.0),
+    "upload": lambda jobs, work: work.uploads.add("0190", "cam.mp4", 5, "", 60.0, "host:/uploads"),
     "both": add_both,
 }
 

@@ -19,7 +19,9 @@ def of(jobs: Bench, tenant: str = "mine", quotas: Quotas | None = None) -> Tenan
 
 
 def begin(records: TenantRecords, num_bytes: int = 100) -> str:
-    return records.uploads.add(str(uuid7()), "cam_0.mp4", num_bytes, "filename Y2FtXzAubXA0", HOUR_S).id
+    return records.uploads.add(
+        str(uuid7()), "cam_0.mp4", num_bytes, "filename Y2FtXzAubXA0", HOUR_S, "host:/uploads"
+    ).id
 
 
 def expire(jobs: Bench, upload_id: str) -> None:
@@ -28,7 +30,9 @@ def expire(jobs: Bench, upload_id: str) -> None:
 
 def test_what_was_said_comes_back(jobs: Bench) -> None:
     mine = of(jobs)
-    upload = mine.uploads.add(str(uuid7()), "cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S)
+    upload = mine.uploads.add(
+        str(uuid7()), "cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S, "host:/uploads"
+    )
     assert mine.uploads.get(upload.id) == upload
     assert (upload.name, upload.num_bytes, upload.metadata) == ("cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0")
     assert mine.uploads.renew(upload.id, 2 * HOUR_S).expires_at > upload.expires_at
