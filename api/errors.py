@@ -35,11 +35,7 @@ from worker.jobs.outages import Outage, outage_of
 _log = structlog.get_logger(__name__)
 
 _RETRY_AFTER_S = 5
-_OUTAGES: Mapping[Outage, str] = {
-    Outage.DATABASE: "The database does not respond.",
-    Outage.ARTIFACTS: "The artifact store does not respond.",
-    Outage.BROKER: "The broker does not respond.",
-}
+_WAIT = "Send the request again after the time of Retry-After."
 # Wait for a tenant at its quota of unfinished jobs, until one of them has probably ended.
 _QUOTA_RETRY_AFTER_S = 30
 # As many as a check of files reports, and some of the request itself.
@@ -336,8 +332,10 @@ def _from_failure(error: Exception) -> ApiError:
             return ApiError("client_disconnected", "The client closed the connection.", retryable=True)
         case _ if is_disk_full(error):
             return _storage_full()
-        case _ if (outage := outage_of(error)) is not None:
-            return service_unavailable(outage, _OUTAGES[outage], hint="Send the request again after Retry-After.")
+        case _ if outage_of(error) is Outage.DATABASE:
+            return service_unavailable("database_unavailable", "The database does not respond.", hint=_WAIT)
+        case _ if outage_of(error) is Outage.ARTIFACTS:
+            return service_unavailable("artifacts_unavailable", "The artifact store does not respond.", hint=_WAIT)
         case ArtifactsRefused():
             hint = "The operator checks MULTICAP_ARTIFACTS_URL, its bucket and its keys."
             return service_unavailable("artifacts_refused", "The artifact store refuses the service.", hint=hint)

@@ -52,6 +52,8 @@ PASSED_ON = {
     ("pipeline/stages/run.py", "_calibrated"),  # those of problems
     ("pipeline/capture/session.py", "_of_video"),  # those of problems
     ("pipeline/video/unusable.py", "problem"),
+    ("api/requests/intake.py", "adopted"),  # that of upload_elsewhere
+    ("worker/problems.py", "waiting_for"),  # those of outages
     ("worker/problems.py", "problem_of"),  # those of the pipeline
 }
 # Codes that are composed of values that no call states as a constant.
