@@ -60,7 +60,7 @@ def get_readiness(request: Request, services: ServicesDep) -> Readiness | Respon
     )
     checks: dict[str, ErrorItem | None] = {}
     for name, items in results.items():
-        checks |= {name: _check(name, responds=False)} if items is None else items
+        checks |= {name: _SILENT[name]} if items is None else items
     if errors := [item for item in checks.values() if item is not None]:
         # Not raised, because the handler would log it: clients that wait for the service ask every few seconds.
         problem = service_unavailable("not_ready", "The service can't start a job now.", errors)
@@ -83,6 +83,15 @@ def get_metrics(_: AdminDep, request: Request, services: ServicesDep) -> Respons
 
 def _check(name: str, responds: bool) -> ErrorItem | None:
     return None if responds else ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name])
+
+
+# Parts that have not answered in time.
+_SILENT = {
+    "database": _check("database", responds=False),
+    "broker": _check("broker", responds=False),
+    "artifacts": _check("artifacts", responds=False),
+    "disk": _check("disk", responds=False),
+}
 
 
 def _database_check(store: JobStore) -> ErrorItem | None:
