@@ -42,9 +42,6 @@ from worker.jobs.spec import JobSpec
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
 
-# Code of the problem of a lost lease.
-WORKER_LOST = "worker_lost"
-
 
 class Leases:
     """Leases of chunks, of all tenants.
@@ -345,7 +342,7 @@ def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:
 
 def _worker_lost(stage: str) -> Problem:
     return Problem(
-        WORKER_LOST,
+        "worker_lost",
         f"A worker of the stage {stage} fell silent.",
         stage=stage,
         hint="It may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",

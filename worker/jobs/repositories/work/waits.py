@@ -9,7 +9,6 @@ from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job, set_waiting
 from worker.jobs.model import AT_WORK, ChunkState, Claim, Problem
 from worker.jobs.outages import Outage
-from worker.jobs.repositories.work.leases import WORKER_LOST
 
 
 class Waits:
@@ -58,7 +57,7 @@ class Waits:
             if lock_job(connection, claim.job_id) is None:
                 return
             last = connection.execute(lost).one_or_none()
-            if last is None or last.problem["code"] != WORKER_LOST:
+            if last is None or last.problem["code"] != "worker_lost":
                 return
             if connection.execute(restore).rowcount == 1:
                 connection.execute(delete(failures).where(failures.c.id == last.id))
