@@ -19,9 +19,9 @@ from typing import Any
 
 import pytest
 
-from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
+from pipeline.export.results import write_results
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
 from tests.e2e.serving import digests
