@@ -12,9 +12,9 @@ from jaxtyping import Float
 from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths, unlimited_lengths
 from pipeline.clustering.instant.candidates import BodyEvidence, Instant, ViewEvidence
 from pipeline.clustering.instant.clusters import find_joints
-from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.instant.parsing import Poses, parse
 from pipeline.clustering.instant.people import match_people
+from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.linking import link
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import TORSO, Skeleton, skeleton_of
@@ -31,15 +31,15 @@ def find_poses(
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    effort: Effort,
+    limits: WorkLimits,
 ) -> Poses:
     """Find the poses of all people at one instant (sections 3.2 to 3.4).
 
     People whose bodies agree in several views come first. The paper's steps find the rest: joints that these people
     lack, and other people.
     """
-    whole = match_people(image_from_world, instant.candidates, skeleton, lengths, parameters, effort)
-    joints = find_joints(image_from_world, *instant, skeleton, lengths, parameters, effort, whole.joints)
+    whole = match_people(image_from_world, instant.candidates, skeleton, lengths, parameters, limits)
+    joints = find_joints(image_from_world, *instant, skeleton, lengths, parameters, limits, whole.joints)
     return parse(joints, instant.evidence, skeleton, lengths, parameters, whole.joint_of)
 
 
@@ -76,10 +76,10 @@ def find_people(
     points_px, score = [np.empty((0, *shape, 2))], [np.empty((0, *shape))]
     approximate: list[int] = []
     for frame in frames:
-        instant, effort = evidence.at(frame), Effort()
+        instant, limits = evidence.at(frame), WorkLimits()
         if len(instant.candidates.joint):
-            poses = find_poses(projections, instant, skeleton, lengths, parameters, effort)
-            if not effort.is_exact:
+            poses = find_poses(projections, instant, skeleton, lengths, parameters, limits)
+            if not limits.is_exact:
                 approximate.append(frame)
             number.append(np.full(len(poses.xyz_m), frame))
             xyz_m.append(poses.xyz_m)

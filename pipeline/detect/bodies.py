@@ -10,7 +10,7 @@ from pipeline.joints import JointSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bodies:
+class ImageBodies:
     """Bodies in one image, in descending order of confidence.
 
     Parameters
@@ -39,5 +39,5 @@ class BodyDetector(Protocol):
     def joints(self) -> JointSet:
         """Joints of the bodies."""
 
-    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""

@@ -10,9 +10,10 @@ from jaxtyping import Int, UInt8
 from pipeline.capture.session import CaptureSession
 from pipeline.data import Detections, MapGrid, PafFields, no_colours, no_frames, read_only
 from pipeline.detect.appearance import NUM_BINS, PARTS, colour_histograms
+from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.detect.decoders.openpose import LIMBS
-from pipeline.detect.detector import Bodies, Detector
+from pipeline.detect.detector import Detector
 from pipeline.detect.doubled import ChangeMeter, join_changes
 from pipeline.detect.profiles.detection import BodyDetector
 from pipeline.errors import InputError
@@ -54,15 +55,17 @@ def detect_chunk(
     """
     damaged: list[int] = []
     meter = ChangeMeter()
-    bodies: list[tuple[int, Bodies]] = []
+    bodies: list[tuple[int, ImageBodies]] = []
     colours: list[UInt8[np.ndarray, "n parts bins"]] = []
     with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
         for frame, image_rgb in frames:
             meter.add(frame, image_rgb)
-            found = detector.detect(image_rgb)
-            bodies.append((frame, found))
+            image_bodies = detector.detect(image_rgb)
+            bodies.append((frame, image_bodies))
             if measures_colours:
-                colours.append(colour_histograms(image_rgb, found.keypoints_px, found.score, detector.joints))
+                colours.append(
+                    colour_histograms(image_rgb, image_bodies.keypoints_px, image_bodies.score, detector.joints)
+                )
     detections = stack_bodies(camera, bodies, len(detector.joints.names))
     return replace(detections, damaged=_frame_numbers(damaged), colour=_join_colours(colours), changes=meter.changes())
 
@@ -169,7 +172,7 @@ def camera_images(
 
 def _join_colours(colours: Sequence[UInt8[np.ndarray, "_ _ _"]]) -> UInt8[np.ndarray, "_ _ _"]:
     """Concatenate colours of bodies, (bodies, parts, bins); pieces without bodies need not have parts and bins."""
-    measured = [one for one in colours if len(one)]
+    measured = [colour for colour in colours if len(colour)]
     return read_only(np.concatenate(measured)) if measured else no_colours()
 
 
@@ -204,7 +207,7 @@ def stack_fields(camera: str, numbered: Sequence[tuple[int, ImageFields]]) -> Pa
     )
 
 
-def stack_bodies(camera: str, numbered: Sequence[tuple[int, Bodies]], num_joints: int) -> Detections:
+def stack_bodies(camera: str, numbered: Sequence[tuple[int, ImageBodies]], num_joints: int) -> Detections:
     """Stack the bodies of some frames, in ascending order of the frames, to detections of a camera."""
     frame = np.repeat([frame for frame, _ in numbered], [len(bodies.score) for _, bodies in numbered]).astype(np.int64)
     return Detections(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from pipeline.data import read_only
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.decoders.fields import FieldGrid, ImageFields
 from pipeline.detect.decoders.grouping import group
 from pipeline.detect.decoders.movenet import decode_movenet
@@ -15,12 +15,12 @@ from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detect.entries import entry_of
 from pipeline.detect.letterbox import LetterBox, apply_letterbox, fit_letterbox
 from pipeline.detect.models import verify
-from pipeline.detect.registry import Head, NetworkInput
+from pipeline.detect.registry import NetworkHead, NetworkInput
 from pipeline.detect.session import Network, open_network
 from pipeline.errors import ModelError
 from pipeline.joints import JointSet
 
-__all__ = ["Bodies", "Detector", "open_detector"]
+__all__ = ["Detector", "ImageBodies", "open_detector"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +39,11 @@ class Detector:
 
     network: Network
     input: NetworkInput
-    head: Head
+    head: NetworkHead
     joints: JointSet
     fields: FieldGrid | None = None
 
-    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""
         tensor, letterbox = self.prepare(image_rgb)
         return self.decode(self.run_network(tensor), letterbox)
@@ -67,9 +67,9 @@ class Detector:
         """Run the network on a prepared tensor; returns its named outputs."""
         return self.network(tensor)
 
-    def decode(self, outputs: Mapping[str, np.ndarray], letterbox: LetterBox) -> Bodies:
+    def decode(self, outputs: Mapping[str, np.ndarray], letterbox: LetterBox) -> ImageBodies:
         """Decode the network's outputs to bodies in pixels of the image."""
-        if self.head is Head.OPENPOSE:
+        if self.head is NetworkHead.OPENPOSE:
             return group(self._decode_fields(outputs, letterbox), LIMBS, len(self.joints.names))
         bodies = decode_movenet(outputs)
         corners_px = letterbox.image_from_network(bodies.box_px.reshape(-1, 2, 2))

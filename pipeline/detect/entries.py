@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from pipeline.detect.decoders.fields import FieldGrid
 from pipeline.detect.own.files import OWN_PREFIX, own_entry
-from pipeline.detect.registry import Head, LooseWeights, NetworkEntry, NetworkInput, PackagedWeights, WeightFile
+from pipeline.detect.registry import LooseWeights, NetworkEntry, NetworkHead, NetworkInput, PackagedWeights, WeightFile
 from pipeline.errors import ModelError
 from pipeline.joints import BODY_FEET, COCO_17, COCO_18, FINGERS, JointOffset, JointOffsets, JointSet
 from pipeline.runtime.packages.index import PinnedFile
@@ -120,7 +120,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=18_889_798,
             licence="Apache-2.0",
             input=NetworkInput(channels="rgb", multiple=32, scaled_px=512),
-            head=Head.MOVENET_MULTIPOSE,
+            head=NetworkHead.MOVENET_MULTIPOSE,
             joints=COCO_17,
             offsets=_MOVENET_OFFSETS,
         ),
@@ -132,7 +132,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=5_535_928,
             licence="Apache-2.0",
             input=NetworkInput(channels="rgb", multiple=32, scaled_px=512),
-            head=Head.MOVENET_MULTIPOSE,
+            head=NetworkHead.MOVENET_MULTIPOSE,
             joints=COCO_17,
             offsets=_MOVENET_OFFSETS,
         ),
@@ -155,7 +155,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=7_781_846,
             licence="Apache-2.0",
             input=NetworkInput(channels="bgr", multiple=8, scaled_px=656, scaled_side="height"),
-            head=Head.OPENPOSE,
+            head=NetworkHead.OPENPOSE,
             joints=COCO_18,
             # The network's strided convolutions pad at the end only, which shifts its maps to the right.
             fields=FieldGrid(stride_px=8, shift_px=(0.6, 0.0), tau2=0.15),
@@ -178,7 +178,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=16_410_072,
             licence="Apache-2.0",
             input=NetworkInput(channels="bgr", multiple=8, scaled_px=480, scaled_side="height"),
-            head=Head.OPENPOSE,
+            head=NetworkHead.OPENPOSE,
             joints=COCO_18,
             fields=FieldGrid(stride_px=8, shift_px=(0.0, 0.0), tau2=0.3),
         ),
@@ -195,7 +195,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=12_151_971,
             licence="Apache-2.0",
             input=_BODY_CROP,
-            head=Head.BLAZEPOSE,
+            head=NetworkHead.BLAZEPOSE,
             joints=BODY_FEET,
             offsets=_REFINED_OFFSETS,
         ),
@@ -219,7 +219,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=54_503_996,
             licence="Apache-2.0",
             input=_BODY_CROP,
-            head=Head.BLAZEPOSE,
+            head=NetworkHead.BLAZEPOSE,
             joints=BODY_FEET,
             offsets=_REFINED_OFFSETS,
         ),
@@ -236,7 +236,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=10_583_986,
             licence="Apache-2.0",
             input=_HAND_CROP,
-            head=Head.HAND,
+            head=NetworkHead.HAND,
             joints=_HAND_JOINTS,
         ),
     )

@@ -222,17 +222,17 @@ def _find_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str, 
         sizes = {path: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()}
     except OSError as error:
         raise ModelError(f"{folder.name} can't be read: {error.strerror}.") from error
-    found = []
+    paths = []
     for file in wanted:
         alike = [path for path, size in sizes.items() if size == file.num_bytes and _digest(path) == file.sha256]
-        found.extend(alike[:1])
-    if len(found) < len(wanted):
+        paths.extend(alike[:1])
+    if len(paths) < len(wanted):
         endings = " and ".join(file.suffix for file in wanted)
         raise ModelError(
             f"{place.name or folder.resolve().name} is not, or does not hold, the files of {entry.name} ({endings}) "
             f"with the right checksums. {install_command(entry.name)}"
         )
-    return found
+    return paths
 
 
 def _digest(path: Path) -> str:

@@ -15,7 +15,7 @@ from pipeline.joints import JointOffsets, JointSet
 from pipeline.runtime.packages.index import PinnedFile
 
 
-class Head(enum.Enum):
+class NetworkHead(enum.Enum):
     """Kind of a network's outputs, which selects the decoder."""
 
     MOVENET_MULTIPOSE = "movenet-multipose"
@@ -27,7 +27,7 @@ class Head(enum.Enum):
     @property
     def reads_crops(self) -> bool:
         """Return whether the network reads landmarks in a crop of a body or hand, not whole images."""
-        return self in {Head.BLAZEPOSE, Head.HAND}
+        return self in {NetworkHead.BLAZEPOSE, NetworkHead.HAND}
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class NetworkEntry:
     num_bytes: int
     licence: str
     input: NetworkInput
-    head: Head
+    head: NetworkHead
     joints: JointSet
     fields: FieldGrid | None = None
     offsets: JointOffsets = field(default_factory=dict)

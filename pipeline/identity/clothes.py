@@ -52,7 +52,7 @@ class Clothes(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Distances:
+class ColourDistances:
     """Distances of two pieces of the same person, and of different people: normal distributions.
 
     Parameters
@@ -78,8 +78,8 @@ class Distances:
 class Contrast:
     """Distances of people in a session, seen by the same camera and by two cameras."""
 
-    within_camera: Distances
-    across_cameras: Distances
+    within_camera: ColourDistances
+    across_cameras: ColourDistances
 
 
 # Distance of two pieces of the same person, measured on a sample and a rendered capture (docs/tracking.md). Pieces are
@@ -123,14 +123,14 @@ def clothes_of(
     return mean_clothes(colour[detection[frames, cameras]], cameras, num_cameras)
 
 
-def log_likelihood_ratio(one: Clothes, other: Clothes, contrast: Contrast) -> float:
+def log_likelihood_ratio(first: Clothes, second: Clothes, contrast: Contrast) -> float:
     """Logarithm of the likelihoods' ratio of two pieces' colours: same person to different people.
 
     Returns
     -------
         Nats, at most ``MAX_LOG_RATIO`` either way; 0 if no part is known of both.
     """
-    return float(log_likelihood_ratios([one, other], contrast)[0, 1])
+    return float(log_likelihood_ratios([first, second], contrast)[0, 1])
 
 
 def log_likelihood_ratios(pieces: Sequence[Clothes], contrast: Contrast) -> Float[np.ndarray, "pieces pieces"]:
@@ -201,22 +201,22 @@ def tracklet_ratios(
         See ``clothes_of``.
     """
     ratios = np.zeros((len(tracklets), len(tracklets)))
-    length = np.array([one.stop_frame - one.start_frame for one in tracklets])
+    length = np.array([tracklet.stop_frame - tracklet.start_frame for tracklet in tracklets])
     longest = np.sort(np.argsort(-length, kind="stable")[:_MAX_TRACKLETS])
     chosen = [tracklets[number] for number in longest.tolist()]
 
-    def clothes(one: Tracklet, start_frame: int, stop_frame: int) -> Clothes:
-        track, seen = pieces[one.track]
+    def clothes(tracklet: Tracklet, start_frame: int, stop_frame: int) -> Clothes:
+        track, seen = pieces[tracklet.track]
         rows = slice(start_frame - track.start_frame, stop_frame - track.start_frame)
         return clothes_of(seen.detection[rows], colour, num_cameras)
 
-    whole = [clothes(one, one.start_frame, one.stop_frame) for one in chosen]
-    middles = [(one.start_frame + one.stop_frame) // 2 for one in chosen]
+    whole = [clothes(tracklet, tracklet.start_frame, tracklet.stop_frame) for tracklet in chosen]
+    middles = [(tracklet.start_frame + tracklet.stop_frame) // 2 for tracklet in chosen]
     halves = [
-        (clothes(one, one.start_frame, middle), clothes(one, middle, one.stop_frame))
-        for one, middle in zip(chosen, middles, strict=True)
+        (clothes(tracklet, tracklet.start_frame, middle), clothes(tracklet, middle, tracklet.stop_frame))
+        for tracklet, middle in zip(chosen, middles, strict=True)
     ]
-    start, stop = (np.array([getattr(one, name) for one in chosen]) for name in ("start_frame", "stop_frame"))
+    start, stop = (np.array([getattr(tracklet, name) for tracklet in chosen]) for name in ("start_frame", "stop_frame"))
     meet = (start[:, None] < stop) & (start < stop[:, None]) & ~np.eye(len(chosen), dtype=np.bool_)
     ratios[np.ix_(longest, longest)] = log_likelihood_ratios(whole, learn_contrast(whole, halves, meet))
     return ratios
@@ -224,14 +224,14 @@ def tracklet_ratios(
 
 def _learn(
     same: Sequence[Float[np.ndarray, " _"]], different: Sequence[Float[np.ndarray, " _"]], least_same: float
-) -> Distances:
+) -> ColourDistances:
     """Distributions of distances; NaN is left out."""
     of_same, of_different = _finite(same), _finite(different)
     mean_same = max(least_same, float(of_same.mean())) if len(of_same) else least_same
     # One more pair as if it were of the same person: little evidence of a difference gives a small difference.
     mean_different = float((of_different.sum() + mean_same) / (len(of_different) + 1))
     variance = (_variance(of_same) + _variance(of_different)) / 2
-    return Distances(mean_same, mean_different, max(_LEAST_SPREAD, float(np.sqrt(variance))))
+    return ColourDistances(mean_same, mean_different, max(_LEAST_SPREAD, float(np.sqrt(variance))))
 
 
 def _finite(parts: Sequence[Float[np.ndarray, " _"]]) -> Float[np.ndarray, " n"]:

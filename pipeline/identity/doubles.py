@@ -36,20 +36,20 @@ def merge_doubles(
     """
     paths = [path_of(track, joints) for track, _ in pieces]
     shared = {
-        (one, other): min(paths[one].stop_frame, paths[other].stop_frame) - paths[other].start_frame
-        for one, other in pairs_within(paths, _SAME_PLACE_M)
-        if _is_same_place(paths[one], paths[other]) and _is_one_body(pieces[one], pieces[other])
+        (first, second): min(paths[first].stop_frame, paths[second].stop_frame) - paths[second].start_frame
+        for first, second in pairs_within(paths, _SAME_PLACE_M)
+        if _is_same_place(paths[first], paths[second]) and _is_one_body(pieces[first], pieces[second])
     }
 
-    def may_be_one(one: int, other: int) -> bool:
+    def may_be_one(first: int, second: int) -> bool:
         is_apart_in_time = (
-            paths[one].stop_frame <= paths[other].start_frame or paths[other].stop_frame <= paths[one].start_frame
+            paths[first].stop_frame <= paths[second].start_frame or paths[second].stop_frame <= paths[first].start_frame
         )
-        return is_apart_in_time or (min(one, other), max(one, other)) in shared
+        return is_apart_in_time or (min(first, second), max(first, second)) in shared
 
     group = {number: [number] for number in range(len(pieces))}
-    for one, other in sorted(shared, key=lambda pair: (-shared[pair], pair)):
-        left, right = group[one], group[other]
+    for first, second in sorted(shared, key=lambda pair: (-shared[pair], pair)):
+        left, right = group[first], group[second]
         # A track near two people must not make one person of them.
         if left is not right and all(may_be_one(a, b) for a in left for b in right):
             left += right
@@ -59,20 +59,20 @@ def merge_doubles(
     return [person for person in merged if person is not None]
 
 
-def _is_same_place(one: Path, other: Path) -> bool:
-    frames = np.arange(max(one.start_frame, other.start_frame), min(one.stop_frame, other.stop_frame))
-    apart_m = np.linalg.norm(one.at(frames) - other.at(frames), axis=-1)
+def _is_same_place(first: Path, second: Path) -> bool:
+    frames = np.arange(max(first.start_frame, second.start_frame), min(first.stop_frame, second.stop_frame))
+    apart_m = np.linalg.norm(first.at(frames) - second.at(frames), axis=-1)
     apart_m = apart_m[np.isfinite(apart_m)]
     return len(apart_m) > 0 and float(np.median(apart_m)) < _SAME_PLACE_M
 
 
-def _is_one_body(one: Person, other: Person) -> bool:
-    start = max(one[0].start_frame, other[0].start_frame)
-    stop = min(track.start_frame + track.num_frames for track, _ in (one, other))
-    seen = [slice(start - track.start_frame, stop - track.start_frame) for track, _ in (one, other)]
-    points_px = [person[1].points_px[rows] for person, rows in zip((one, other), seen, strict=True)]
-    found = [np.isfinite(of_person_px[..., 0]) for of_person_px in points_px]
-    pictures = [of_person.sum(-1) >= _MIN_JOINTS for of_person in found]
+def _is_one_body(first: Person, second: Person) -> bool:
+    start = max(first[0].start_frame, second[0].start_frame)
+    stop = min(track.start_frame + track.num_frames for track, _ in (first, second))
+    seen = [slice(start - track.start_frame, stop - track.start_frame) for track, _ in (first, second)]
+    points_px = [person[1].points_px[rows] for person, rows in zip((first, second), seen, strict=True)]
+    is_found = [np.isfinite(of_person_px[..., 0]) for of_person_px in points_px]
+    pictures = [of_person.sum(-1) >= _MIN_JOINTS for of_person in is_found]
     both = pictures[0] & pictures[1]
     both &= ~_is_found_twice(points_px[0], points_px[1])
     return bool(both.sum() <= _BOTH_SEEN * min(of_person.sum() for of_person in pictures))

@@ -14,13 +14,13 @@ from pipeline.data import Camera, Doubt, People, Timebase, no_detections
 from pipeline.geometry.track_assembly import Person, number_people
 from pipeline.identity.clothes import tracklet_ratios
 from pipeline.identity.doubles import merge_doubles
-from pipeline.identity.ghosts import is_chance, mean_bodies
-from pipeline.identity.joining import Chain, Session, doubts_of, join
+from pipeline.identity.joining import Chain, TrackletLinks, doubts_of, join
 from pipeline.identity.links import first_ends, last_ends, viewed_area_m2
 from pipeline.identity.merging import cut, merge
-from pipeline.identity.proportions import Proportions, changes, limb_lengths_m, measure, spread_of_a_second_m
-from pipeline.identity.second_look import look_again
-from pipeline.identity.tracklets import Moment, Tracklet, cut_at_gaps, cut_at_moments, encounters, path_of
+from pipeline.identity.proportions import LimbProportions, changes, limb_lengths_m, measure, spread_of_a_second_m
+from pipeline.identity.recover_detections import recover_detections
+from pipeline.identity.spurious_tracks import is_spurious, mean_bodies
+from pipeline.identity.tracklets import DoubtfulMoment, Tracklet, cut_at_gaps, cut_at_moments, encounters, path_of
 from pipeline.joints import JointSet
 
 
@@ -51,7 +51,7 @@ def identify(
     Returns
     -------
         One track a person, numbered from 1 in order of first appearance, with the doubts about its identity. Tracks
-        that may be chance are left out (``ghosts``).
+        that may be chance are left out (``spurious_tracks``).
     """
     tracks: list[Person] = list(zip(people.tracks, people.observations, strict=True))
     num_bodies = mean_bodies(people.observations, timebase)
@@ -67,45 +67,46 @@ def identify(
     kept = [
         (person, number)
         for number, person in enumerate(merged)
-        if person is not None and not is_chance(person, cameras, timebase, num_bodies)
+        if person is not None and not is_spurious(person, cameras, timebase, num_bodies)
     ]
     if most is not None:
         kept = sorted(kept, key=lambda entry: int(entry[0][0].views.sum()), reverse=True)[:most]
     kept.sort(key=lambda entry: entry[0][0].start_frame)
     # Rows of detections serve the comparison of clothes only.
-    found = [(track, replace(seen, detection=no_detections())) for (track, seen), _ in kept]
+    persons = [(track, replace(seen, detection=no_detections())) for (track, seen), _ in kept]
     if people.leftovers is not None:
-        found = look_again(found, people.leftovers, cameras, timebase, min_score)
+        persons = recover_detections(persons, people.leftovers, cameras, timebase, min_score)
     numbers = {number: k for k, (_, number) in enumerate(kept, start=1)}
     of_chains = doubts_of(session, chains)
     doubts = [
-        [Doubt(one.frame, one.confidence, numbers.get(one.other, 0)) for one in of_chains[number]] for number in numbers
+        [Doubt(doubt.frame, doubt.confidence, numbers.get(doubt.other, 0)) for doubt in of_chains[number]]
+        for number in numbers
     ]
-    return People(*number_people(found), people.num_approximate_frames, doubts)
+    return People(*number_people(persons), people.num_approximate_frames, doubts)
 
 
-def _session(pieces: Sequence[Person], joints: JointSet, frame_rate_hz: float) -> Session:
+def _session(pieces: Sequence[Person], joints: JointSet, frame_rate_hz: float) -> TrackletLinks:
     """Cut pieces of tracks at all moments of doubt, and measure what links the tracklets."""
     paths = [path_of(track, joints) for track, _ in pieces]
     lengths_m = [limb_lengths_m(track, joints) for track, _ in pieces]
     spread_m = spread_of_a_second_m(lengths_m, frame_rate_hz)
     moments = encounters(paths, frame_rate_hz) + [
-        Moment(path.start_frame + row, (number,))
+        DoubtfulMoment(path.start_frame + row, (number,))
         for number, (path, of_piece_m) in enumerate(zip(paths, lengths_m, strict=True))
         for row in changes(of_piece_m, spread_m, frame_rate_hz)
     ]
     whole = [Tracklet(number, path.start_frame, path.stop_frame) for number, path in enumerate(paths)]
     tracklets = cut_at_moments(whole, sorted(moments))
     measured = [
-        measure(lengths_m[one.track][one.start_frame - start : one.stop_frame - start], frame_rate_hz)
-        for one in tracklets
-        for start in [paths[one.track].start_frame]
+        measure(lengths_m[tracklet.track][tracklet.start_frame - start : tracklet.stop_frame - start], frame_rate_hz)
+        for tracklet in tracklets
+        for start in [paths[tracklet.track].start_frame]
     ]
-    return Session(
+    return TrackletLinks(
         tracklets,
         first_ends(tracklets, paths, frame_rate_hz),
         last_ends(tracklets, paths, frame_rate_hz),
-        Proportions(measured, spread_m),
+        LimbProportions(measured, spread_m),
         viewed_area_m2(paths) if paths else 0.0,
     )
 

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from pipeline.data import Doubt
 from pipeline.identity.links import Ends, link_scores
-from pipeline.identity.proportions import Proportions
+from pipeline.identity.proportions import LimbProportions
 from pipeline.identity.tracklets import Tracklet
 
 Chain = tuple[int, ...]
@@ -28,7 +28,7 @@ _MOST_ENDS, _MOST_CHAINS, _MOST_CHANGES = 2_000, 200, 2_000
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class TrackletLinks:
     """Tracklets of a session, and what links them.
 
     Parameters
@@ -48,7 +48,7 @@ class Session:
     tracklets: Sequence[Tracklet]
     first: Ends
     last: Ends
-    proportions: Proportions
+    proportions: LimbProportions
     area_m2: float
     clothes: Float[np.ndarray, "tracklets tracklets"] | None = None
 
@@ -58,7 +58,7 @@ class Session:
         return scores if self.clothes is None else scores + self.clothes[before, after]
 
 
-def join(session: Session) -> list[Chain]:
+def join(session: TrackletLinks) -> list[Chain]:
     """Join tracklets to chains, a person each, in order of their first tracklets."""
     chains = sorted(_first_chains(session), key=lambda chain: -_num_frames(session, chain))
     search = _Search(session, chains[:_MOST_CHAINS])
@@ -66,28 +66,32 @@ def join(session: Session) -> list[Chain]:
     return sorted([*filter(None, search.chains), *chains[_MOST_CHAINS:]])
 
 
-def doubts_of(session: Session, chains: Sequence[Chain]) -> list[list[Doubt]]:
+def doubts_of(session: TrackletLinks, chains: Sequence[Chain]) -> list[list[Doubt]]:
     """Doubts about each of the joined chains, in order of time; the other person is the number of a chain, or -1."""
     by_length = sorted(range(len(chains)), key=lambda number: -_num_frames(session, chains[number]))[:_MOST_CHAINS]
     doubts: list[list[Doubt]] = [[] for _ in chains]
-    for number, found in zip(by_length, _Search(session, [chains[one] for one in by_length]).doubts(), strict=True):
-        doubts[number] = [one._replace(other=by_length[one.other] if one.other >= 0 else -1) for one in found]
+    for number, chain_doubts in zip(
+        by_length, _Search(session, [chains[chain] for chain in by_length]).doubts(), strict=True
+    ):
+        doubts[number] = [
+            doubt._replace(other=by_length[doubt.other] if doubt.other >= 0 else -1) for doubt in chain_doubts
+        ]
     return doubts
 
 
-def _num_frames(session: Session, chain: Chain) -> int:
-    return sum(session.tracklets[one].stop_frame - session.tracklets[one].start_frame for one in chain)
+def _num_frames(session: TrackletLinks, chain: Chain) -> int:
+    return sum(session.tracklets[number].stop_frame - session.tracklets[number].start_frame for number in chain)
 
 
-def _first_chains(session: Session) -> list[Chain]:
+def _first_chains(session: TrackletLinks) -> list[Chain]:
     """Chains by the assignment with the greatest sum of scores of pairs; tracks go on at encounters."""
     count = len(session.tracklets)
     following = np.full(count, -1)
-    cut_before = {(one.track, one.cut_before): number for number, one in enumerate(session.tracklets)}
-    for number, one in enumerate(session.tracklets):
-        if one.cut_after >= 0:
-            following[number] = cut_before[one.track, one.cut_after]
-    length = np.array([one.stop_frame - one.start_frame for one in session.tracklets], int)
+    cut_before = {(tracklet.track, tracklet.cut_before): number for number, tracklet in enumerate(session.tracklets)}
+    for number, tracklet in enumerate(session.tracklets):
+        if tracklet.cut_after >= 0:
+            following[number] = cut_before[tracklet.track, tracklet.cut_after]
+    length = np.array([tracklet.stop_frame - tracklet.start_frame for tracklet in session.tracklets], int)
     ends = _longest(np.flatnonzero(session.last.cut < 0), length)
     starts = _longest(np.flatnonzero(session.first.cut < 0), length)
     gain = _pair_gains(session, ends, starts)
@@ -103,7 +107,7 @@ def _longest(tracklets: Int[np.ndarray, " n"], length: Int[np.ndarray, " _"]) ->
 
 
 def _pair_gains(
-    session: Session, ends: Int[np.ndarray, " ends"], starts: Int[np.ndarray, " starts"]
+    session: TrackletLinks, ends: Int[np.ndarray, " ends"], starts: Int[np.ndarray, " starts"]
 ) -> Float[np.ndarray, "ends starts"]:
     """Gain of the likelihood by linking pairs of tracklets."""
     proportions = session.proportions
@@ -149,23 +153,23 @@ class _Exchanges:
 class _Search:
     """Search for the most likely chains by exchanges of their ends; an empty chain is the place of new people."""
 
-    def __init__(self, session: Session, chains: Sequence[Chain]) -> None:
+    def __init__(self, session: TrackletLinks, chains: Sequence[Chain]) -> None:
         self._session = session
         self.chains: list[Chain] = [*chains, ()]
         self._sums = [self._sum(chain) for chain in self.chains]
-        self._start = np.array([one.start_frame for one in session.tracklets])
-        self._stop = np.array([one.stop_frame for one in session.tracklets])
+        self._start = np.array([tracklet.start_frame for tracklet in session.tracklets])
+        self._stop = np.array([tracklet.stop_frame for tracklet in session.tracklets])
 
     def run(self) -> None:
         """Change pairs of chains, the greatest gain first, until nothing is gained."""
         best = {pair: self._best(*pair) for pair in self._pairs(range(len(self.chains)))}
         for _ in range(_MOST_CHANGES if best else 0):
-            (one, other), (gain, left, right) = max(best.items(), key=lambda entry: entry[1][0])
+            (first, second), (gain, left, right) = max(best.items(), key=lambda entry: entry[1][0])
             if gain <= _LEAST_GAIN:
                 return
-            self._set(one, left)
-            self._set(other, right)
-            changed = [one, other]
+            self._set(first, left)
+            self._set(second, right)
+            changed = [first, second]
             if () not in self.chains:
                 self.chains.append(())
                 self._sums.append(self._sum(()))
@@ -174,21 +178,21 @@ class _Search:
 
     def doubts(self) -> list[list[Doubt]]:
         """See ``doubts_of``: the best exchange at each border of a chain, if it is nearly as likely."""
-        found: list[dict[int, tuple[float, int]]] = [{} for _ in self.chains]
-        for one in range(len(self.chains)):
-            for other in range(one + 1, len(self.chains)):
-                exchanges = self._exchanges(one, other)
+        best_links: list[dict[int, tuple[float, int]]] = [{} for _ in self.chains]
+        for first in range(len(self.chains)):
+            for second in range(first + 1, len(self.chains)):
+                exchanges = self._exchanges(first, second)
                 for kept, gain in zip(exchanges.kept.tolist(), exchanges.gain.tolist(), strict=True):
-                    for chain, twin, border in ((one, other, kept[0]), (other, one, kept[1])):
-                        if gain > found[chain].get(border, (-np.inf, 0))[0]:
-                            found[chain][border] = gain, twin if self.chains[twin] else -1
+                    for chain, twin, border in ((first, second, kept[0]), (second, first, kept[1])):
+                        if gain > best_links[chain].get(border, (-np.inf, 0))[0]:
+                            best_links[chain][border] = gain, twin if self.chains[twin] else -1
         return [
             [
                 Doubt(self._frame(chain, border), _probability(-gain), other)
                 for border, (gain, other) in sorted(of_chain.items())
                 if gain > -_CERTAIN
             ]
-            for chain, of_chain in zip(self.chains, found, strict=True)
+            for chain, of_chain in zip(self.chains, best_links, strict=True)
             if chain
         ]
 
@@ -197,7 +201,7 @@ class _Search:
 
     def _pairs(self, changed: Sequence[int] | range) -> set[tuple[int, int]]:
         every = range(len(self.chains))
-        return {(min(one, other), max(one, other)) for one in changed for other in every if one != other}
+        return {(min(first, second), max(first, second)) for first in changed for second in every if first != second}
 
     def _set(self, number: int, chain: Chain) -> None:
         self.chains[number] = chain
@@ -212,11 +216,11 @@ class _Search:
             np.concatenate([np.zeros(min(2, len(chain) + 1)), np.cumsum(scores)]),
         )
 
-    def _best(self, one: int, other: int) -> tuple[float, Chain, Chain]:
+    def _best(self, first: int, second: int) -> tuple[float, Chain, Chain]:
         """Gain of the best change of two chains, and the chains after it."""
-        left, right = self.chains[one], self.chains[other]
+        left, right = self.chains[first], self.chains[second]
         options: list[tuple[float, Chain, Chain]] = [(-np.inf, left, right)]
-        exchanges = self._exchanges(one, other)
+        exchanges = self._exchanges(first, second)
         if len(exchanges.gain):
             best = int(np.argmax(exchanges.gain))
             kept = exchanges.kept[best].tolist()
@@ -246,13 +250,13 @@ class _Search:
         value = self._session.proportions.log_likelihood(sums.information[-1], sums.pull[-1])
         return float(value + sums.links[-1])
 
-    def _exchanges(self, one: int, other: int) -> _Exchanges:
+    def _exchanges(self, first: int, second: int) -> _Exchanges:
         """All exchanges of the ends of two chains that keep the order of time."""
-        kept = self._borders(self.chains[one], self.chains[other])
-        sums = self._sums[one], self._sums[other]
+        kept = self._borders(self.chains[first], self.chains[second])
+        sums = self._sums[first], self._sums[second]
         gain = np.zeros(len(kept))
         for head, tail in ((0, 1), (1, 0)):
-            links, possible = self._joined(head, tail, (one, other), kept)
+            links, possible = self._joined(head, tail, (first, second), kept)
             gain += np.where(possible, links, -np.inf)
             information = _head(sums[head].information, kept[:, head]) + _tail(sums[tail].information, kept[:, tail])
             pull = _head(sums[head].pull, kept[:, head]) + _tail(sums[tail].pull, kept[:, tail])
@@ -262,9 +266,9 @@ class _Search:
             gain -= of_chain.links[-1]
         return _Exchanges(kept, gain)
 
-    def _borders(self, one: Chain, other: Chain) -> Int[np.ndarray, "exchanges 2"]:
+    def _borders(self, first_chain: Chain, second_chain: Chain) -> Int[np.ndarray, "exchanges 2"]:
         """Numbers of tracklets that each chain may keep, except for exchanges that change nothing."""
-        left, right = np.array(one, int), np.array(other, int)
+        left, right = np.array(first_chain, int), np.array(second_chain, int)
         # The next tracklet of each chain must not begin before the last kept one of the other chain ends.
         stop = [np.append(-np.inf, self._stop[chain]) for chain in (left, right)]
         start = [np.append(self._start[chain], np.inf) for chain in (left, right)]

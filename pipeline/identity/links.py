@@ -55,15 +55,20 @@ class Ends(NamedTuple):
 def first_ends(tracklets: Sequence[Tracklet], paths: Sequence[Path], frame_rate_hz: float) -> Ends:
     """Gather the first frames of all tracklets."""
     reach = max(2, round(_VELOCITY_S * frame_rate_hz))
-    frames = [np.arange(one.start_frame, min(one.start_frame + reach, one.stop_frame)) for one in tracklets]
-    return _ends(tracklets, paths, frames, [one.cut_before for one in tracklets], 0, frame_rate_hz)
+    frames = [
+        np.arange(tracklet.start_frame, min(tracklet.start_frame + reach, tracklet.stop_frame))
+        for tracklet in tracklets
+    ]
+    return _ends(tracklets, paths, frames, [tracklet.cut_before for tracklet in tracklets], 0, frame_rate_hz)
 
 
 def last_ends(tracklets: Sequence[Tracklet], paths: Sequence[Path], frame_rate_hz: float) -> Ends:
     """Gather the last frames of all tracklets."""
     reach = max(2, round(_VELOCITY_S * frame_rate_hz))
-    frames = [np.arange(max(one.stop_frame - reach, one.start_frame), one.stop_frame) for one in tracklets]
-    return _ends(tracklets, paths, frames, [one.cut_after for one in tracklets], -1, frame_rate_hz)
+    frames = [
+        np.arange(max(tracklet.stop_frame - reach, tracklet.start_frame), tracklet.stop_frame) for tracklet in tracklets
+    ]
+    return _ends(tracklets, paths, frames, [tracklet.cut_after for tracklet in tracklets], -1, frame_rate_hz)
 
 
 def _ends(
@@ -75,14 +80,14 @@ def _ends(
     frame_rate_hz: float,
 ) -> Ends:
     fitted = [
-        _fit(paths[one.track].at(of_end), (of_end - of_end[end]) / frame_rate_hz)
-        for one, of_end in zip(tracklets, frames, strict=True)
+        _fit(paths[tracklet.track].at(of_end), (of_end - of_end[end]) / frame_rate_hz)
+        for tracklet, of_end in zip(tracklets, frames, strict=True)
     ]
     return Ends(
         np.array([of_end[end] / frame_rate_hz for of_end in frames]),
         np.array([xyz_m for xyz_m, _ in fitted]).reshape(-1, 3),
         np.array([velocity_m_s for _, velocity_m_s in fitted]).reshape(-1, 3),
-        np.array([one.track for one in tracklets], int),
+        np.array([tracklet.track for tracklet in tracklets], int),
         np.array(cuts, int),
     )
 

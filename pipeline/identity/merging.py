@@ -80,8 +80,8 @@ def relocate(
     track, seen = person
     xyz_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
     _locate(xyz_m, seen.points_px, seen.score, changed, cameras, min_score)
-    found = record_life(cameras, timebase, track.start_frame, xyz_m, seen.points_px, seen.score, min_score)
-    return person if found is None else found
+    located = record_life(cameras, timebase, track.start_frame, xyz_m, seen.points_px, seen.score, min_score)
+    return person if located is None else located
 
 
 def _locate(

@@ -79,7 +79,7 @@ def measure(lengths_m: Float[np.ndarray, "frames limbs 2"], frame_rate_hz: float
     return Measured(median_m, np.where(np.isfinite(median_m), duration_s, 0.0))
 
 
-class Proportions:
+class LimbProportions:
     """Likelihood that measurements are of one person.
 
     Parameters
@@ -98,8 +98,8 @@ class Proportions:
     """
 
     def __init__(self, measured: Sequence[Measured], spread_m: Float[np.ndarray, " limbs"]) -> None:
-        median_m = np.array([one.median_m for one in measured]).reshape(-1, NUM_LIMBS)
-        duration_s = np.array([one.duration_s for one in measured]).reshape(-1, NUM_LIMBS)
+        median_m = np.array([measurement.median_m for measurement in measured]).reshape(-1, NUM_LIMBS)
+        duration_s = np.array([measurement.duration_s for measurement in measured]).reshape(-1, NUM_LIMBS)
         known = np.isfinite(median_m)
         mean_m = np.array([_weighted_median(*column) for column in zip(median_m.T, duration_s.T, strict=True)])
         with np.errstate(divide="ignore"):
@@ -138,7 +138,7 @@ def changes(
     stretch = max(1, round(_STRETCH_S / 2 * frame_rate_hz))
     starts = np.arange(0, len(lengths_m), stretch)
     measured = [measure(lengths_m[start : start + stretch], frame_rate_hz) for start in starts.tolist()]
-    proportions = Proportions(measured, spread_m)
+    proportions = LimbProportions(measured, spread_m)
     information, pull = (
         np.concatenate([np.zeros((1, NUM_LIMBS)), np.cumsum(values, axis=0)])
         for values in (proportions.information, proportions.pull)

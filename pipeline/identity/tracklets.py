@@ -94,7 +94,7 @@ def _runs(path: Path, frame_rate_hz: float) -> Iterator[tuple[int, int]]:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Moment:
+class DoubtfulMoment:
     """Moment at which a track may have changed to another person.
 
     Parameters
@@ -109,17 +109,17 @@ class Moment:
     tracks: tuple[int, ...]
 
 
-def encounters(paths: Sequence[Path], frame_rate_hz: float) -> list[Moment]:
+def encounters(paths: Sequence[Path], frame_rate_hz: float) -> list[DoubtfulMoment]:
     """Find the moments at which two tracks came so near that they may have been exchanged."""
     longest_gap = round(_LONGEST_GAP_S * frame_rate_hz)
-    found = []
-    for one, other in pairs_within(paths, _REACH_M):
-        start = max(paths[one].start_frame, paths[other].start_frame)
-        stop = min(paths[one].stop_frame, paths[other].stop_frame)
-        rows = [slice(start - path.start_frame, stop - path.start_frame) for path in (paths[one], paths[other])]
-        apart_m = np.linalg.norm(paths[one].xyz_m[rows[0]] - paths[other].xyz_m[rows[1]], axis=-1)
-        found += [Moment(start + nearest, (one, other)) for nearest in _nearest(apart_m, longest_gap)]
-    return found
+    moments = []
+    for first, second in pairs_within(paths, _REACH_M):
+        start = max(paths[first].start_frame, paths[second].start_frame)
+        stop = min(paths[first].stop_frame, paths[second].stop_frame)
+        rows = [slice(start - path.start_frame, stop - path.start_frame) for path in (paths[first], paths[second])]
+        apart_m = np.linalg.norm(paths[first].xyz_m[rows[0]] - paths[second].xyz_m[rows[1]], axis=-1)
+        moments += [DoubtfulMoment(start + nearest, (first, second)) for nearest in _nearest(apart_m, longest_gap)]
+    return moments
 
 
 def pairs_within(paths: Sequence[Path], reach_m: float) -> Iterator[tuple[int, int]]:
@@ -129,11 +129,11 @@ def pairs_within(paths: Sequence[Path], reach_m: float) -> Iterator[tuple[int, i
     low_m = np.array([np.fmin.reduce(path.xyz_m) for path in paths])
     high_m = np.array([np.fmax.reduce(path.xyz_m) for path in paths])
     start, stop = (np.array([getattr(path, name) for path in paths]) for name in ("start_frame", "stop_frame"))
-    for one in range(len(paths)):
-        later = slice(one + 1, None)
-        near = (low_m[later] <= high_m[one] + reach_m).all(-1) & (high_m[later] >= low_m[one] - reach_m).all(-1)
-        near &= (start[later] < stop[one]) & (stop[later] > start[one])
-        yield from ((one, one + 1 + int(other)) for other in np.flatnonzero(near))
+    for first in range(len(paths)):
+        later = slice(first + 1, None)
+        near = (low_m[later] <= high_m[first] + reach_m).all(-1) & (high_m[later] >= low_m[first] - reach_m).all(-1)
+        near &= (start[later] < stop[first]) & (stop[later] > start[first])
+        yield from ((first, first + 1 + int(other)) for other in np.flatnonzero(near))
 
 
 def _nearest(apart_m: Float[np.ndarray, " frames"], longest_gap: int) -> Iterator[int]:
@@ -144,7 +144,7 @@ def _nearest(apart_m: Float[np.ndarray, " frames"], longest_gap: int) -> Iterato
             yield int(rows[np.argmin(apart_m[rows])])
 
 
-def cut_at_moments(pieces: Sequence[Tracklet], moments: Sequence[Moment]) -> list[Tracklet]:
+def cut_at_moments(pieces: Sequence[Tracklet], moments: Sequence[DoubtfulMoment]) -> list[Tracklet]:
     """Cut tracklets at moments of doubt, in order of time; sorted by first frame."""
     by_track: dict[int, list[int]] = {}
     for number, moment in enumerate(moments):

@@ -39,17 +39,17 @@ def disagreement(
     -------
         NaN if the cameras see people at no common instant.
     """
-    found = [distance for _, _, _, distance in matches(fundamental, left, right)]
-    return float(np.mean(np.minimum(found, _FAR))) / _FAR if found else np.nan
+    distances = [distance for _, _, _, distance in matches(fundamental, left, right)]
+    return float(np.mean(np.minimum(distances, _FAR))) / _FAR if distances else np.nan
 
 
 def matches(
     fundamental: Float[np.ndarray, "3 3"], left: Sequence[Points | None], right: Sequence[Points | None]
 ) -> Iterator[tuple[int, int, int, float]]:
     """Pair people: yields the instant, the rows of both people, and their distance."""
-    for instant, (one, other) in enumerate(zip(left, right, strict=True)):
-        if one is not None and other is not None and len(one) and len(other):
-            distance = _distances(fundamental, one, other)
+    for instant, (first, second) in enumerate(zip(left, right, strict=True)):
+        if first is not None and second is not None and len(first) and len(second):
+            distance = _distances(fundamental, first, second)
             for row, column in zip(*linear_sum_assignment(distance), strict=True):
                 yield instant, int(row), int(column), float(distance[row, column])
 

@@ -16,7 +16,7 @@ from pipeline.data import Camera
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.joints import JointSet
 from pipeline.preflight.agreement import disagreement
-from pipeline.preflight.sightings import Points, Sightings, ideal_px
+from pipeline.preflight.sightings import Points, SimultaneousPeople, ideal_px
 
 Move = Literal["as is", "90", "180", "270", "mirrored"]
 MOVES: tuple[Move, ...] = ("90", "180", "270", "mirrored")
@@ -65,10 +65,10 @@ def as_given(num_cameras: int) -> Hypothesis:
     return Hypothesis(tuple(range(num_cameras)), (as_is,) * num_cameras)
 
 
-class Evidence:
+class PairDisagreement:
     """Disagreement of pairs of cameras under hypotheses; each is computed once."""
 
-    def __init__(self, cameras: Sequence[Camera], sightings: Sightings) -> None:
+    def __init__(self, cameras: Sequence[Camera], sightings: SimultaneousPeople) -> None:
         self.num_cameras = len(cameras)
         self._num_people = [sightings.num_people(number) for number in range(len(cameras))]
         fundamentals = fundamental_matrices(cameras)
@@ -92,16 +92,18 @@ class Evidence:
         """Whether a camera sees anybody."""
         return self._num_people[camera] > 0
 
-    def of_pair(self, one: int, other: int, hypothesis: Hypothesis) -> float:
+    def of_pair(self, first: int, second: int, hypothesis: Hypothesis) -> float:
         """Disagreement of two cameras; NaN if they see people at no common instant."""
-        left, right = ((number, hypothesis.places[number], hypothesis.moves[number]) for number in sorted((one, other)))
+        left, right = (
+            (number, hypothesis.places[number], hypothesis.moves[number]) for number in sorted((first, second))
+        )
         return self._pair(left, right)
 
     def of_pairs(self, hypothesis: Hypothesis, among: Sequence[int]) -> Mapping[tuple[int, int], float]:
         """Disagreement of all pairs with one of some cameras, as far as it is known."""
         pairs = itertools.combinations(range(self.num_cameras), 2)
-        found = {pair: self.of_pair(*pair, hypothesis) for pair in pairs if set(pair) & set(among)}
-        return {pair: value for pair, value in found.items() if np.isfinite(value)}
+        values = {pair: self.of_pair(*pair, hypothesis) for pair in pairs if set(pair) & set(among)}
+        return {pair: value for pair, value in values.items() if np.isfinite(value)}
 
     def of_cameras(self, hypothesis: Hypothesis) -> list[float]:
         """Mean disagreement of each camera with the others; NaN if it is not known."""
@@ -127,7 +129,7 @@ def _other_side(name: str) -> str:
     return f"{_OTHER[side]}_{rest}" if side in _OTHER else name
 
 
-def explain(evidence: Evidence) -> Hypothesis:
+def explain(evidence: PairDisagreement) -> Hypothesis:
     """Find the hypothesis that explains most of the disagreement, one step after the other.
 
     Each step exchanges cameras, or moves the points of one camera or of all; it must leave at most 0.7 of the
@@ -143,10 +145,10 @@ def explain(evidence: Evidence) -> Hypothesis:
     return believed
 
 
-def _best_step(evidence: Evidence, believed: Hypothesis) -> Hypothesis | None:
+def _best_step(evidence: PairDisagreement, believed: Hypothesis) -> Hypothesis | None:
     of_cameras = evidence.of_cameras(believed)
     doubtful = sorted(
-        (number for number, value in enumerate(of_cameras) if value > DOUBTFUL), key=lambda one: -of_cameras[one]
+        (number for number, value in enumerate(of_cameras) if value > DOUBTFUL), key=lambda number: -of_cameras[number]
     )
     best, best_gain = None, 0.0
     for candidate in _candidates(believed, doubtful):
@@ -180,7 +182,7 @@ def _candidates(believed: Hypothesis, doubtful: Sequence[int]) -> Iterator[Hypot
         for order in itertools.permutations(range(num_cameras)):
             yield Hypothesis(tuple(believed.places[place] for place in order), believed.moves)
         return
-    for one, other in itertools.combinations(doubtful[:_MAX_EXCHANGED], 2):
+    for first, second in itertools.combinations(doubtful[:_MAX_EXCHANGED], 2):
         places = list(believed.places)
-        places[one], places[other] = places[other], places[one]
+        places[first], places[second] = places[second], places[first]
         yield Hypothesis(tuple(places), believed.moves)

@@ -8,15 +8,15 @@ import numpy as np
 
 from pipeline.data import Camera
 from pipeline.findings import Finding
-from pipeline.preflight.explain import DOUBTFUL, Evidence, Hypothesis, as_given, explain, move_points
-from pipeline.preflight.sightings import Sightings
+from pipeline.preflight.explain import DOUBTFUL, Hypothesis, PairDisagreement, as_given, explain, move_points
+from pipeline.preflight.sightings import SimultaneousPeople
 from pipeline.preflight.world import check_world, locate
 from pipeline.quality.names import first_names
 
 _OTHER_RIG = "Check that the calibration belongs to these videos, and that the videos are synchronised."
 
 
-def check_people(cameras: Sequence[Camera], sightings: Sightings) -> list[Finding]:
+def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> list[Finding]:
     """Check whether cameras agree about people, and whether the world does.
 
     Parameters
@@ -29,23 +29,23 @@ def check_people(cameras: Sequence[Camera], sightings: Sightings) -> list[Findin
         Findings, each with numbers as evidence; empty if nothing is wrong.
     """
     seen = list(_check_anybody(cameras, sightings))
-    if any(one.severity == "error" for one in seen):
+    if any(finding.severity == "error" for finding in seen):
         return seen
     if copies := list(_check_copies(cameras, sightings)):
         # The second camera of a copy has the wrong people, whatever its calibration.
         return [*seen, *copies]
-    evidence = Evidence(cameras, sightings)
-    given, found = as_given(len(cameras)), explain(evidence)
-    disagreeing = list(_check_rest(cameras, evidence, found))
-    explained = [*_exchanged(cameras, evidence, given, found), *_moved(cameras, evidence, given, found)]
-    agreeing = [pair for pair, value in evidence.of_pairs(found, range(len(cameras))).items() if value <= DOUBTFUL]
-    mended = _mended(cameras, sightings, found)
-    rig = [cameras[place] for place in found.places]
+    evidence = PairDisagreement(cameras, sightings)
+    given, best = as_given(len(cameras)), explain(evidence)
+    disagreeing = list(_check_rest(cameras, evidence, best))
+    explained = [*_exchanged(cameras, evidence, given, best), *_moved(cameras, evidence, given, best)]
+    agreeing = [pair for pair, value in evidence.of_pairs(best, range(len(cameras))).items() if value <= DOUBTFUL]
+    mended = _mended(cameras, sightings, best)
+    rig = [cameras[place] for place in best.places]
     of_world = check_world(rig, locate(rig, mended, agreeing), sightings.joints)
     return [*seen, *explained, *disagreeing, *of_world]
 
 
-def _check_anybody(cameras: Sequence[Camera], sightings: Sightings) -> Iterator[Finding]:
+def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Iterator[Finding]:
     counts = {camera.name: sightings.num_people(number) for number, camera in enumerate(cameras)}
     empty = [name for name, count in counts.items() if not count]
     num_instants = len(sightings.points_px[0])
@@ -66,26 +66,28 @@ def _check_anybody(cameras: Sequence[Camera], sightings: Sightings) -> Iterator[
         yield Finding("camera_sees_nobody", message, name, "warning", hint, {"num_instants": num_instants})
 
 
-def _check_copies(cameras: Sequence[Camera], sightings: Sightings) -> Iterator[Finding]:
+def _check_copies(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Iterator[Finding]:
     """Find cameras whose people are the same points as another camera's."""
-    for one, other in itertools.combinations(range(len(cameras)), 2):
+    for left_camera, right_camera in itertools.combinations(range(len(cameras)), 2):
         pairs = [
             (left, right)
-            for left, right in zip(sightings.points_px[one], sightings.points_px[other], strict=True)
+            for left, right in zip(sightings.points_px[left_camera], sightings.points_px[right_camera], strict=True)
             if left is not None and right is not None and len(left) + len(right)
         ]
         same = sum(left.shape == right.shape and np.array_equal(left, right, equal_nan=True) for left, right in pairs)
         if pairs and 2 * same > len(pairs):
-            first = cameras[one].name
+            first = cameras[left_camera].name
             message = f"The people are the same points as those of {first}: one video or folder was given twice."
             evidence = {"other_camera": first, "num_same": same, "num_instants": len(pairs)}
-            yield Finding("same_video", message, cameras[other].name, "error", "Give each camera its own.", evidence)
+            yield Finding(
+                "same_video", message, cameras[right_camera].name, "error", "Give each camera its own.", evidence
+            )
 
 
 def _exchanged(
-    cameras: Sequence[Camera], evidence: Evidence, given: Hypothesis, found: Hypothesis
+    cameras: Sequence[Camera], evidence: PairDisagreement, given: Hypothesis, best: Hypothesis
 ) -> Iterator[Finding]:
-    changed = [number for number, place in enumerate(found.places) if place != number]
+    changed = [number for number, place in enumerate(best.places) if place != number]
     if not changed:
         return
     hint = (
@@ -93,7 +95,7 @@ def _exchanged(
         "camera."
     )
     for number in changed:
-        other = cameras[found.places[number]].name
+        other = cameras[best.places[number]].name
         message = f"What {cameras[number].name} sees fits the calibration of {other}: cameras or videos are exchanged."
         yield Finding(
             "cameras_exchanged",
@@ -101,13 +103,15 @@ def _exchanged(
             cameras[number].name,
             "error",
             hint,
-            {"other_camera": other, **_disagreements(evidence, given, found, number)},
+            {"other_camera": other, **_disagreements(evidence, given, best, number)},
         )
 
 
-def _moved(cameras: Sequence[Camera], evidence: Evidence, given: Hypothesis, found: Hypothesis) -> Iterator[Finding]:
-    for number, move in enumerate(found.moves):
-        numbers = _disagreements(evidence, given, found, number)
+def _moved(
+    cameras: Sequence[Camera], evidence: PairDisagreement, given: Hypothesis, best: Hypothesis
+) -> Iterator[Finding]:
+    for number, move in enumerate(best.moves):
+        numbers = _disagreements(evidence, given, best, number)
         if move == "mirrored":
             message = "The picture is mirrored against its calibration: left is right."
             hint = "Turn off the mirroring of the camera, or mirror the video back."
@@ -119,16 +123,16 @@ def _moved(cameras: Sequence[Camera], evidence: Evidence, given: Hypothesis, fou
             yield Finding("picture_turned", message, cameras[number].name, "error", hint, turned)
 
 
-def _disagreements(evidence: Evidence, given: Hypothesis, found: Hypothesis, number: int) -> Mapping[str, float]:
+def _disagreements(evidence: PairDisagreement, given: Hypothesis, best: Hypothesis, number: int) -> Mapping[str, float]:
     return {
         "disagreement": round(evidence.of_cameras(given)[number], 3),
-        "disagreement_mended": round(evidence.of_cameras(found)[number], 3),
+        "disagreement_mended": round(evidence.of_cameras(best)[number], 3),
     }
 
 
-def _check_rest(cameras: Sequence[Camera], evidence: Evidence, found: Hypothesis) -> Iterator[Finding]:
+def _check_rest(cameras: Sequence[Camera], evidence: PairDisagreement, best: Hypothesis) -> Iterator[Finding]:
     """Find cameras whose disagreement is not explained."""
-    by_pair = evidence.of_pairs(found, range(len(cameras)))
+    by_pair = evidence.of_pairs(best, range(len(cameras)))
     if by_pair and min(by_pair.values()) > DOUBTFUL:
         numbers = {"disagreement": round(float(np.mean(list(by_pair.values()))), 3), "num_pairs": len(by_pair)}
         message = "No two cameras agree about people: the calibration is that of another rig, or the clocks are wrong."
@@ -145,7 +149,7 @@ def _check_rest(cameras: Sequence[Camera], evidence: Evidence, found: Hypothesis
         yield Finding(
             "camera_disagrees", message, cameras[number].name, "error", hint, {"disagreement": round(value, 3)}
         )
-    by_camera = evidence.of_cameras(found)
+    by_camera = evidence.of_cameras(best)
     for number, value in enumerate(by_camera):
         if np.isnan(value) and evidence.sees_people(number):
             message = "The camera sees people, but never at an instant at which another camera does."
@@ -155,20 +159,22 @@ def _check_rest(cameras: Sequence[Camera], evidence: Evidence, found: Hypothesis
 
 def _disagreeing(by_pair: Mapping[tuple[int, int], float]) -> Mapping[int, float]:
     """Cameras that disagree with the others, and their mean disagreement: the worst one is set aside, and so on."""
-    found: dict[int, float] = {}
+    worst_cameras: dict[int, float] = {}
     while True:
-        left = {pair: value for pair, value in by_pair.items() if not set(pair) & found.keys()}
+        left = {pair: value for pair, value in by_pair.items() if not set(pair) & worst_cameras.keys()}
         numbers = sorted({number for pair in left for number in pair})
-        means = {one: float(np.mean([value for pair, value in left.items() if one in pair])) for one in numbers}
-        worst = max(means, key=lambda one: means[one], default=None)
+        means = {
+            number: float(np.mean([value for pair, value in left.items() if number in pair])) for number in numbers
+        }
+        worst = max(means, key=lambda number: means[number], default=None)
         if worst is None or means[worst] <= DOUBTFUL:
-            return found
-        found[worst] = means[worst]
+            return worst_cameras
+        worst_cameras[worst] = means[worst]
 
 
-def _mended(cameras: Sequence[Camera], sightings: Sightings, found: Hypothesis) -> Sightings:
+def _mended(cameras: Sequence[Camera], sightings: SimultaneousPeople, best: Hypothesis) -> SimultaneousPeople:
     """Sightings with all points moved as they would fit."""
-    for number, move in enumerate(found.moves):
+    for number, move in enumerate(best.moves):
         if move != "as is":
             moving = partial(move_points, move=move, size_px=cameras[number].size_px, joints=sightings.joints)
             sightings = sightings.moved(number, moving)

@@ -21,7 +21,7 @@ Points = Float[np.ndarray, "_ _ 2"]
 
 
 @dataclass(frozen=True, slots=True)
-class Sightings:
+class SimultaneousPeople:
     """People at the same instants in all cameras.
 
     Parameters
@@ -40,7 +40,7 @@ class Sightings:
         """Number of people whom a camera sees, at all instants together."""
         return sum(len(people) for people in self.points_px[camera] if people is not None)
 
-    def moved(self, camera: int, move: Callable[[Points], Points]) -> "Sightings":
+    def moved(self, camera: int, move: Callable[[Points], Points]) -> "SimultaneousPeople":
         """Sightings after the points of a camera were moved."""
         own = tuple(None if people is None else move(people) for people in self.points_px[camera])
         return replace(self, points_px=(*self.points_px[:camera], own, *self.points_px[camera + 1 :]))
@@ -77,7 +77,7 @@ def sightings_of(
     detections: Mapping[str, Detections],
     frames: Mapping[str, Sequence[int | None]],
     joints: JointSet,
-) -> Sightings:
+) -> SimultaneousPeople:
     """Select the people in frames of each camera.
 
     Parameters
@@ -92,7 +92,7 @@ def sightings_of(
     kept = [number for number, name in enumerate(joints.names) if name not in FINGER_JOINTS]
     names = tuple(joints.names[number] for number in kept)
     bones = tuple(bone for bone in joints.bones if FINGER_JOINTS.isdisjoint(bone))
-    return Sightings(
+    return SimultaneousPeople(
         tuple(
             tuple(
                 None if frame is None else _people(detections[camera.name], frame, kept)

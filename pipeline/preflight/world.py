@@ -12,7 +12,7 @@ from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.joints import JointSet
 from pipeline.preflight.agreement import is_same, matches
-from pipeline.preflight.sightings import Sightings, ideal_px
+from pipeline.preflight.sightings import SimultaneousPeople, ideal_px
 from pipeline.quality.report import estimate_stature_m
 from pipeline.quality.world_checks import (
     MAX_LEAN_DEG,
@@ -32,7 +32,7 @@ _ANKLES = ("left_ankle", "right_ankle")
 
 
 def locate(
-    cameras: Sequence[Camera], sightings: Sightings, pairs: Sequence[tuple[int, int]]
+    cameras: Sequence[Camera], sightings: SimultaneousPeople, pairs: Sequence[tuple[int, int]]
 ) -> Float[np.ndarray, "poses joints 3"]:
     """Locate people from pairs of cameras; a person whom several pairs see has several poses.
 
@@ -49,13 +49,13 @@ def locate(
     matrices = np.array([image_from_world(camera) for camera in cameras])
     ideal = [ideal_px(camera, of_camera) for camera, of_camera in zip(cameras, sightings.points_px, strict=True)]
     poses = []
-    for one, other in pairs:
-        for instant, row, column, distance in matches(fundamentals[one, other], ideal[one], ideal[other]):
-            left, right = ideal[one][instant], ideal[other][instant]
+    for first, second in pairs:
+        for instant, row, column, distance in matches(fundamentals[first, second], ideal[first], ideal[second]):
+            left, right = ideal[first][instant], ideal[second][instant]
             if is_same(distance) and left is not None and right is not None:
                 points_px = np.stack([left[row], right[column]])
                 weights = np.isfinite(points_px[..., 0]).astype(np.float64)
-                poses.append(triangulate(matrices[[one, other]], points_px, weights))
+                poses.append(triangulate(matrices[[first, second]], points_px, weights))
     return np.array(poses) if poses else np.zeros((0, len(sightings.joints.names), 3))
 
 

@@ -49,11 +49,11 @@ def capture_checks(
         _check_refinement(reconstruction.refinement),
         _check_synchronization(reconstruction.synchronization),
     )
-    found: list[dict[str, Any]] = [{"code": code, "message": message} for check in checks for code, message in check]
-    for one in found:
-        if one["code"] == _NOBODY:
-            one["evidence"] = _why_nobody(reconstruction.check)
-    return found
+    findings: list[dict[str, Any]] = [{"code": code, "message": message} for check in checks for code, message in check]
+    for finding in findings:
+        if finding["code"] == _NOBODY:
+            finding["evidence"] = _why_nobody(reconstruction.check)
+    return findings
 
 
 def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
@@ -80,7 +80,7 @@ def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
 
 def _times(time_s: Sequence[float]) -> str:
     more = len(time_s) - _SHOWN_TIMES
-    return f"at {', '.join(f'{one:.2f}' for one in time_s[:_SHOWN_TIMES])} s" + (
+    return f"at {', '.join(f'{second:.2f}' for second in time_s[:_SHOWN_TIMES])} s" + (
         f" and {more} more" if more > 0 else ""
     )
 
@@ -217,7 +217,7 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
 
 def _check_synchronization(synchronization: Synchronization | None) -> Iterator[tuple[str, str]]:
     if synchronization is not None and synchronization.warnings:
-        described = [f"{one.camera}: {one.message.rstrip('.')}" for one in synchronization.warnings]
+        described = [f"{warning.camera}: {warning.message.rstrip('.')}" for warning in synchronization.warnings]
         yield (
             "sync_uncertain",
             f"The clocks of the cameras were measured, but not well: {first_names(described)}. Let somebody move where "

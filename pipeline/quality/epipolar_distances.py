@@ -49,12 +49,12 @@ class CameraPairs:
             return {}
         rows = slice(None, None, max(1, located.num_frames // _MAX_FRAMES))
         ideal_px, metres_per_px = self._undistorted(observed, rows), self._metres_per_px(located, rows)
-        found = {}
+        distances = {}
         for i, j in self._pairs:
             distance_px = epipolar_distance_px(self._fundamentals[i, j], ideal_px[:, i], ideal_px[:, j])
             distance_m = distance_px * (metres_per_px[:, i] + metres_per_px[:, j]) / 2
-            found[i, j] = distance_m[np.isfinite(distance_m)]
-        return found
+            distances[i, j] = distance_m[np.isfinite(distance_m)]
+        return distances
 
     def _undistorted(self, observed: Observations, rows: slice) -> Float[np.ndarray, "frames cameras joints 2"]:
         points_px = np.where(observed.score[rows][..., None] >= _MIN_SCORE, observed.points_px[rows], np.nan)
@@ -72,9 +72,9 @@ def median_distances_m(people: Iterable[PersonPairs]) -> Pairs:
 
     Pairs with fewer than 100 common joints are left out.
     """
-    found: dict[tuple[int, int], list[Float[np.ndarray, " _"]]] = {}
+    distances: dict[tuple[int, int], list[Float[np.ndarray, " _"]]] = {}
     for person in people:
         for pair, distance_m in person.items():
-            found.setdefault(pair, []).append(distance_m)
-    joined = {pair: np.concatenate(parts) for pair, parts in found.items()}
+            distances.setdefault(pair, []).append(distance_m)
+    joined = {pair: np.concatenate(parts) for pair, parts in distances.items()}
     return {pair: float(np.median(some)) for pair, some in joined.items() if len(some) >= _MIN_JOINTS}

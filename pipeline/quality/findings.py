@@ -23,12 +23,12 @@ def people_findings(report: Mapping[str, Any]) -> list[Finding]:
     report
         Report of ``pipeline.quality.report.quality_report``.
     """
-    of_world = {one["code"] for one in report["world_checks"]}
-    return [one for one in all_checks(report) if one.code in _OF_CAPTURE | of_world]
+    of_world = {finding["code"] for finding in report["world_checks"]}
+    return [finding for finding in all_checks(report) if finding.code in _OF_CAPTURE | of_world]
 
 
 def join_findings(alone: Sequence[Finding], of_people: Sequence[Finding]) -> list[Finding]:
     """Join findings about cameras alone with those of people, who decide what is up and where the floor is."""
-    if any(one.code in _UNDECIDED for one in of_people):
+    if any(finding.code in _UNDECIDED for finding in of_people):
         return [*alone, *of_people]
-    return [*(one for one in alone if one.code not in _BY_PEOPLE), *of_people]
+    return [*(finding for finding in alone if finding.code not in _BY_PEOPLE), *of_people]

@@ -176,9 +176,9 @@ def all_checks(report: Mapping[str, Any]) -> list[Finding]:
     )
     of_take = [*of_capture, *of_world]
     known = {(finding.code, finding.camera) for finding in of_take}
-    of_session = [Finding.from_json(one) for one in report.get("session_checks", ())]
+    of_session = [Finding.from_json(finding) for finding in report.get("session_checks", ())]
     # What the whole take shows is more exact than what a few instants show.
-    return [*(one for one in of_session if (one.code, one.camera) not in known), *of_take]
+    return [*(finding for finding in of_session if (finding.code, finding.camera) not in known), *of_take]
 
 
 def _severity(code: str) -> Severity:

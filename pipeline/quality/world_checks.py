@@ -103,7 +103,9 @@ def world_checks(
     )
     names = ("code", "message", "camera", "evidence", "hint")
     return [
-        dict(zip(names, (*found[:3], round(found[3], 3), found[4]), strict=True)) for some in checks for found in some
+        dict(zip(names, (*finding[:3], round(finding[3], 3), finding[4]), strict=True))
+        for some in checks
+        for finding in some
     ]
 
 

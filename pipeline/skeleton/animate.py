@@ -76,7 +76,7 @@ def animate(
     points = [foot_points(fitted, motion, body) for fitted, motion in zip(fits, motions, strict=True)]
     if floor == "estimated":
         floor = estimate_floor(
-            [one.ankles_m for one in points], [one.ankles_known for one in points], timebase.frame_rate_hz
+            [person.ankles_m for person in points], [person.ankles_known for person in points], timebase.frame_rate_hz
         )
     finals: list[Track3D] = []
     for number, (track, seen) in enumerate(zip(tracks, observations, strict=True)):

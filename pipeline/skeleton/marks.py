@@ -47,14 +47,14 @@ def mark_offsets_m(joints: JointSet, offsets: JointOffsets, trunk_m: float) -> M
     trunk_m
         Length of the person's trunk.
     """
-    found = {}
+    centres = {}
     for name in joints.names:
         side, _, kind = name.rpartition("_")
         if kind in offsets:
             offset = offsets[kind]
             outwards = {"left": 1.0, "right": -1.0}.get(side, 0.0) * offset.outwards
-            found[name] = trunk_m * np.array([outwards, -offset.forward, offset.up])
-    return found
+            centres[name] = trunk_m * np.array([outwards, -offset.forward, offset.up])
+    return centres
 
 
 def centers_from_marks(

@@ -40,7 +40,7 @@ _NUM_SAMPLES = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Head:
+class HeadPose:
     """Centre between the ears, orientation of the head, and the frames in which they are known."""
 
     center_m: Float[np.ndarray, "frames 3"]
@@ -56,7 +56,7 @@ class Foot:
     valid: Bool[np.ndarray, " frames"]
 
 
-def solve_head(landmarks: Landmarks, torso: Torso) -> Head:
+def solve_head(landmarks: Landmarks, torso: Torso) -> HeadPose:
     """Align a face of adult size with the known landmarks: at least two of nose, eyes and ears.
 
     So the head does not jump when a landmark appears or disappears. Where fewer landmarks are known, or where the face
@@ -82,7 +82,7 @@ def solve_head(landmarks: Landmarks, torso: Torso) -> Head:
     turn = (torso.world_from_chest.inv() * world_from_head).magnitude()
     valid = enough & (misfit_m < _MAX_FACE_MISFIT_M) & (turn < _MAX_NECK_TURN)
     ears_m = center - world_from_head.apply(np.where(enough[:, None], template_center, 0.0))
-    return Head(np.where(valid[:, None], ears_m, np.nan), world_from_head, valid)
+    return HeadPose(np.where(valid[:, None], ears_m, np.nan), world_from_head, valid)
 
 
 def solve_foot(landmarks: Landmarks, side: str) -> Foot:
@@ -120,11 +120,11 @@ def _foot_offsets_m(landmarks: Landmarks) -> Mapping[str, Float[np.ndarray, " 3"
     flat_rad = np.concatenate(pitch_rad)
     tilt_rad = float(np.median(flat_rad)) if len(flat_rad) >= _FEWEST_FLAT else 0.0
     level = Rotation.from_rotvec([np.clip(tilt_rad, -_MAX_PITCH_RAD, _MAX_PITCH_RAD), 0.0, 0.0])
-    found = {name: level.apply(np.median(np.concatenate(points_m), axis=0)) for name, points_m in inside_m.items()}
+    offsets = {name: level.apply(np.median(np.concatenate(points_m), axis=0)) for name, points_m in inside_m.items()}
     return {
         f"{side}_{name}": offset_m * mirrored
         for side, mirrored in (("left", np.ones(3)), ("right", _MIRRORED))
-        for name, offset_m in found.items()
+        for name, offset_m in offsets.items()
         if f"{side}_{name}" in landmarks.joints.names
     }
 

@@ -39,11 +39,11 @@ from pipeline.quality.views import views_of
 from pipeline.skeleton.animate import animate
 from pipeline.stages.association import (
     DetectionsByCamera,
+    assign_identities,
     attach,
     link,
     locate_people,
     measure_bones,
-    tell_apart,
     track,
 )
 from pipeline.stages.cameras.checking import check_bodies, check_session, encode_check, with_clocks
@@ -363,7 +363,7 @@ def identify_people(task: Task, context: Context) -> Output:
     session, joints = wanted_inputs(context, context.outline())
     archive = archive_of_people(context, ASSOCIATE)
     colour = gathered_bodies(context)[0].colour if context.config.uses_colours and context.facts.has_videos else None
-    people = tell_apart(session, open_people(archive), without_hands(joints), context.config, colour)
+    people = assign_identities(session, open_people(archive), without_hands(joints), context.config, colour)
     del colour
     if has_hands(joints):
         people = attach(session, people, gathered_bodies(context)[0], joints, context.config)

@@ -8,8 +8,8 @@ from jaxtyping import Int
 
 from pipeline.data import Camera, CameraClock, FrameTimes
 from pipeline.errors import Problem
-from pipeline.synchronization.coarse import Split
-from pipeline.synchronization.motions import STEP_S, Motion
+from pipeline.synchronization.coarse import CameraSplit
+from pipeline.synchronization.motions import STEP_S, BodyMotion
 from pipeline.video.frame_rate import measured_rate_hz
 
 _DECLARE = "Give the offset of each camera."
@@ -30,8 +30,8 @@ _MAX_SIGMA_FRAMES, _ALWAYS_FINE_S, _GOOD_SIGMA_FRAMES = 0.5, 0.010, 1.0 / 6.0
 def find_doubts(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
-    motions: Sequence[Motion],
-    splits: Sequence[Split],
+    motions: Sequence[BodyMotion],
+    splits: Sequence[CameraSplit],
     clocks: Sequence[CameraClock],
     offsets: Int[np.ndarray, " cameras"],
 ) -> tuple[tuple[Problem, ...], tuple[Problem, ...]]:
@@ -60,14 +60,14 @@ def precision_doubts(
 def _unlinked(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
-    motions: Sequence[Motion],
-    splits: Sequence[Split],
+    motions: Sequence[BodyMotion],
+    splits: Sequence[CameraSplit],
     offsets: Int[np.ndarray, " cameras"],
 ) -> Iterator[Problem]:
     """Report cameras that agree with no other camera, and why."""
     moving = np.zeros(len(cameras))
-    for one in motions:
-        moving[one.camera] += np.nan_to_num(np.minimum(1.0, one.path())).sum()
+    for motion in motions:
+        moving[motion.camera] += np.nan_to_num(np.minimum(1.0, motion.path())).sum()
     spans_s = [times[camera.name].time_s[[0, -1]] + offsets[k] * STEP_S for k, camera in enumerate(cameras)]
     for split in splits:
         if split.gain.max(initial=0.0) >= _MIN_GAIN:
@@ -90,7 +90,7 @@ def _unlinked(
             yield Problem("sync_nothing_in_common", message, camera=name, hint=hint)
 
 
-def _ambiguous(cameras: Sequence[Camera], splits: Sequence[Split]) -> Iterator[Problem]:
+def _ambiguous(cameras: Sequence[Camera], splits: Sequence[CameraSplit]) -> Iterator[Problem]:
     """Report splits across which other shifts fit about as well."""
     for split in splits:
         rival = rival_of(split)
@@ -115,7 +115,7 @@ class Rival(NamedTuple):
     is_separate: bool
 
 
-def rival_of(split: Split) -> Rival:
+def rival_of(split: CameraSplit) -> Rival:
     """Find the best answer beyond the valleys around the best one, or at least 0.2 s away."""
     best = int(np.argmax(split.gain))
     top = float(split.gain[best])
@@ -159,5 +159,5 @@ def _period_s(times: Mapping[str, FrameTimes], clock: CameraClock) -> float:
     return 1.0 / measured_rate_hz(times[clock.camera].time_s)
 
 
-def _names(cameras: Sequence[Camera], split: Split) -> str:
+def _names(cameras: Sequence[Camera], split: CameraSplit) -> str:
     return ", ".join(cameras[number].name for number in sorted(split.cameras))

@@ -12,7 +12,7 @@ _MAX_MOVES = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Split:
+class CameraSplit:
     """Cameras on one side of a split of all cameras, and the agreement across it if their clocks are shifted.
 
     Parameters
@@ -64,7 +64,9 @@ def splits_of(curves: Sequence[PairCurve], num_cameras: int) -> list[frozenset[i
     return list(_splits(_tree(curves, num_cameras), num_cameras))
 
 
-def shift_curve(curves: Sequence[PairCurve], offsets: Int[np.ndarray, " cameras"], cameras: frozenset[int]) -> Split:
+def shift_curve(
+    curves: Sequence[PairCurve], offsets: Int[np.ndarray, " cameras"], cameras: frozenset[int]
+) -> CameraSplit:
     """Agreement of some cameras with the others, over shifts of their clocks."""
     total: dict[int, float] = {}
     for curve in curves:
@@ -75,14 +77,14 @@ def shift_curve(curves: Sequence[PairCurve], offsets: Int[np.ndarray, " cameras"
         for shift, gain in zip(shifts.tolist(), curve.gain.tolist(), strict=True):
             total[shift] = total.get(shift, 0.0) + gain
     ordered = sorted(total)
-    return Split(cameras, np.array(ordered, np.int64), np.array([total[shift] for shift in ordered]))
+    return CameraSplit(cameras, np.array(ordered, np.int64), np.array([total[shift] for shift in ordered]))
 
 
 def _tree(curves: Sequence[PairCurve], num_cameras: int) -> list[tuple[int, int, int]]:
     """Tree of the best pairs, with their lags; a forest if some cameras agree with nobody."""
     group = np.arange(num_cameras)
     tree = []
-    for curve in sorted(curves, key=lambda one: -one.gain.max(initial=0.0)):
+    for curve in sorted(curves, key=lambda candidate: -candidate.gain.max(initial=0.0)):
         if curve.gain.max(initial=0.0) > 0 and group[curve.first] != group[curve.second]:
             group[group == group[curve.second]] = group[curve.first]
             tree.append((curve.first, curve.second, int(curve.lags[np.argmax(curve.gain)])))
@@ -101,14 +103,14 @@ def _along(tree: Sequence[tuple[int, int, int]], num_cameras: int) -> Int[np.nda
 
 def _splits(tree: Sequence[tuple[int, int, int]], num_cameras: int) -> Iterator[frozenset[int]]:
     """Single cameras, and the side without camera 0 of each edge of the tree, each once."""
-    found = {frozenset([number]) for number in range(num_cameras)}
-    yield from sorted(found, key=min)
+    splits = {frozenset([number]) for number in range(num_cameras)}
+    yield from sorted(splits, key=min)
     everybody = frozenset(range(num_cameras))
     for number in range(len(tree)):
         side = _reached(tree[number][1], [edge for k, edge in enumerate(tree) if k != number])
         side = everybody - side if 0 in side else side
-        if side not in found and everybody - side not in found:
-            found.add(side)
+        if side not in splits and everybody - side not in splits:
+            splits.add(side)
             yield side
 
 
@@ -127,4 +129,4 @@ def _both_ways(edges: Sequence[tuple[int, int, int]]) -> Iterator[tuple[int, int
 
 def lags_between(offsets: Int[np.ndarray, " cameras"], curves: Sequence[PairCurve]) -> Mapping[tuple[int, int], int]:
     """Lag of each pair at the offsets."""
-    return {(one.first, one.second): int(offsets[one.second] - offsets[one.first]) for one in curves}
+    return {(curve.first, curve.second): int(offsets[curve.second] - offsets[curve.first]) for curve in curves}

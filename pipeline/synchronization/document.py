@@ -22,11 +22,11 @@ def sync_document(synchronization: Synchronization) -> dict[str, Any]:
         "refusals": _problems(synchronization.refusals),
         "warnings": _problems(synchronization.warnings),
         "evidence": {
-            one.camera: {
-                "offsets_s": [round(value, 4) for value in one.offsets_s],
-                "disagreement": [round(value, 4) for value in one.disagreement],
+            pair.camera: {
+                "offsets_s": [round(value, 4) for value in pair.offsets_s],
+                "disagreement": [round(value, 4) for value in pair.disagreement],
             }
-            for one in synchronization.evidence
+            for pair in synchronization.evidence
         },
     }
 
@@ -42,5 +42,6 @@ def sound_document(sound: SoundOffsets) -> dict[str, Any]:
 
 def _problems(problems: Sequence[Problem]) -> list[dict[str, Any]]:
     return [
-        {"code": one.code, "message": one.message, "camera": one.camera, "hint": one.hint} for one in listed(problems)
+        {"code": problem.code, "message": problem.message, "camera": problem.camera, "hint": problem.hint}
+        for problem in listed(problems)
     ]

@@ -34,7 +34,7 @@ _TOLERANCE, _MIN_TOLERANCE_PX = 0.05, 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class BodyMotion:
     """Joints of one body in one camera.
 
     Parameters
@@ -73,7 +73,7 @@ def find_motions(
     times: Mapping[str, FrameTimes],
     detections: Mapping[str, Detections],
     joints: JointSet,
-) -> list[Motion]:
+) -> list[BodyMotion]:
     """Follow bodies through each camera's frames, and sample them.
 
     Parameters
@@ -83,17 +83,19 @@ def find_motions(
     joints
         Joints of the detections.
     """
-    period_s = max(float(np.median(np.diff(of.time_s))) for of in times.values() if len(of.time_s) > 1)
+    period_s = max(
+        float(np.median(np.diff(frame_times.time_s))) for frame_times in times.values() if len(frame_times.time_s) > 1
+    )
     kernel_s = max(_KERNEL_S, _KERNEL_PERIODS * period_s)
     return [
-        found
+        motion
         for number, camera in enumerate(cameras)
         for body in follow_bodies(times[camera.name].time_s, detections[camera.name], joints, FOLLOWED)
-        if (found := _sampled(number, camera, body, kernel_s)) is not None
+        if (motion := _sampled(number, camera, body, kernel_s)) is not None
     ]
 
 
-def _sampled(number: int, camera: Camera, body: Followed, kernel_s: float) -> Motion | None:
+def _sampled(number: int, camera: Camera, body: Followed, kernel_s: float) -> BodyMotion | None:
     """Smooth a body by local lines (Cleveland 1979) with a Gaussian kernel; ``None`` if it is too short."""
     first = int(np.ceil(body.times_s[0] / STEP_S - 1e-6))
     stop = int(np.floor(body.times_s[-1] / STEP_S + 1e-6)) + 1
@@ -102,7 +104,7 @@ def _sampled(number: int, camera: Camera, body: Followed, kernel_s: float) -> Mo
     points = _ideal(camera, body.points_px)
     value, slope = _local_lines(body.times_s, points, STEP_S * np.arange(first, stop), kernel_s)
     tolerance = max(_TOLERANCE * body.height_px, _MIN_TOLERANCE_PX) / float(camera.matrix[0, 0])
-    return Motion(number, first, read_only(value), read_only(slope), tolerance)
+    return BodyMotion(number, first, read_only(value), read_only(slope), tolerance)
 
 
 def _ideal(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
@@ -144,15 +146,15 @@ def _local_lines(
 
 def excerpt(times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]) -> dict[str, Detections]:
     """Detections in blocks of time all over a long take; all of them in takes of up to five minutes."""
-    begin_s = min(float(of.time_s[0]) for of in times.values())
-    end_s = max(float(of.time_s[-1]) for of in times.values())
+    begin_s = min(float(frame_times.time_s[0]) for frame_times in times.values())
+    end_s = max(float(frame_times.time_s[-1]) for frame_times in times.values())
     if end_s - begin_s <= _LONGEST_S:
         return dict(detections)
     num_blocks = int(_LONGEST_S / _BLOCK_S)
     period_s = (end_s - begin_s) / num_blocks
     return {
-        name: _rows(of, (times[name].time_s[of.frame] - begin_s) % period_s < _BLOCK_S)
-        for name, of in detections.items()
+        name: _rows(bodies, (times[name].time_s[bodies.frame] - begin_s) % period_s < _BLOCK_S)
+        for name, bodies in detections.items()
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from pipeline.data import Camera, read_only
-from pipeline.synchronization.motions import Motion
+from pipeline.synchronization.motions import BodyMotion
 
 # Mean truncated cost, in 0 to 1, up to which two motions may be the same person.
 _MAX_COST = 0.5
@@ -54,7 +54,7 @@ def essential_matrix(first: Camera, second: Camera) -> Float[np.ndarray, "3 3"]:
 
 
 def compare_pair(
-    cameras: Sequence[Camera], pair: tuple[int, int], motions: Sequence[Motion], lags: Int[np.ndarray, " lags"]
+    cameras: Sequence[Camera], pair: tuple[int, int], motions: Sequence[BodyMotion], lags: Int[np.ndarray, " lags"]
 ) -> PairCurve:
     """Compare the people of two cameras at many lags.
 
@@ -66,8 +66,8 @@ def compare_pair(
     lags
         Ascending.
     """
-    left = [one for one in motions if one.camera == pair[0]]
-    right = [one for one in motions if one.camera == pair[1]]
+    left = [motion for motion in motions if motion.camera == pair[0]]
+    right = [motion for motion in motions if motion.camera == pair[1]]
     value, cost, weight = _compare_all(cameras, left, right, lags)
     gain, total_cost, total = (np.zeros(len(lags)) for _ in range(3))
     for number, lag in enumerate(lags.tolist()):
@@ -80,23 +80,23 @@ def compare_pair(
 
 
 def pair_values(
-    cameras: Sequence[Camera], left: Sequence[Motion], right: Sequence[Motion], lags: Int[np.ndarray, " lags"]
+    cameras: Sequence[Camera], left: Sequence[BodyMotion], right: Sequence[BodyMotion], lags: Int[np.ndarray, " lags"]
 ) -> Float[np.ndarray, "left right lags"]:
     """Agreement of each motion of one camera with each motion of another one, at some lags."""
     return _compare_all(cameras, left, right, lags)[0]
 
 
 def _compare_all(
-    cameras: Sequence[Camera], left: Sequence[Motion], right: Sequence[Motion], lags: Int[np.ndarray, " lags"]
+    cameras: Sequence[Camera], left: Sequence[BodyMotion], right: Sequence[BodyMotion], lags: Int[np.ndarray, " lags"]
 ) -> tuple[Float[np.ndarray, "left right lags"], ...]:
     """Value, summed cost and weight of each pair of motions at each lag."""
     value = np.zeros((len(left), len(right), len(lags)))
     cost, weight = np.zeros_like(value), np.zeros_like(value)
     if left and right:
         essential = essential_matrix(cameras[left[0].camera], cameras[right[0].camera])
-        stride = max(2, sum(len(one.points) for one in left) // _COMPARED)
-        firsts = [_prepare(one, essential, stride) for one in left]
-        seconds = [_prepare(one, essential.T, stride) for one in right]
+        stride = max(2, sum(len(motion.points) for motion in left) // _COMPARED)
+        firsts = [_prepare(motion, essential, stride) for motion in left]
+        seconds = [_prepare(motion, essential.T, stride) for motion in right]
         for a, first in enumerate(firsts):
             for b, second in enumerate(seconds):
                 start = left[a].first - right[b].stop + _MIN_SHARED
@@ -105,13 +105,13 @@ def _compare_all(
                     continue
                 some = slice(*np.searchsorted(lags, [start, stop + 1]))
                 if some.start < some.stop:
-                    found = _compare(first, second, lags[some], stride)
-                    value[a, b, some], cost[a, b, some], weight[a, b, some] = found
+                    compared = _compare(first, second, lags[some], stride)
+                    value[a, b, some], cost[a, b, some], weight[a, b, some] = compared
     return value, cost, weight
 
 
 def match_motions(
-    left: Sequence[Motion], right: Sequence[Motion], value: Float[np.ndarray, "left right"], lag: int
+    left: Sequence[BodyMotion], right: Sequence[BodyMotion], value: Float[np.ndarray, "left right"], lag: int
 ) -> list[tuple[int, int]]:
     """Match motions one to one at each instant, those of the largest value first."""
     chosen: list[tuple[int, int]] = []
@@ -127,13 +127,13 @@ def match_motions(
     return chosen
 
 
-def _shared(first: Motion, second: Motion, lag: int) -> range:
+def _shared(first: BodyMotion, second: BodyMotion, lag: int) -> range:
     """Grid points, on the first camera's time, that both motions have."""
     return range(max(first.first, second.first + lag), min(first.stop, second.stop + lag))
 
 
-def _overlap(one: range, other: range) -> bool:
-    return max(one.start, other.start) < min(one.stop, other.stop)
+def _overlap(first: range, second: range) -> bool:
+    return max(first.start, second.start) < min(first.stop, second.stop)
 
 
 class _Prepared(NamedTuple):
@@ -142,7 +142,7 @@ class _Prepared(NamedTuple):
     Single coordinates are in separate arrays: NumPy adds them much faster than along a short last axis.
     """
 
-    motion: Motion
+    motion: BodyMotion
     novelty: Float32[np.ndarray, "steps joints"]
     x: Float32[np.ndarray, "steps joints"]
     y: Float32[np.ndarray, "steps joints"]
@@ -152,7 +152,7 @@ class _Prepared(NamedTuple):
     norm2: Float32[np.ndarray, "steps joints"]
 
 
-def _prepare(motion: Motion, essential: Float[np.ndarray, "3 3"], stride: int) -> _Prepared:
+def _prepare(motion: BodyMotion, essential: Float[np.ndarray, "3 3"], stride: int) -> _Prepared:
     """Prepare a motion; a joint weighs as much as its path between two compared instants, in tolerances, at most 1."""
     lines = motion.points @ essential[:, :2].T + essential[:, 2]
     x, y = (np.ascontiguousarray(motion.points[..., axis], np.float32) for axis in (0, 1))

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Camera
-from pipeline.synchronization.motions import STEP_S, Motion
+from pipeline.synchronization.motions import STEP_S, BodyMotion
 from pipeline.synchronization.pairs import essential_matrix
 
 Match = tuple[int, int]
@@ -82,7 +82,7 @@ class _Rows:
 
 def refine_clocks(
     cameras: Sequence[Camera],
-    motions: Sequence[Motion],
+    motions: Sequence[BodyMotion],
     matches: Sequence[Match],
     offset_s: Float[np.ndarray, " cameras"],
     has_drift: bool,
@@ -102,11 +102,14 @@ def refine_clocks(
         Camera whose clock is the session's.
     """
     offset_s, drift = offset_s.astype(float), np.zeros(len(cameras))
-    begin, end = min((one.first for one in motions), default=0), max((one.stop for one in motions), default=0)
+    begin, end = (
+        min((motion.first for motion in motions), default=0),
+        max((motion.stop for motion in motions), default=0),
+    )
     pivot_s = STEP_S * (begin + end) / 2
     essentials = {
         (a, b): essential_matrix(cameras[a], cameras[b])
-        for a, b in {(motions[one].camera, motions[other].camera) for one, other in matches}
+        for a, b in {(motions[first].camera, motions[second].camera) for first, second in matches}
     }
     free = np.ones(2 * len(cameras), bool)
     free[[reference, reference + len(cameras)]] = False
@@ -142,7 +145,7 @@ def refine_clocks(
     return FineClocks(offset_s, drift, pivot_s, covariance, float(sigma), num_blocks)
 
 
-def _step_s(motions: Sequence[Motion], matches: Sequence[Match]) -> float:
+def _step_s(motions: Sequence[BodyMotion], matches: Sequence[Match]) -> float:
     """Time between two sampled instants."""
     points = sum(min(len(motions[a].points), len(motions[b].points)) for a, b in matches)
     return STEP_S * max(2.0, points / _MAX_INSTANTS)
@@ -156,7 +159,7 @@ def own_times_s(
 
 
 def _linearise(
-    motions: Sequence[Motion],
+    motions: Sequence[BodyMotion],
     matches: Sequence[Match],
     essentials: dict[tuple[int, int], Float[np.ndarray, "3 3"]],
     clocks: tuple[Float[np.ndarray, " cameras"], Float[np.ndarray, " cameras"], float],
@@ -168,15 +171,17 @@ def _linearise(
     for number, (a, b) in enumerate(matches):
         first, second = motions[a], motions[b]
         ends_s = [
-            STEP_S * np.array([one.first, one.stop - 1]) * (1 + drift[one.camera])
-            + offset_s[one.camera] - drift[one.camera] * pivot_s
-            for one in (first, second)
+            STEP_S * np.array([motion.first, motion.stop - 1]) * (1 + drift[motion.camera])
+            + offset_s[motion.camera] - drift[motion.camera] * pivot_s
+            for motion in (first, second)
         ]  # fmt: skip
         begin_s, end_s = max(ends_s[0][0], ends_s[1][0]), min(ends_s[0][1], ends_s[1][1])
         time_s = step_s * np.arange(np.ceil(begin_s / step_s), np.floor(end_s / step_s) + 1)
         if not len(time_s):
             continue
-        own_s = [own_times_s(time_s, offset_s[one.camera], drift[one.camera], pivot_s) for one in (first, second)]
+        own_s = [
+            own_times_s(time_s, offset_s[motion.camera], drift[motion.camera], pivot_s) for motion in (first, second)
+        ]
         (left, left_speed), (right, right_speed) = _at(first, own_s[0]), _at(second, own_s[1])
         essential = essentials[first.camera, second.camera]
         line_in_right = left @ essential[:, :2].T + essential[:, 2]
@@ -206,13 +211,13 @@ def _linearise(
 
 
 def _at(
-    motion: Motion, own_s: Float[np.ndarray, " n"]
+    motion: BodyMotion, own_s: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints 2"]]:
     """Joints and their speeds at own times within the motion."""
     place = np.clip(own_s / STEP_S - motion.first, 0, len(motion.points) - 1)
     row = np.minimum(place.astype(np.int64), len(motion.points) - 2)
     share = (place - row)[:, None, None]
-    points, speed = ((1 - share) * one[row] + share * one[row + 1] for one in (motion.points, motion.speed))
+    points, speed = ((1 - share) * values[row] + share * values[row + 1] for values in (motion.points, motion.speed))
     return points, speed
 
 

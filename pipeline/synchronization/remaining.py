@@ -67,18 +67,18 @@ def remaining_offsets(
     --------
     ``[one for one in remaining_offsets(...) if one.is_wrong]`` are the cameras to warn of.
     """
-    found = synchronize(cameras, times, detections, joints, dict.fromkeys(times, 0.0))
-    if not found.is_certain:
+    synchronization = synchronize(cameras, times, detections, joints, dict.fromkeys(times, 0.0))
+    if not synchronization.is_certain:
         return ()
     late_s = []
-    for clock in found.clocks:
+    for clock in synchronization.clocks:
         middle_s = times[clock.camera].time_s[[0, -1]].mean(keepdims=True)
         late_s.append(float(clock.session_s(middle_s)[0] - middle_s[0]))
-    periods_s = [float(np.median(np.diff(times[clock.camera].time_s))) for clock in found.clocks]
+    periods_s = [float(np.median(np.diff(times[clock.camera].time_s))) for clock in synchronization.clocks]
     agreed_s = _agreed_s(np.array(late_s), np.array(periods_s))
     return tuple(
         RemainingOffset(clock.camera, value_s - agreed_s, clock.sigma_s, (value_s - agreed_s) / period_s)
-        for clock, value_s, period_s in zip(found.clocks, late_s, periods_s, strict=True)
+        for clock, value_s, period_s in zip(synchronization.clocks, late_s, periods_s, strict=True)
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import signal
 
-from pipeline.synchronization.motions import STEP_S, Motion
+from pipeline.synchronization.motions import STEP_S, BodyMotion
 
 # Grid steps of a sample of the speeds.
 _SAMPLE = 5
@@ -14,13 +14,13 @@ _SAMPLE = 5
 _MIN_SHARED, _PEAKS = 30, 4
 
 
-def likely_lags(motions: Sequence[Motion], pair: tuple[int, int]) -> list[int]:
+def likely_lags(motions: Sequence[BodyMotion], pair: tuple[int, int]) -> list[int]:
     """Lags in grid steps at which the speeds in two cameras correlate best, over all lags, the best first.
 
     Speeds are summed over people, as multiples of the body's height: of all joints, and of their vertical parts, which
     look much the same from all sides. Their logarithms are compared, so that no jump outweighs the rest.
     """
-    signals = [_signals([one for one in motions if one.camera == camera]) for camera in pair]
+    signals = [_signals([motion for motion in motions if motion.camera == camera]) for camera in pair]
     (first, first_start), (second, second_start) = signals
     if not len(first) or not len(second):
         return []
@@ -28,7 +28,7 @@ def likely_lags(motions: Sequence[Motion], pair: tuple[int, int]) -> list[int]:
     shared = np.minimum(np.minimum(number + 1, total - 1 - number), min(len(first), len(second)))
     correlation = np.zeros(len(shared))
     for column in range(first.shape[1]):
-        a, b = (one[:, column] - one[:, column].mean() for one in (first, second))
+        a, b = (signal[:, column] - signal[:, column].mean() for signal in (first, second))
         norm = max(float(np.std(a) * np.std(b)), 1e-12)
         # By Fourier transform: a session may have a pause of hours.
         correlation = correlation + signal.correlate(a, b, "full", "fft") / norm
@@ -40,15 +40,15 @@ def likely_lags(motions: Sequence[Motion], pair: tuple[int, int]) -> list[int]:
     return [int(lag) for lag in lags[peaks[np.argsort(-score[peaks], kind="stable")]][:_PEAKS]]
 
 
-def _signals(motions: Sequence[Motion]) -> tuple[Float[np.ndarray, "samples channels"], int]:
+def _signals(motions: Sequence[BodyMotion]) -> tuple[Float[np.ndarray, "samples channels"], int]:
     """Logarithms of the summed speeds, and the number of the first sample."""
     if not motions:
         return np.empty((0, 2)), 0
-    start = min(one.first for one in motions) // _SAMPLE
-    stop = max(one.stop for one in motions) // _SAMPLE + 1
+    start = min(motion.first for motion in motions) // _SAMPLE
+    stop = max(motion.stop for motion in motions) // _SAMPLE + 1
     total = np.zeros(((stop - start) * _SAMPLE, 2))
-    for one in motions:
-        rows = slice(one.first - start * _SAMPLE, one.stop - start * _SAMPLE)
-        for column, speed in enumerate((np.linalg.norm(one.speed, axis=-1), np.abs(one.speed[..., 1]))):
-            total[rows, column] += np.nan_to_num(np.mean(np.nan_to_num(speed), axis=-1)) / one.tolerance * STEP_S
+    for motion in motions:
+        rows = slice(motion.first - start * _SAMPLE, motion.stop - start * _SAMPLE)
+        for column, speed in enumerate((np.linalg.norm(motion.speed, axis=-1), np.abs(motion.speed[..., 1]))):
+            total[rows, column] += np.nan_to_num(np.mean(np.nan_to_num(speed), axis=-1)) / motion.tolerance * STEP_S
     return np.log1p(total.reshape(stop - start, _SAMPLE, 2).mean(1) * 10.0), start

@@ -14,7 +14,7 @@ from pipeline.progress import OnShare, ignore
 from pipeline.synchronization.checks import find_doubts
 from pipeline.synchronization.coarse import shift_curve, solve_offsets, splits_of
 from pipeline.synchronization.groups import match_people
-from pipeline.synchronization.motions import STEP_S, Motion, find_motions
+from pipeline.synchronization.motions import STEP_S, BodyMotion, find_motions
 from pipeline.synchronization.pairs import PairCurve, compare_pair
 from pipeline.synchronization.refine import FineClocks, refine_clocks
 from pipeline.synchronization.speeds import likely_lags
@@ -82,7 +82,7 @@ def synchronize(
     offsets = solve_offsets(curves, len(cameras))
     on_share(0.8)
     splits = [shift_curve(curves, offsets, group) for group in splits_of(curves, len(cameras))]
-    matches = match_people(cameras, motions, offsets, [(one.first, one.second) for one in curves])
+    matches = match_people(cameras, motions, offsets, [(curve.first, curve.second) for curve in curves])
     span_s = _span_s(motions)
     fine = refine_clocks(cameras, motions, matches, offsets * STEP_S, has_drift=span_s[1] - span_s[0] >= _MIN_DRIFT_S)
     clocks = tuple(_clock(number, camera, fine, times[camera.name]) for number, camera in enumerate(cameras))
@@ -97,7 +97,9 @@ def synchronize(
 def corrected_times(times: Mapping[str, FrameTimes], synchronization: Synchronization) -> dict[str, FrameTimes]:
     """Frame times on the session's clock, from declared ones."""
     clocks = {clock.camera: clock for clock in synchronization.clocks}
-    return {name: FrameTimes(read_only(clocks[name].session_s(of.time_s))) for name, of in times.items()}
+    return {
+        name: FrameTimes(read_only(clocks[name].session_s(frame_times.time_s))) for name, frame_times in times.items()
+    }
 
 
 def starting_as_declared(
@@ -111,7 +113,7 @@ def starting_as_declared(
 
 
 def _lags_of(
-    motions: Sequence[Motion], pair: tuple[int, int], known_s: Mapping[int, float]
+    motions: Sequence[BodyMotion], pair: tuple[int, int], known_s: Mapping[int, float]
 ) -> Int[np.ndarray, " lags"]:
     """Lags to compare: those near known ones, or small ones and those near which the speeds of people are alike."""
     if known_s.keys() >= set(pair):
@@ -127,11 +129,11 @@ def _window(middle: int, reach: int) -> range:
 
 
 def _around(
-    cameras: Sequence[Camera], motions: Sequence[Motion], curve: PairCurve, offsets: Int[np.ndarray, " cameras"]
+    cameras: Sequence[Camera], motions: Sequence[BodyMotion], curve: PairCurve, offsets: Int[np.ndarray, " cameras"]
 ) -> PairCurve:
     """Curve of a pair with the lags around the offsets, beside those that were compared already."""
-    found = int(offsets[curve.second] - offsets[curve.first])
-    missing = np.setdiff1d(np.array(_window(found, _FINAL_REACH)), curve.lags)
+    lag = int(offsets[curve.second] - offsets[curve.first])
+    missing = np.setdiff1d(np.array(_window(lag, _FINAL_REACH)), curve.lags)
     if not len(missing):
         return curve
     more = compare_pair(cameras, (curve.first, curve.second), motions, missing)
@@ -148,15 +150,15 @@ def _best(curves: Sequence[PairCurve], num_cameras: int) -> list[PairCurve]:
     """Curves of each camera's best partners, in order."""
     kept: set[int] = set()
     for camera in range(num_cameras):
-        own = [number for number, one in enumerate(curves) if camera in (one.first, one.second)]
+        own = [number for number, curve in enumerate(curves) if camera in (curve.first, curve.second)]
         kept.update(sorted(own, key=lambda number: -curves[number].gain.max(initial=0.0))[:_PARTNERS])
     return [curves[number] for number in sorted(kept)]
 
 
-def _span_s(motions: Sequence[Motion]) -> tuple[float, float]:
+def _span_s(motions: Sequence[BodyMotion]) -> tuple[float, float]:
     if not motions:
         return 0.0, 0.0
-    return min(one.first for one in motions) * STEP_S, max(one.stop for one in motions) * STEP_S
+    return min(motion.first for motion in motions) * STEP_S, max(motion.stop for motion in motions) * STEP_S
 
 
 def _clock(number: int, camera: Camera, fine: FineClocks, times: FrameTimes) -> CameraClock:

@@ -13,8 +13,16 @@ from pipeline.progress import OnShare, ignore
 from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
 from pipeline.tracking.kernels import tracking_kernels as kernels
 from pipeline.tracking.kernels.observation_kernels import keep_used
-from pipeline.tracking.kernels.state import Frames, Limits, Outcome, Pool, Rig, make_targets, make_workspace
-from pipeline.tracking.observations import NOBODY, Bodies
+from pipeline.tracking.kernels.state import (
+    CameraGeometry,
+    Frames,
+    Outcome,
+    Pool,
+    TrackingLimits,
+    make_targets,
+    make_workspace,
+)
+from pipeline.tracking.observations import NOBODY, SessionDetections
 from pipeline.tracking.parameters import TrackingParameters
 
 _FIRST_SLOTS = 16
@@ -24,10 +32,10 @@ _MAX_TARGETS = 512
 _FRAMES_AT_ONCE = 64
 
 
-def make_rig(cameras: Sequence[Camera]) -> Rig:
+def make_rig(cameras: Sequence[Camera]) -> CameraGeometry:
     """Gather the geometry of all cameras in arrays."""
     projections = np.array([image_from_world(camera) for camera in cameras])
-    return Rig(
+    return CameraGeometry(
         image_from_world=projections,
         world_ray_from_image=np.linalg.inv(projections[:, :, :3]),
         center_m=np.array([center_in_world(camera) for camera in cameras]),
@@ -35,13 +43,16 @@ def make_rig(cameras: Sequence[Camera]) -> Rig:
     )
 
 
-def make_limits(parameters: TrackingParameters) -> Limits:
+def make_limits(parameters: TrackingParameters) -> TrackingLimits:
     """Convert parameters to the tuple that the kernels take."""
-    return Limits(**{name: getattr(parameters, name) for name in Limits._fields})
+    return TrackingLimits(**{name: getattr(parameters, name) for name in TrackingLimits._fields})
 
 
 def make_frames(
-    times: Sequence[FrameTimes], bodies: Bodies, ideal_px: Float[np.ndarray, "detections joints 2"], min_score: float
+    times: Sequence[FrameTimes],
+    bodies: SessionDetections,
+    ideal_px: Float[np.ndarray, "detections joints 2"],
+    min_score: float,
 ) -> Frames:
     """Sort the frames of all cameras by time; frames of the same time keep the order of the cameras.
 

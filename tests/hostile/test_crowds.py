@@ -11,15 +11,15 @@ import pytest
 
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.clustering.instant.effort import Effort
+from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.config import Method, ReconstructionConfig
 from pipeline.data import People
 from pipeline.simulation.clocks import Clock
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, record
-from pipeline.stages.association import link, locate_people, measure_bones, tell_apart, track
-from pipeline.tracking.observations import Bodies, gather
+from pipeline.stages.association import assign_identities, link, locate_people, measure_bones, track
+from pipeline.tracking.observations import SessionDetections, gather
 from tests.hostile.crowds import hostile_crowds
 
 CLUSTERING = ReconstructionConfig(method="clustering")
@@ -35,7 +35,7 @@ def child() -> Iterator[ProcessPoolExecutor]:
         yield pool
 
 
-def gathered(session: KeypointSession) -> Bodies:
+def gathered(session: KeypointSession) -> SessionDetections:
     return gather(session.cameras, session.times, session.detections)
 
 
@@ -51,7 +51,7 @@ def reconstruct(method: Method, name: str, num_cameras: int, num_frames: int) ->
     session = hostile_crowds(MAX_PEOPLE, num_cameras, num_frames)[name]()
     started_s = time.monotonic()
     people = track(session, gathered(session)) if method == "tracking" else cluster(session)
-    tell_apart(session, people, session.joints, ReconstructionConfig(method))
+    assign_identities(session, people, session.joints, ReconstructionConfig(method))
     taken_s = time.monotonic() - started_s
     return taken_s, people.num_approximate_frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
@@ -108,7 +108,7 @@ def test_progress_comes_from_within_a_pass_over_a_crowd() -> None:
 
 
 def test_effort_is_spent_once() -> None:
-    effort = Effort()
-    while effort.allows_round(10_000):
-        assert effort.is_exact
-    assert not effort.is_exact
+    limits = WorkLimits()
+    while limits.allows_round(10_000):
+        assert limits.is_exact
+    assert not limits.is_exact

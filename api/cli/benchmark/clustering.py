@@ -10,7 +10,7 @@ import typer
 from api.cli.console import reporting, show_sizes
 from pipeline.clustering.associate import find_poses, first_lengths, sampled_frames
 from pipeline.clustering.instant.candidates import FieldEvidence
-from pipeline.clustering.instant.effort import Effort
+from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.parameters import derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.geometry.camera import image_from_world
@@ -40,7 +40,7 @@ def _poses_s(simulation: Simulation) -> float:
     for _ in range(_REPEATS):
         started_s = time.perf_counter()
         for instant in instants:
-            find_poses(projections, instant, skeleton, lengths, parameters, Effort())
+            find_poses(projections, instant, skeleton, lengths, parameters, WorkLimits())
         best_s = min(best_s, time.perf_counter() - started_s)
     return best_s
 

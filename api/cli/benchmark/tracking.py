@@ -15,7 +15,7 @@ from pipeline.simulation.clocks import Clock
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, Simulation, record
-from pipeline.simulation.views.detector import Detector
+from pipeline.simulation.views.detector import DetectorModel
 from pipeline.simulation.views.faults import NO_FAULTS
 from pipeline.tracking import reference
 from pipeline.tracking.associate import reconstruct_tracks
@@ -34,7 +34,7 @@ _REPEATS = 15
 _PAIRWISE_FRAMES = 4
 _PAIRWISE_LIMIT_MS = 2000.0
 # Detector with 3 px of noise and no other faults.
-_DETECTOR = Detector(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
+_DETECTOR = DetectorModel(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -79,7 +79,7 @@ def _reference_s(simulation: Simulation) -> float:
     times = [simulation.times[camera.name] for camera in simulation.cameras]
     frames = make_frames(times, bodies, undistorted(simulation.cameras, bodies), parameters.min_score)
     rig = make_rig(simulation.cameras)
-    return _seconds(lambda: reference.Tracker(simulation.cameras, rig, frames, parameters).run(), 1)
+    return _seconds(lambda: reference.ReferenceTracker(simulation.cameras, rig, frames, parameters).run(), 1)
 
 
 def _pairwise_ms(num_cameras: int) -> float:

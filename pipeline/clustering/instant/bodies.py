@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.instant.constraints import pose_length_error
-from pipeline.clustering.instant.effort import MAX_BODIES, MAX_PAIRS, Effort
 from pipeline.clustering.instant.evidence import NOWHERE
 from pipeline.clustering.instant.hypotheses import Candidates, views_that_meet
+from pipeline.clustering.instant.work_limits import MAX_BODIES, MAX_PAIRS, WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 from pipeline.geometry.triangulation import DISPUTED_M, plane_rows, solve_normal
@@ -27,7 +27,7 @@ _LEAST_SINE = 0.34
 _BLOCK = 2**12
 
 
-class Bodies(NamedTuple):
+class InstantBodies(NamedTuple):
     """Detected bodies of all views at an instant.
 
     Parameters
@@ -43,7 +43,7 @@ class Bodies(NamedTuple):
     candidate: np.ndarray
 
 
-def bodies_of(candidates: Candidates, num_joints: int) -> Bodies:
+def bodies_of(candidates: Candidates, num_joints: int) -> InstantBodies:
     """Gather the bodies of candidates, in order of their views; candidates without a body are left out."""
     rows = np.flatnonzero(candidates.body >= 0)
     rows = rows[np.argsort(candidates.score[rows], kind="stable")]
@@ -52,17 +52,17 @@ def bodies_of(candidates: Candidates, num_joints: int) -> Bodies:
     )
     candidate = np.full((len(kinds), num_joints), NOWHERE)
     candidate[number.ravel(), candidates.joint[rows]] = rows  # the last one has the highest score
-    return Bodies(kinds[:, 0], candidate)
+    return InstantBodies(kinds[:, 0], candidate)
 
 
 def match_bodies(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
-    bodies: Bodies,
+    bodies: InstantBodies,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    effort: Effort,
+    limits: WorkLimits,
 ) -> Int[np.ndarray, "people cameras"]:
     """Match bodies across views: body of each person in each view, ``NOWHERE`` for none.
 
@@ -70,9 +70,9 @@ def match_bodies(
     more than ``MAX_BODIES``.
     """
     num_cameras = len(image_from_world)
-    if not effort.allows(len(bodies.view), MAX_BODIES):
+    if not limits.allows(len(bodies.view), MAX_BODIES):
         return np.empty((0, num_cameras), int)
-    agreement = agree(image_from_world, candidates, bodies, skeleton, lengths, parameters, effort)
+    agreement = agree(image_from_world, candidates, bodies, skeleton, lengths, parameters, limits)
     groups, sizes = np.unique(group_of := join_bodies(agreement), return_counts=True)
     people = np.full((len(groups), num_cameras), NOWHERE)
     people[np.searchsorted(groups, group_of), bodies.view] = np.arange(len(group_of))
@@ -82,11 +82,11 @@ def match_bodies(
 def agree(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
-    bodies: Bodies,
+    bodies: InstantBodies,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    effort: Effort,
+    limits: WorkLimits,
 ) -> Float[np.ndarray, "bodies bodies"]:
     """Agreement of all pairs of bodies: positive for bodies of one person, minus infinity for bodies of one view.
 
@@ -102,30 +102,30 @@ def agree(
     ray = np.cross(rows[:, 0, :3], rows[:, 1, :3])
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     counts = skeleton.sources[0] < 0  # a neck between the shoulders says nothing that they do not say
-    first, second = np.nonzero(_meeting(image_from_world, bodies, effort))
+    first, second = np.nonzero(_meeting(image_from_world, bodies, limits))
     total = np.zeros((len(bodies.view), len(bodies.view)))
     for begin in range(0, len(first), _BLOCK):
         block = first[begin : begin + _BLOCK], second[begin : begin + _BLOCK]
-        one, other = (bodies.candidate[numbers] for numbers in block)
-        both = (one >= 0) & (other >= 0)
-        xyz_m = np.where(both[..., None], solve_normal(normal[one] + normal[other]), np.nan)
-        miss_m = np.fmax(*(_miss_m(rows[end], axes[end], xyz_m) for end in (one, other)))
+        left, right = (bodies.candidate[numbers] for numbers in block)
+        both = (left >= 0) & (right >= 0)
+        xyz_m = np.where(both[..., None], solve_normal(normal[left] + normal[right]), np.nan)
+        miss_m = np.fmax(*(_miss_m(rows[end], axes[end], xyz_m) for end in (left, right)))
         value = np.maximum(1.0 - (miss_m / DISPUTED_M) ** 2, -1.0)
-        is_sharp = np.linalg.norm(np.cross(ray[one], ray[other]), axis=-1) > _LEAST_SINE
+        is_sharp = np.linalg.norm(np.cross(ray[left], ray[right]), axis=-1) > _LEAST_SINE
         error = pose_length_error(xyz_m, skeleton, lengths)
         value[is_sharp & (error > parameters.leniency * parameters.tau3)] = -1.0
-        weight = np.where(both & ~np.isnan(value), np.minimum(candidates.score[one], candidates.score[other]), 0.0)
+        weight = np.where(both & ~np.isnan(value), np.minimum(candidates.score[left], candidates.score[right]), 0.0)
         weight[:, 0] *= not counts
         total[block] = (weight * np.nan_to_num(value)).sum(-1)
     return np.where(bodies.view[:, None] == bodies.view, -np.inf, total + total.T)
 
 
 def _meeting(
-    image_from_world: Float[np.ndarray, "cameras 3 4"], bodies: Bodies, effort: Effort
+    image_from_world: Float[np.ndarray, "cameras 3 4"], bodies: InstantBodies, limits: WorkLimits
 ) -> Bool[np.ndarray, "bodies bodies"]:
     """Pairs of bodies that are compared: bodies of different views, the earlier view first."""
     wanted = bodies.view[:, None] < bodies.view
-    if not effort.allows(int(np.count_nonzero(wanted)), MAX_PAIRS):
+    if not limits.allows(int(np.count_nonzero(wanted)), MAX_PAIRS):
         count = np.bincount(bodies.view, minlength=len(image_from_world))
         meeting = views_that_meet(image_from_world, np.triu(np.outer(count, count), 1))
         wanted &= meeting[bodies.view[:, None], bodies.view]
@@ -151,12 +151,12 @@ def join_bodies(agreement: Float[np.ndarray, "bodies bodies"]) -> Int[np.ndarray
     np.fill_diagonal(total, -np.inf)
     group = np.arange(len(total))
     while len(total):
-        one, other = divmod(int(total.argmax()), len(total))
-        if not total[one, other] > _LEAST_AGREEMENT:
+        first, second = divmod(int(total.argmax()), len(total))
+        if not total[first, second] > _LEAST_AGREEMENT:
             break
-        total[one] += total[other]
-        total[:, one] = total[one]
-        total[one, one] = -np.inf
-        total[other] = total[:, other] = -np.inf
-        group[group == other] = one
+        total[first] += total[second]
+        total[:, first] = total[first]
+        total[first, first] = -np.inf
+        total[second] = total[:, second] = -np.inf
+        group[group == second] = first
     return group

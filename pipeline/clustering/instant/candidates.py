@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.clustering.instant.evidence import NOWHERE, AffinityFields, Evidence, Membership, ViewFields
+from pipeline.clustering.instant.evidence import NOWHERE, AffinityFields, LimbEvidence, Membership, ViewFields
 from pipeline.clustering.instant.hypotheses import Candidates
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
@@ -18,7 +18,7 @@ class Instant(NamedTuple):
     """Candidates at an output frame, and the evidence that connects them."""
 
     candidates: Candidates
-    evidence: Evidence
+    evidence: LimbEvidence
 
 
 @runtime_checkable

@@ -11,10 +11,10 @@ from scipy.spatial.distance import cdist
 
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.instant.constraints import fits, length_error, nearly_fits
-from pipeline.clustering.instant.effort import MAX_CANDIDATES, MAX_DENSE, MAX_JOINTS, MAX_NEIGHBOURS, Effort
-from pipeline.clustering.instant.evidence import NOWHERE, Evidence, Points
+from pipeline.clustering.instant.evidence import NOWHERE, JointPoints, LimbEvidence
 from pipeline.clustering.instant.hypotheses import Candidates, Hypotheses, meet, reprojection_px
 from pipeline.clustering.instant.joints import refine
+from pipeline.clustering.instant.work_limits import MAX_CANDIDATES, MAX_DENSE, MAX_JOINTS, MAX_NEIGHBOURS, WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 from pipeline.geometry.triangulation import plane_rows
@@ -45,33 +45,33 @@ class Joints(NamedTuple):
         Row of the candidate behind a joint in each view, (joints, cameras); ``NOWHERE`` for no candidate.
     """
 
-    points: Points
+    points: JointPoints
     candidate: np.ndarray
 
     def where(self, chosen: Bool[np.ndarray, " joints"] | Int[np.ndarray, " chosen"]) -> "Joints":
         """Select joints by a mask or by rows."""
-        return Joints(Points(*(values[chosen] for values in self.points)), self.candidate[chosen])
+        return Joints(JointPoints(*(values[chosen] for values in self.points)), self.candidate[chosen])
 
     def with_others(self, others: "Joints") -> "Joints":
         """Append other joints."""
-        points = Points(*(np.concatenate(pair) for pair in zip(self.points, others.points, strict=True)))
+        points = JointPoints(*(np.concatenate(pair) for pair in zip(self.points, others.points, strict=True)))
         return Joints(points, np.concatenate([self.candidate, others.candidate]))
 
 
 def no_joints(num_cameras: int) -> Joints:
     """Make an empty set of joints."""
     nothing = np.empty((0, num_cameras), int)
-    return Joints(Points(np.empty(0, int), np.empty((0, 3)), nothing), nothing)
+    return Joints(JointPoints(np.empty(0, int), np.empty((0, 3)), nothing), nothing)
 
 
 def find_joints(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
-    evidence: Evidence,
+    evidence: LimbEvidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    effort: Effort,
+    limits: WorkLimits,
     known: Joints | None = None,
 ) -> Joints:
     """Find the 3D joints of all people, level by level of the skeleton (sections 3.2 and 3.3).
@@ -81,18 +81,18 @@ def find_joints(
     candidates
         Candidates of all joints. Of more than ``MAX_CANDIDATES`` candidates of a joint in a view, those with the
         highest scores are used.
-    effort
-        See ``effort.Effort``.
+    limits
+        See ``work_limits.WorkLimits``.
     known
         Joints that were found before. They are parents like others, their candidates are not used again, and they are
         the first joints of the result.
     """
     joints = no_joints(len(image_from_world)) if known is None else known
-    certain = np.setdiff1d(_most_certain(candidates, effort), joints.candidate)
+    certain = np.setdiff1d(_most_certain(candidates, limits), joints.candidate)
     for level in skeleton.levels:
         of_level = certain[np.isin(candidates.joint[certain], level)]
         here = candidates.where(of_level)
-        hypotheses = meet(image_from_world, here, parameters.tau1_px, effort)
+        hypotheses = meet(image_from_world, here, parameters.tau1_px, limits)
         drafts: list[_Draft] = []
         is_small = len(joints.points.joint) * len(hypotheses.pair) <= MAX_DENSE
         for kinds in [level] if is_small else [[kind] for kind in level]:
@@ -109,19 +109,19 @@ def find_joints(
             drafts += [
                 draft._replace(parent=int(parent[draft.parent]))
                 for draft in _draft(
-                    image_from_world, here, of_kinds, value, parents, skeleton, lengths, parameters, effort
+                    image_from_world, here, of_kinds, value, parents, skeleton, lengths, parameters, limits
                 )
             ]
-        located = _locate(image_from_world, here, drafts, joints.points, parameters.eps_m, effort)
+        located = _locate(image_from_world, here, drafts, joints.points, parameters.eps_m, limits)
         candidate = np.where(located.candidate >= 0, np.append(of_level, NOWHERE)[located.candidate], NOWHERE)
         joints = joints.with_others(located._replace(candidate=candidate))
     return joints
 
 
-def _most_certain(candidates: Candidates, effort: Effort) -> Int[np.ndarray, " _"]:
+def _most_certain(candidates: Candidates, limits: WorkLimits) -> Int[np.ndarray, " _"]:
     """Rows of the candidates with the highest scores, at most ``MAX_CANDIDATES`` of a joint in a view."""
     place = candidates.view * (candidates.joint.max(initial=0) + 1) + candidates.joint
-    if effort.allows(int(np.bincount(place).max(initial=0)), MAX_CANDIDATES):
+    if limits.allows(int(np.bincount(place).max(initial=0)), MAX_CANDIDATES):
         return np.arange(len(place))
     ranked = np.lexsort((-candidates.score, place))
     first = np.searchsorted(place[ranked], place[ranked])
@@ -131,8 +131,8 @@ def _most_certain(candidates: Candidates, effort: Effort) -> Int[np.ndarray, " _
 def _agreement(
     candidates: Candidates,
     hypotheses: Hypotheses,
-    parents: Points,
-    evidence: Evidence,
+    parents: JointPoints,
+    evidence: LimbEvidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
@@ -144,7 +144,7 @@ def _agreement(
     joint = candidates.joint[hypotheses.pair[:, 0]]
     body = np.full((len(hypotheses.pair), parents.body.shape[1]), NOWHERE)
     np.put_along_axis(body, candidates.view[hypotheses.pair], candidates.body[hypotheses.pair], axis=1)
-    points = Points(joint, hypotheses.xyz_m, body)
+    points = JointPoints(joint, hypotheses.xyz_m, body)
     error = length_error(parents, points, skeleton, lengths)
     possible = error <= parameters.leniency * parameters.tau3
     score = evidence.connect(parents, points, possible) if parameters.use_connectivity else np.full(error.shape, np.nan)
@@ -166,18 +166,18 @@ def _draft(
     candidates: Candidates,
     hypotheses: Hypotheses,
     value: Float[np.ndarray, "parents hypotheses"],
-    parents: Points,
+    parents: JointPoints,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    effort: Effort,
+    limits: WorkLimits,
 ) -> list[_Draft]:
     """Draft joints: cluster hypotheses, split clusters by parents, and match candidates across views in each."""
     nobody = np.full(len(image_from_world), NOWHERE)
     drafts: list[_Draft] = []
     joint = candidates.joint[hypotheses.pair[:, 0]]
     parent_of = value.argmax(0) if value.size else np.full(len(joint), NOWHERE)
-    clusters = list(cluster_hypotheses(hypotheses.xyz_m, joint, parameters.eps_m, effort))
+    clusters = list(cluster_hypotheses(hypotheses.xyz_m, joint, parameters.eps_m, limits))
     may_split = parameters.split_clusters and value.size > 0
     outbid = _outbid(value, joint, parent_of, clusters) if may_split else {}
     for cluster, members in enumerate(clusters):
@@ -194,13 +194,13 @@ def _draft(
             own = parents.body[parent] if parent >= 0 else nobody
             drafts.extend(
                 _Draft(used, seed_m, parent, cluster)
-                for used, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters, effort)
+                for used, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters, limits)
             )
     return drafts
 
 
 def cluster_hypotheses(
-    xyz_m: Float[np.ndarray, "hypotheses 3"], joint: Int[np.ndarray, " hypotheses"], eps_m: float, effort: Effort
+    xyz_m: Float[np.ndarray, "hypotheses 3"], joint: Int[np.ndarray, " hypotheses"], eps_m: float, limits: WorkLimits
 ) -> Iterator[Int[np.ndarray, " _"]]:
     """Cluster hypotheses by DBSCAN with at least one sample: clusters are the connected components of neighbours.
 
@@ -218,7 +218,7 @@ def cluster_hypotheses(
     cell_of = np.arange(len(places))
     if len(places) ** 2 > 2 * MAX_NEIGHBOURS:
         tree = cKDTree(places)
-        if not effort.allows(int(tree.count_neighbors(tree, eps_m)) // 2, MAX_NEIGHBOURS):
+        if not limits.allows(int(tree.count_neighbors(tree, eps_m)) // 2, MAX_NEIGHBOURS):
             cells, cell_of = np.unique(np.floor(places / (eps_m / 2)), axis=0, return_inverse=True)
             places = (cells + 0.5) * (eps_m / 2)
     # The tree computes distances exactly and in one thread. Most sets are so small that checks of the input would take
@@ -234,7 +234,7 @@ def _split(
     members: Int[np.ndarray, " _"],
     joint: int,
     parent_of: Int[np.ndarray, " hypotheses"],
-    parents: Points,
+    parents: JointPoints,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
@@ -244,8 +244,8 @@ def _split(
     if len(wanted) < 2 or not parameters.split_clusters:
         yield int(wanted[counts.argmax()]), members
         return
-    centre = Points(np.array([joint]), xyz_m[members].mean(0, keepdims=True), parents.body[:1])
-    error = length_error(Points(*(values[wanted] for values in parents)), centre, skeleton, lengths)
+    centre = JointPoints(np.array([joint]), xyz_m[members].mean(0, keepdims=True), parents.body[:1])
+    error = length_error(JointPoints(*(values[wanted] for values in parents)), centre, skeleton, lengths)
     if (error <= parameters.tau3).sum() < 2:
         yield int(wanted[counts.argmax()]), members
         return
@@ -284,19 +284,19 @@ def _extract(
     members: Int[np.ndarray, " _"],
     parent_body: Int[np.ndarray, " cameras"],
     parameters: ClusteringParameters,
-    effort: Effort,
+    limits: WorkLimits,
 ) -> Iterator[tuple[list[int], Float[np.ndarray, " 3"]]]:
     """Extract joints from a group of hypotheses: matched candidates of different views, and an initial position.
 
     Each round takes the densest point and the best candidate of each view near it: a candidate of the parent's body
-    first, then the nearest. Hypotheses that use none of these candidates remain for the next round. Once the effort of
+    first, then the nearest. Hypotheses that use none of these candidates remain for the next round. Once the work of
     an instant is spent, the remaining hypotheses give a single joint.
     """
     if not parameters.separate_clusters:
         yield _match(candidates, hypotheses, members)
         return
     while len(members):
-        if not effort.allows_round(len(members)):
+        if not limits.allows_round(len(members)):
             yield _match(candidates, hypotheses, members)
             return
         xyz_m, pair = hypotheses.xyz_m[members], hypotheses.pair[members]
@@ -333,9 +333,9 @@ def _locate(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
     drafts: list[_Draft],
-    parents: Points,
+    parents: JointPoints,
     eps_m: float,
-    effort: Effort,
+    limits: WorkLimits,
 ) -> Joints:
     """Assign each candidate to one draft, drafts with the most views first, and locate drafts that keep two views.
 
@@ -352,7 +352,7 @@ def _locate(
     for draft in drafts:
         left = [k for k in draft.candidates if k not in owners or _may_share(draft, owners[k])]
         kind = int(candidates.joint[draft.candidates[0]])
-        if len(left) >= 2 and effort.allows(num_kept[kind] + 1, MAX_JOINTS):
+        if len(left) >= 2 and limits.allows(num_kept[kind] + 1, MAX_JOINTS):
             num_kept[kind] += 1
             kept.append(draft._replace(candidates=left))
             for k in left:
@@ -371,7 +371,7 @@ def _locate(
     body = np.append(candidates.body, NOWHERE)[chosen]
     if kept[0].parent != NOWHERE:
         body = np.where(body >= 0, body, parents.body[[draft.parent for draft in kept]])
-    return Joints(Points(candidates.joint[chosen.max(-1)], xyz_m, body), chosen)
+    return Joints(JointPoints(candidates.joint[chosen.max(-1)], xyz_m, body), chosen)
 
 
 def _may_share(draft: _Draft, owners: list[_Draft]) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.clustering.bone_lengths import LimbLengths
-from pipeline.clustering.instant.evidence import Points
+from pipeline.clustering.instant.evidence import JointPoints
 from pipeline.clustering.skeleton import Skeleton
 
 _SHORTEST_M = 0.02
@@ -54,7 +54,7 @@ def nearly_fits(
 
 
 def length_error(
-    parents: Points, points: Points, skeleton: Skeleton, lengths: LimbLengths
+    parents: JointPoints, points: JointPoints, skeleton: Skeleton, lengths: LimbLengths
 ) -> Float[np.ndarray, "parents points"]:
     """Relative error of a point's distance to a parent against the known bone lengths (eq. 3).
 

@@ -19,7 +19,7 @@ NOWHERE = -1
 """Number of a missing detection or candidate."""
 
 
-class Points(NamedTuple):
+class JointPoints(NamedTuple):
     """3D points that may be joints.
 
     Parameters
@@ -39,7 +39,7 @@ class Points(NamedTuple):
 
 
 @runtime_checkable
-class Evidence(Protocol):
+class LimbEvidence(Protocol):
     """Evidence for connections between parent joints and points at an instant."""
 
     @property
@@ -47,7 +47,7 @@ class Evidence(Protocol):
         """Least score of each joint of the skeleton with its parent: tau2 of eq. 2."""
 
     def connect(
-        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: JointPoints, points: JointPoints, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
         """Connectivity scores S of wanted pairs (eq. 1); NaN for other pairs and for pairs without evidence."""
 
@@ -65,9 +65,9 @@ class Membership:
         self.least = np.full(len(skeleton.names), tau2)
 
     def connect(
-        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: JointPoints, points: JointPoints, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
-        """Mean of s over the views with detections behind both points; see ``Evidence``."""
+        """Mean of s over the views with detections behind both points; see ``LimbEvidence``."""
         num_known, num_same = np.zeros(wanted.shape, np.int32), np.zeros(wanted.shape, np.int32)
         for parent, point in zip(parents.body.T, points.body.T, strict=True):
             known = (parent[:, None] >= 0) & (point >= 0)
@@ -108,9 +108,9 @@ class AffinityFields:
         self.least = tau2 * np.array(skeleton.field_share)
 
     def connect(
-        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: JointPoints, points: JointPoints, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
-        """Mean of s over the views that contain both projections; see ``Evidence``."""
+        """Mean of s over the views that contain both projections; see ``LimbEvidence``."""
         limb = self._limb_of[points.joint]
         parent, point = np.nonzero(wanted & (limb >= 0))
         used, number = np.unique(point, return_inverse=True)

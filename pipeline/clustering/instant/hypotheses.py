@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.clustering.instant.effort import MAX_HYPOTHESES, MAX_PAIRS, Effort
+from pipeline.clustering.instant.work_limits import MAX_HYPOTHESES, MAX_PAIRS, WorkLimits
 from pipeline.geometry.triangulation import plane_rows, solve_normal
 
 # Pairs that are triangulated at once; each row of their normal equations takes a megabyte.
@@ -74,7 +74,7 @@ def reprojection_px(
 
 
 def meet(
-    image_from_world: Float[np.ndarray, "cameras 3 4"], candidates: Candidates, tau1_px: float, effort: Effort
+    image_from_world: Float[np.ndarray, "cameras 3 4"], candidates: Candidates, tau1_px: float, limits: WorkLimits
 ) -> Hypotheses:
     """Triangulate all pairs of a joint's candidates in two views; keep those with a reprojection error up to ``tau1``.
 
@@ -86,7 +86,7 @@ def meet(
     normal = rows.swapaxes(-1, -2) @ rows
     of_joints = [Hypotheses(np.empty((0, 3)), np.empty((0, 2), int))]
     for joint in np.unique(candidates.joint):
-        pairs = _pairs(image_from_world, candidates, np.flatnonzero(candidates.joint == joint), effort)
+        pairs = _pairs(image_from_world, candidates, np.flatnonzero(candidates.joint == joint), limits)
         met, errors_px = [], [np.empty(0)]
         for pair in np.split(pairs, range(_BLOCK, len(pairs), _BLOCK)):
             xyz_m = solve_normal(normal[pair[:, 0]] + normal[pair[:, 1]])
@@ -97,7 +97,7 @@ def meet(
             met.append(Hypotheses(xyz_m, pair).where(near))
             errors_px.append(error_px[near])
         together = _joined(met)
-        if not effort.allows(len(together.pair), MAX_HYPOTHESES):
+        if not limits.allows(len(together.pair), MAX_HYPOTHESES):
             best = np.argsort(np.concatenate(errors_px), kind="stable")[:MAX_HYPOTHESES]
             together = together.where(np.sort(best))
         of_joints.append(together)
@@ -112,14 +112,14 @@ def _pairs(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
     of_joint: Int[np.ndarray, " _"],
-    effort: Effort,
+    limits: WorkLimits,
 ) -> Int[np.ndarray, "pairs 2"]:
     """Rows of all pairs of a joint's candidates in two views, in order of the views."""
     view = candidates.view[of_joint]
     count = np.bincount(view, minlength=len(image_from_world))
     num_pairs = np.triu(np.outer(count, count), 1)
     wanted = view[:, None] < view
-    if not effort.allows(int(num_pairs.sum()), MAX_PAIRS):
+    if not limits.allows(int(num_pairs.sum()), MAX_PAIRS):
         wanted &= views_that_meet(image_from_world, num_pairs)[view[:, None], view]
     return of_joint[np.argwhere(wanted)]
 

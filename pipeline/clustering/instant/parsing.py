@@ -9,8 +9,8 @@ from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.distance import mean_distance_m
 from pipeline.clustering.instant.clusters import Joints
 from pipeline.clustering.instant.constraints import length_error, nearly_fits
-from pipeline.clustering.instant.effort import MAX_DENSE
-from pipeline.clustering.instant.evidence import NOWHERE, Evidence
+from pipeline.clustering.instant.evidence import NOWHERE, LimbEvidence
+from pipeline.clustering.instant.work_limits import MAX_DENSE
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 
@@ -35,7 +35,7 @@ class Poses(NamedTuple):
 
 def parse(
     joints: Joints,
-    evidence: Evidence,
+    evidence: LimbEvidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
@@ -84,7 +84,7 @@ def parse(
 def _limb_values(
     parents: Joints,
     joints: Joints,
-    evidence: Evidence,
+    evidence: LimbEvidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,

@@ -10,10 +10,10 @@ from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.instant.bodies import bodies_of, match_bodies
 from pipeline.clustering.instant.clusters import Joints, adopt, no_joints
 from pipeline.clustering.instant.constraints import pose_length_error
-from pipeline.clustering.instant.effort import MAX_REPAIRS, Effort
-from pipeline.clustering.instant.evidence import NOWHERE, Points
+from pipeline.clustering.instant.evidence import NOWHERE, JointPoints
 from pipeline.clustering.instant.hypotheses import Candidates
 from pipeline.clustering.instant.joints import refine
+from pipeline.clustering.instant.work_limits import MAX_REPAIRS, WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 from pipeline.geometry.triangulation import DISPUTED_M, plane_rows, triangulate_robust
@@ -31,7 +31,7 @@ _BLOCK = 2**14
 _ARM, _LEG = ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")
 
 
-class People(NamedTuple):
+class MatchedPeople(NamedTuple):
     """People found from whole bodies.
 
     Parameters
@@ -102,20 +102,20 @@ def match_people(
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    effort: Effort,
-) -> People:
+    limits: WorkLimits,
+) -> MatchedPeople:
     """Find people from bodies that agree in several views; nobody for candidates without bodies.
 
     A joint counts for the person with whom it agrees in space, whatever body it is part of.
     """
     bodies = bodies_of(candidates, len(skeleton.names))
-    matched = match_bodies(image_from_world, candidates, bodies, skeleton, lengths, parameters, effort)
+    matched = match_bodies(image_from_world, candidates, bodies, skeleton, lengths, parameters, limits)
     if not len(matched):
-        return People(no_joints(len(image_from_world)), np.empty((0, len(skeleton.names)), int))
+        return MatchedPeople(no_joints(len(image_from_world)), np.empty((0, len(skeleton.names)), int))
     sight = _sight(image_from_world, candidates, skeleton)
     nobody = np.full((1, len(skeleton.names)), NOWHERE)
     candidate = np.append(bodies.candidate, nobody, axis=0)[matched].swapaxes(1, 2).copy()
-    _repair(sight, candidate, lengths, parameters, effort)
+    _repair(sight, candidate, lengths, parameters, limits)
     xyz_m = _share(sight, _renamed(candidates, candidate), candidate, parameters.eps_m)
     known = np.isfinite(xyz_m[..., 0])
     known &= ~(pose_length_error(xyz_m, skeleton, lengths) > _LARGEST_ERROR)
@@ -125,8 +125,8 @@ def match_people(
     of_people = np.append(body_of, NOWHERE)[matched]
     joint_of = np.full(known.shape, NOWHERE)
     joint_of[known] = np.arange(len(person))
-    points = Points(joint, xyz_m[known], of_people[person])
-    return People(Joints(points, candidate[known]), joint_of[known.any(-1)])
+    points = JointPoints(joint, xyz_m[known], of_people[person])
+    return MatchedPeople(Joints(points, candidate[known]), joint_of[known.any(-1)])
 
 
 def _repair(
@@ -134,7 +134,7 @@ def _repair(
     candidate: Int[np.ndarray, "people joints cameras"],
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    effort: Effort,
+    limits: WorkLimits,
 ) -> None:
     """Exchange left and right limbs in a view, or leave a limb of a view out, where this makes a better pose.
 
@@ -153,7 +153,7 @@ def _repair(
         if not tried:
             return
         most = MAX_REPAIRS // candidate.shape[-1]
-        if not effort.allows(len(tried), most):
+        if not limits.allows(len(tried), most):
             tried = tried[:most]
         person, number, view = np.array(tried).T
         gain = np.empty(len(tried))

@@ -32,13 +32,13 @@ def convert(xml: bytes, weights: bytes, input_name: str, outputs: Mapping[str, i
     """
     layers = read_ir(xml, weights)
     conversion = _Conversion(layers, input_name)
-    made = {
+    nodes = {
         layers[layer.inputs[0]].num_channels: layer.inputs[0] for layer in layers.values() if layer.kind == "Result"
     }
     for name, num_channels in outputs.items():
-        if num_channels not in made:
+        if num_channels not in nodes:
             raise ModelError(f"The OpenVINO network has no output of {num_channels} channels: it is another network.")
-        conversion.onnx.emit("Identity", [conversion.activation(made[num_channels])], name)
+        conversion.onnx.emit("Identity", [conversion.activation(nodes[num_channels])], name)
     return conversion.onnx.encode({input_name: 3}, dict(outputs))
 
 

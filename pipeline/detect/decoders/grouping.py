@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int
 
 from pipeline.data import read_only
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.geometry.fields import connectivity
 
@@ -18,7 +18,7 @@ _MIN_LIMB_SCORE = 0.2
 _MIN_PEAK_SCORE = 0.1
 
 
-def group(image: ImageFields, limbs: Int[np.ndarray, "limbs 2"], num_joints: int) -> Bodies:
+def group(image: ImageFields, limbs: Int[np.ndarray, "limbs 2"], num_joints: int) -> ImageBodies:
     """Group peaks to bodies.
 
     Parameters
@@ -82,14 +82,16 @@ def _joined(image: ImageFields, limb: int, firsts: np.ndarray, seconds: np.ndarr
     return pairs
 
 
-def _bodies(image: ImageFields, chosen: Sequence[dict[int, int]], center_score: np.ndarray, num_joints: int) -> Bodies:
+def _bodies(
+    image: ImageFields, chosen: Sequence[dict[int, int]], center_score: np.ndarray, num_joints: int
+) -> ImageBodies:
     keypoints_px = np.full((len(chosen), num_joints, 2), np.nan)
     score = np.zeros((len(chosen), num_joints))
     for k, peaks in enumerate(chosen):
         joints, numbers = list(peaks), list(peaks.values())
         keypoints_px[k, joints], score[k, joints] = image.points_px[numbers], image.score[numbers]
     corners_px = [reduce(keypoints_px, axis=1) for reduce in (np.fmin.reduce, np.fmax.reduce)]
-    return Bodies(
+    return ImageBodies(
         keypoints_px=read_only(keypoints_px),
         score=read_only(score),
         box_px=read_only(np.concatenate(corners_px, axis=-1)),

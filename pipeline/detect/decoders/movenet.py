@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pipeline.data import read_only
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 
 _STRIDE_PX = 4
 _MIN_CENTER_SCORE = 0.3
@@ -51,7 +51,7 @@ class _Candidates:
     heat: Float[np.ndarray, "joints candidates"]
 
 
-def decode_movenet(outputs: Mapping[str, np.ndarray]) -> Bodies:
+def decode_movenet(outputs: Mapping[str, np.ndarray]) -> ImageBodies:
     """Decode the four heads of one image.
 
     Parameters
@@ -73,7 +73,7 @@ def decode_movenet(outputs: Mapping[str, np.ndarray]) -> Bodies:
     keypoints_px, score = _pick(candidates, *_choose_exclusively(affinity[distinct]))
     seen = (score > 0).any(-1)
     keypoints_px, score, center_score = keypoints_px[seen], score[seen], center_score[distinct][seen]
-    return Bodies(
+    return ImageBodies(
         keypoints_px=read_only(keypoints_px),
         score=read_only(score),
         box_px=read_only(_boxes(keypoints_px)),
@@ -154,7 +154,7 @@ def _choose_exclusively(
     """
     num_bodies, num_joints, num_candidates = affinity.shape
     choice = np.zeros((num_bodies, num_joints), np.int64)
-    found = np.zeros((num_bodies, num_joints), bool)
+    is_found = np.zeros((num_bodies, num_joints), bool)
     joints = np.arange(num_joints)
     left = affinity.transpose(1, 0, 2).copy()
     # Each round assigns every joint's best remaining peak; ties go to the body with the higher score.
@@ -162,19 +162,19 @@ def _choose_exclusively(
         body, peak = np.divmod(left.reshape(num_joints, -1).argmax(-1), num_candidates)
         fits = left[joints, body, peak] > 0
         choice[body[fits], joints[fits]] = peak[fits]
-        found[body[fits], joints[fits]] = True
+        is_found[body[fits], joints[fits]] = True
         left[joints, body] = 0
         left[joints, :, peak] = 0
-    return choice, found
+    return choice, is_found
 
 
 def _pick(
-    candidates: _Candidates, choice: Int[np.ndarray, "n joints"], found: Bool[np.ndarray, "n joints"]
+    candidates: _Candidates, choice: Int[np.ndarray, "n joints"], is_found: Bool[np.ndarray, "n joints"]
 ) -> tuple[Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints"]]:
     """Joints in pixels of the network's input, NaN where not found, and their scores, 0 where not found."""
     joints = np.arange(choice.shape[1])
-    keypoints_px = np.where(found[..., None], candidates.joint_px[joints, choice], np.nan)
-    return keypoints_px, np.where(found, candidates.heat[joints, choice], 0.0)
+    keypoints_px = np.where(is_found[..., None], candidates.joint_px[joints, choice], np.nan)
+    return keypoints_px, np.where(is_found, candidates.heat[joints, choice], 0.0)
 
 
 def _without_duplicates(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Int[np.ndarray, " kept"]:

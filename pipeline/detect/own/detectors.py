@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from pipeline.data import read_only
-from pipeline.detect.bodies import Bodies, BodyDetector
+from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.decoders.heatmaps import decode_heatmaps
-from pipeline.detect.decoders.rtmo import decode_rtmo
-from pipeline.detect.decoders.simcc import decode_simcc
+from pipeline.detect.decoders.own_heads import decode_rtmo, decode_simcc
 from pipeline.detect.own.description import OwnNetwork
 from pipeline.detect.session import Network
 from pipeline.joints import JointSet
@@ -49,7 +48,7 @@ class OwnInCrops:
         """Joints of the bodies."""
         return LAYOUTS[self.own.layout].joints
 
-    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""
         bodies = self.body.detect(image_rgb)
         keypoints_px = np.full((len(bodies.score), len(self.joints.names), 2), np.nan)
@@ -95,7 +94,7 @@ class OwnInOneStage:
         """Joints of the bodies."""
         return LAYOUTS[self.own.layout].joints
 
-    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""
         height, width = image_rgb.shape[:2]
         scale = min(self.own.input_px[0] / width, self.own.input_px[1] / height)
@@ -153,7 +152,7 @@ def _bodies(
     keypoints_px: Float[np.ndarray, "n joints 2"],
     score: Float[np.ndarray, "n joints"],
     center_score: Float[np.ndarray, " n"],
-) -> Bodies:
+) -> ImageBodies:
     """Bodies of points that are certain enough; bodies without such points are left out."""
     is_kept = (score >= _MIN_SCORE) & np.isfinite(keypoints_px).all(-1)
     seen = is_kept.any(1)
@@ -163,7 +162,7 @@ def _bodies(
         np.where(is_kept[..., None], kept_px, np.inf).min(1),
         np.where(is_kept[..., None], kept_px, -np.inf).max(1),
     )
-    return Bodies(
+    return ImageBodies(
         keypoints_px=read_only(kept_px),
         score=read_only(np.where(is_kept, score[seen], 0.0)),
         box_px=read_only(np.concatenate([low, high], axis=-1)),

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.detect.own.description import OwnNetwork, decode_description, encode_description
-from pipeline.detect.registry import Head, LooseWeights, NetworkEntry, NetworkInput
+from pipeline.detect.registry import LooseWeights, NetworkEntry, NetworkHead, NetworkInput
 from pipeline.errors import ModelError
 from pipeline.layouts import LAYOUTS
 from pipeline.runtime.child_processes import module_command
@@ -60,9 +60,9 @@ def add_own(path: Path, network: OwnNetwork, has_chosen_size: bool = True) -> st
         # A copy, so that the checked file is the added file.
         copy = Path(scratch) / "network.onnx"
         _copy(path, copy)
-        found = _run_check(copy, path.name, network.input_px)
-        network = _with_size(network, found["input"], has_chosen_size, path.name)
-        _check_outputs(network, list(found["outputs"].values()), path.name)
+        shapes = _run_check(copy, path.name, network.input_px)
+        network = _with_size(network, shapes["input"], has_chosen_size, path.name)
+        _check_outputs(network, list(shapes["outputs"].values()), path.name)
         content, description = copy.read_bytes(), encode_description(network)
     digest = hashlib.sha256(content + description).hexdigest()[:12]
     slug = re.sub(r"[^a-z0-9]+", "-", path.stem.lower())[:_NUM_NAME].strip("-") or "network"
@@ -105,7 +105,7 @@ def own_entry(name: str) -> NetworkEntry:
         num_bytes=num_bytes,
         licence=UNKNOWN_LICENCE,
         input=NetworkInput(own.channels, multiple=1, scaled_px=max(own.input_px)),
-        head=Head.OWN,
+        head=NetworkHead.OWN,
         joints=LAYOUTS[own.layout].joints,
         own=own,
     )
@@ -130,12 +130,12 @@ def _run_check(path: Path, filename: str, input_px: tuple[int, int]) -> Mapping[
     if done.returncode in _OUT_OF_TIME:
         raise _endless(filename)
     try:
-        found: dict[str, Any] = json.loads(done.stdout)
+        answer: dict[str, Any] = json.loads(done.stdout)
     except ValueError as error:
         raise ModelError(f"{filename} can't be used: its check took too much memory.") from error
-    if "problem" in found:
-        raise ModelError(f"{filename} can't be used: {found['problem']}.")
-    return found
+    if "problem" in answer:
+        raise ModelError(f"{filename} can't be used: {answer['problem']}.")
+    return answer
 
 
 def _endless(filename: str) -> ModelError:
@@ -161,19 +161,19 @@ def _check_outputs(network: OwnNetwork, shapes: Sequence[Sequence[int]], filenam
     width, height = network.input_px
     match network.head, [tuple(shape) for shape in shapes]:
         case "simcc", [(1, in_x, bins_x), (1, in_y, bins_y)]:
-            fits, found = bins_x * height == bins_y * width and in_x == in_y and bins_x >= width, in_x
-        case "heatmaps", [(1, found, rows, columns)]:
+            fits, num_outputs = bins_x * height == bins_y * width and in_x == in_y and bins_x >= width, in_x
+        case "heatmaps", [(1, num_outputs, rows, columns)]:
             fits = min(rows, columns) >= 2
-        case "rtmo", [(1, num_boxes, 5), (1, num_people, found, 3)]:
+        case "rtmo", [(1, num_boxes, 5), (1, num_people, num_outputs, 3)]:
             fits = num_boxes == num_people
         case _:
-            fits, found = False, num_points
+            fits, num_outputs = False, num_points
     if not fits:
         raise ModelError(
             f"{filename} has no outputs of the head {network.head}: it gives {[list(shape) for shape in shapes]}. "
             "See docs/detectors.md for the outputs of each head."
         )
-    if found != num_points:
-        alike = [layout.name for layout in LAYOUTS.values() if len(layout.points) == found]
+    if num_outputs != num_points:
+        alike = [layout.name for layout in LAYOUTS.values() if len(layout.points) == num_outputs]
         hint = f" Use --joints {' or '.join(alike)}." if alike else ""
-        raise ModelError(f"{filename} finds {found} points, {network.layout} has {num_points}.{hint}")
+        raise ModelError(f"{filename} finds {num_outputs} points, {network.layout} has {num_points}.{hint}")

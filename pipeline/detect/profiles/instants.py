@@ -34,7 +34,7 @@ def detect_at(
     InputError, ChildError
         See ``pipeline.video.decode.decode``.
     """
-    found = {}
+    detections = {}
     for video, camera in zip(session.videos, session.cameras, strict=True):
         wanted = sorted({frame for frame in frames[camera.name] if frame is not None})
         spans = [range(video.num_frames)] if video.num_frames <= _DECODED_WHOLE else [range(k, k + 1) for k in wanted]
@@ -43,5 +43,5 @@ def detect_at(
             only = [frame for frame in wanted if frame in span]
             with closing(camera_images(session, camera.name, span, on_frame, only=only)) as images:
                 bodies += [(frame, detector.detect(image_rgb)) for frame, image_rgb in images]
-        found[camera.name] = stack_bodies(camera.name, bodies, len(detector.joints.names))
-    return found
+        detections[camera.name] = stack_bodies(camera.name, bodies, len(detector.joints.names))
+    return detections

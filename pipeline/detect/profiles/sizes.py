@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.config import Profile
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 
 USUAL_PX = 512
 """Length of the longer side of an image without people."""
@@ -72,7 +72,7 @@ RULES: dict[Profile, SizeRule] = {
 """Rule of each profile; docs/detectors.md has the measurements."""
 
 
-def body_spans_px(bodies: Bodies) -> Float[np.ndarray, " n"]:
+def body_spans_px(bodies: ImageBodies) -> Float[np.ndarray, " n"]:
     """Longer side of the box around the sure joints of each body, in pixels; NaN with fewer than eight sure joints."""
     sure = (bodies.score >= _MIN_SCORE) & np.isfinite(bodies.keypoints_px).all(-1)
     low = np.where(sure[..., None], bodies.keypoints_px, np.inf).min(1)
@@ -101,7 +101,7 @@ def choose_sizes(
         Sizes at which the tallest bodies span ``rule.span_px``, within the limits. Two passes if the smallest bodies
         are far smaller. The usual size if there are no bodies.
     """
-    known = [one for frame in spans_px if len(one := frame[np.isfinite(frame)])]
+    known = [known_px for frame in spans_px if len(known_px := frame[np.isfinite(frame)])]
     if not known:
         return CameraSizes((_least_padded_px(float(USUAL_PX), image_size_px, rule),))
     tall_px = float(np.quantile([frame.max() for frame in known], _TALL))

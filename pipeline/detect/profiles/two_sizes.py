@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from pipeline.data import read_only
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.detector import Detector
 from pipeline.detect.profiles.sizes import body_spans_px
 from pipeline.joints import JointSet
@@ -44,12 +44,12 @@ class TwoSizes:
         """Joints of the bodies."""
         return self.coarse.joints
 
-    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""
         return merge_passes(self.coarse.detect(image_rgb), self.fine.detect(image_rgb), self.border_px)
 
 
-def merge_passes(coarse: Bodies, fine: Bodies, border_px: float) -> Bodies:
+def merge_passes(coarse: ImageBodies, fine: ImageBodies, border_px: float) -> ImageBodies:
     """Merge the bodies of two passes over one image.
 
     Tall bodies come from the coarse pass. Bodies of the fine pass follow, unless they repeat a tall body or a part of
@@ -71,7 +71,7 @@ def merge_passes(coarse: Bodies, fine: Bodies, border_px: float) -> Bodies:
     return _by_confidence(tall, added, kept)
 
 
-def _repeats(bodies: Bodies, others: Bodies) -> Bool[np.ndarray, " n"]:
+def _repeats(bodies: ImageBodies, others: ImageBodies) -> Bool[np.ndarray, " n"]:
     """Mark each body that shows the same person as one of the other bodies."""
     distance_px = np.linalg.norm(bodies.keypoints_px[:, None] - others.keypoints_px[None], axis=-1)
     num_common = np.isfinite(distance_px).sum(-1)
@@ -81,18 +81,20 @@ def _repeats(bodies: Bodies, others: Bodies) -> Bool[np.ndarray, " n"]:
     return np.asarray(is_same.any(-1))
 
 
-def _spans(bodies: Bodies) -> Float[np.ndarray, " n"]:
+def _spans(bodies: ImageBodies) -> Float[np.ndarray, " n"]:
     return (bodies.box_px[:, 2:] - bodies.box_px[:, :2]).max(-1, initial=0.0)
 
 
-def _select(bodies: Bodies, chosen: Bool[np.ndarray, " n"]) -> Bodies:
-    return Bodies(bodies.keypoints_px[chosen], bodies.score[chosen], bodies.box_px[chosen], bodies.center_score[chosen])
+def _select(bodies: ImageBodies, chosen: Bool[np.ndarray, " n"]) -> ImageBodies:
+    return ImageBodies(
+        bodies.keypoints_px[chosen], bodies.score[chosen], bodies.box_px[chosen], bodies.center_score[chosen]
+    )
 
 
-def _by_confidence(*parts: Bodies) -> Bodies:
+def _by_confidence(*parts: ImageBodies) -> ImageBodies:
     center_score = np.concatenate([part.center_score for part in parts])
     order = np.argsort(-center_score, kind="stable")
-    return Bodies(
+    return ImageBodies(
         keypoints_px=read_only(np.concatenate([part.keypoints_px for part in parts])[order]),
         score=read_only(np.concatenate([part.score for part in parts])[order]),
         box_px=read_only(np.concatenate([part.box_px for part in parts])[order]),

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from pipeline.data import read_only
-from pipeline.detect.bodies import Bodies, BodyDetector
+from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.session import Network
 from pipeline.detect.topdown import blazepose, hands
 from pipeline.detect.topdown.feet import FOOT_JOINTS, read_feet
@@ -46,14 +46,14 @@ class TopDown:
         if self.body.joints.names != COCO_17.names:
             raise ValueError("Crops need bodies with the joints of COCO-17.")
 
-    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image; boxes are those around the body's joints."""
         bodies = self.body.detect(image_rgb)
         keypoints_px = np.full((len(bodies.score), len(self.joints.names), 2), np.nan)
         score = np.zeros(keypoints_px.shape[:2])
         num_body = len(COCO_17.names)
         keypoints_px[:, :num_body], score[:, :num_body] = bodies.keypoints_px, bodies.score
-        found: list[hands.Hand] = []
+        candidates: list[hands.Hand] = []
         for number in range(len(score)):
             pose = self._pose(image_rgb, bodies.keypoints_px[number], bodies.score[number])
             if self.refines_body:
@@ -66,10 +66,10 @@ class TopDown:
                 size_px = blazepose.body_size_px(joints_px, bodies.score[number] >= _MIN_SCORE)
                 feet = self.joints.indices(FOOT_JOINTS)
                 keypoints_px[number, feet], score[number, feet] = read_feet(pose, joints_px[_ANKLES], size_px)
-            found += self._hands(image_rgb, number, pose, joints_px[_WRISTS])
-        for one in hands.without_doubles(found):
-            fingers = self.joints.indices(finger_joints(SIDES[one.side]))
-            keypoints_px[one.body, fingers], score[one.body, fingers] = one.points_px[1:], one.score
+            candidates += self._hands(image_rgb, number, pose, joints_px[_WRISTS])
+        for hand in hands.without_doubles(candidates):
+            fingers = self.joints.indices(finger_joints(SIDES[hand.side]))
+            keypoints_px[hand.body, fingers], score[hand.body, fingers] = hand.points_px[1:], hand.score
         return replace(bodies, keypoints_px=read_only(keypoints_px), score=read_only(score))
 
     def _pose(
@@ -95,11 +95,11 @@ class TopDown:
         if self.hand is None:
             return []
         landmarks_px, _ = pose.refined()
-        found = []
+        decoded = []
         for side, wrist_px in enumerate(wrists_px):
             region = hands.hand_region(landmarks_px, side)
             if region is not None:
                 outputs = self.hand(crop(image_rgb, region, hands.CROP_PX))
                 hand = hands.decode_hand(outputs, region, body, side, wrist_px)
-                found += [] if hand is None else [hand]
-        return found
+                decoded += [] if hand is None else [hand]
+        return decoded

@@ -39,8 +39,8 @@ def read_feet(
     points_px, peak = pose.refined()
     distance_px = np.linalg.norm(points_px[_ANKLES] - ankles_px, axis=-1)
     is_own = (distance_px <= _MAX_ANKLE_DISTANCE * size_px)[_SIDE]
-    found = is_own & (peak[_LANDMARKS] >= SURE_PEAK)
+    is_found = is_own & (peak[_LANDMARKS] >= SURE_PEAK)
     return (
-        np.where(found[:, None], points_px[_LANDMARKS], np.nan),
-        np.where(found, score_of_peak(peak[_LANDMARKS]), 0.0),
+        np.where(is_found[:, None], points_px[_LANDMARKS], np.nan),
+        np.where(is_found, score_of_peak(peak[_LANDMARKS]), 0.0),
     )

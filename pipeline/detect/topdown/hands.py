@@ -123,12 +123,12 @@ def palm_length_px(points_px: Float[np.ndarray, "points 2"]) -> float:
 def without_doubles(hands: Sequence[Hand]) -> list[Hand]:
     """Hands of an image of which each was seen once: a hand in two crops belongs to the nearer wrist."""
     kept: list[Hand] = []
-    for hand in sorted(hands, key=lambda one: one.wrist_distance):
+    for hand in sorted(hands, key=lambda hand: hand.wrist_distance):
         if not any(_are_same(hand, other) for other in kept):
             kept.append(hand)
     return kept
 
 
-def _are_same(one: Hand, other: Hand) -> bool:
-    distance_px = np.linalg.norm(one.points_px - other.points_px, axis=-1).mean()
-    return bool(distance_px <= _SAME_DISTANCE * min(one.palm_px, other.palm_px))
+def _are_same(first: Hand, second: Hand) -> bool:
+    distance_px = np.linalg.norm(first.points_px - second.points_px, axis=-1).mean()
+    return bool(distance_px <= _SAME_DISTANCE * min(first.palm_px, second.palm_px))

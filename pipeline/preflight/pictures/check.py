@@ -62,14 +62,14 @@ def check_pictures(cameras: Sequence[CameraPictures]) -> list[Finding]:
     -------
         Findings whose evidence ``pictures`` has numbers of pictures of the camera.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for camera in cameras:
         if dark := list(_check_dark(camera)):
             # A dark picture has no edges, and does not move.
-            found += dark
+            findings += dark
         elif camera.figures:
-            found += [*_check_blurred(camera), *_check_frozen(camera, cameras)]
-    return found
+            findings += [*_check_blurred(camera), *_check_frozen(camera, cameras)]
+    return findings
 
 
 def is_dark(figures: PictureFigures) -> bool:
@@ -78,7 +78,7 @@ def is_dark(figures: PictureFigures) -> bool:
 
 
 def _check_dark(camera: CameraPictures) -> Iterator[Finding]:
-    dark = [number for number, one in enumerate(camera.figures) if is_dark(one)]
+    dark = [number for number, picture in enumerate(camera.figures) if is_dark(picture)]
     if 2 * len(dark) > len(camera.figures):
         share = float(np.median([camera.figures[number].dark_share for number in dark]))
         message = (
@@ -93,7 +93,9 @@ def _check_dark(camera: CameraPictures) -> Iterator[Finding]:
 
 def _check_blurred(camera: CameraPictures) -> Iterator[Finding]:
     blurred = [
-        number for number, one in enumerate(camera.figures) if one.blur_share >= _BLUR_SHARE and one.blur_px >= _BLUR_PX
+        number
+        for number, picture in enumerate(camera.figures)
+        if picture.blur_share >= _BLUR_SHARE and picture.blur_px >= _BLUR_PX
     ]
     if 2 * len(blurred) > len(camera.figures):
         share = float(np.median([camera.figures[number].blur_share for number in blurred]))
@@ -128,23 +130,25 @@ def _check_frozen(camera: CameraPictures, cameras: Sequence[CameraPictures]) -> 
 def _longest_still(camera: CameraPictures) -> tuple[int, int]:
     """First and last picture of the longest time in which no picture differs from the first one."""
     best = (0, 0)
-    for first, one in enumerate(camera.figures):
+    for first, picture in enumerate(camera.figures):
         last = first
-        while last + 1 < len(camera.figures) and _is_still(one, camera.figures[last + 1]):
+        while last + 1 < len(camera.figures) and _is_still(picture, camera.figures[last + 1]):
             last += 1
         if camera.time_s[last] - camera.time_s[first] > camera.time_s[best[1]] - camera.time_s[best[0]]:
             best = first, last
     return best
 
 
-def _is_still(one: PictureFigures, other: PictureFigures) -> bool:
-    return largest_change(one.cells, other.cells) < STILL
+def _is_still(first: PictureFigures, second: PictureFigures) -> bool:
+    return largest_change(first.cells, second.cells) < STILL
 
 
 def _moves(camera: CameraPictures, start_s: float, stop_s: float) -> bool:
     """Whether a camera sees motion within a time."""
-    inside = [one for time_s, one in zip(camera.time_s, camera.figures, strict=True) if start_s <= time_s <= stop_s]
-    return any(not _is_still(inside[0], one) for one in inside[1:])
+    inside = [
+        picture for time_s, picture in zip(camera.time_s, camera.figures, strict=True) if start_s <= time_s <= stop_s
+    ]
+    return any(not _is_still(inside[0], picture) for picture in inside[1:])
 
 
 def _seen(camera: CameraPictures, numbers: Sequence[int]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ def similar_views(cameras: Sequence[CameraPictures]) -> list[tuple[int, int]]:
             for earlier, other in enumerate(views[:later])
             if view is not None and other is not None and view.shape == other.shape
         }
-        best = max(alike, key=lambda one: alike[one], default=None)
+        best = max(alike, key=lambda number: alike[number], default=None)
         if best is not None and alike[best] >= _SAME_VIEW:
             pairs.append((best, later))
     return pairs
@@ -36,7 +36,7 @@ def similar_views(cameras: Sequence[CameraPictures]) -> list[tuple[int, int]]:
 
 def _view(camera: CameraPictures) -> Float[np.ndarray, "rows columns"] | None:
     """Detail of what stands still in a camera's view; ``None`` if there is none."""
-    views = [one.view for one in camera.figures if not is_dark(one)]
+    views = [picture.view for picture in camera.figures if not is_dark(picture)]
     still = detail(np.median(views, axis=0)) if views else np.zeros((1, 1))
     return still if still.std() >= DETAIL_MIN else None
 
@@ -59,9 +59,11 @@ def same_video(
     """
     if len(of_first) < MIN_INSTANTS or of_first[0].cells.shape != of_later[0].cells.shape:
         return None
-    changes = [np.diff(np.array([one.cells for one in of_camera]), axis=0) for of_camera in (of_first, of_later)]
+    changes = [
+        np.diff(np.array([picture.cells for picture in of_camera]), axis=0) for of_camera in (of_first, of_later)
+    ]
     stands_still = [
-        all(largest_change(of_camera[0].cells, one.cells) < STILL for one in of_camera)
+        all(largest_change(of_camera[0].cells, picture.cells) < STILL for picture in of_camera)
         for of_camera in (of_first, of_later)
     ]
     # Where nothing moves, the same view is the same video.

@@ -71,13 +71,13 @@ def detail(view: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows c
     return view - cv2.GaussianBlur(view, (0, 0), _DETAIL_PX)
 
 
-def correlation(one: Float[np.ndarray, "..."], other: Float[np.ndarray, "..."]) -> float:
+def correlation(first: Float[np.ndarray, "..."], second: Float[np.ndarray, "..."]) -> float:
     """Correlation coefficient of two pictures of the same size; 0 if one of them is uniform."""
-    one, other = one - one.mean(), other - other.mean()
-    norm = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return float(np.sum(one * other)) / norm if norm > 0.0 else 0.0
+    first, second = first - first.mean(), second - second.mean()
+    norm = float(np.linalg.norm(first) * np.linalg.norm(second))
+    return float(np.sum(first * second)) / norm if norm > 0.0 else 0.0
 
 
-def largest_change(one: Float[np.ndarray, "..."], other: Float[np.ndarray, "..."]) -> float:
+def largest_change(first: Float[np.ndarray, "..."], second: Float[np.ndarray, "..."]) -> float:
     """Largest difference of a cell between two pictures of the same size, in grey levels."""
-    return float(np.abs(one - other).max())
+    return float(np.abs(first - second).max())

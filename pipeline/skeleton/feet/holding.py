@@ -30,7 +30,9 @@ def held_positions_m(
     """
     places_m = np.empty_like(ankles_m)
     for foot, side in enumerate(SIDES):
-        standing = [one.rows for one in contacts if one.side == side and one.part == "foot" and one.pinned]
+        standing = [
+            contact.rows for contact in contacts if contact.side == side and contact.part == "foot" and contact.pinned
+        ]
         places_m[:, foot] = _led_m(ankles_m[:, foot], standing, frame_rate_hz)
     return places_m
 
@@ -55,7 +57,9 @@ def held_parts_m(
     places_m = np.empty_like(parts_m)
     for foot, side in enumerate(SIDES):
         for number, part in enumerate(PARTS):
-            standing = [one.rows for one in contacts if one.side == side and one.part == part and one.pinned]
+            standing = [
+                contact.rows for contact in contacts if contact.side == side and contact.part == part and contact.pinned
+            ]
             places_m[:, foot, number] = _led_m(parts_m[:, foot, number], standing, frame_rate_hz)
         places_m[:, foot] = _at_distance_of(parts_m[:, foot], places_m[:, foot])
     return places_m

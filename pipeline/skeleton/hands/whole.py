@@ -20,7 +20,7 @@ from pipeline.skeleton.rotations import continuous_quat_xyzw
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hands:
+class FittedHands:
     """Both hands of a person, fitted on the body.
 
     Parameters
@@ -89,7 +89,7 @@ def fit_hands(
     views: Mapping[Side, HandViews],
     joints: JointSet,
     cameras: Sequence[Camera] | None,
-) -> Hands:
+) -> FittedHands:
     """Fit both hands of a person.
 
     Parameters
@@ -108,7 +108,7 @@ def fit_hands(
     is_seen = {side: view.is_seen for side, view in views.items()}
     lengths_m = whole_lengths_m(body.bone_length_m, track, joints, is_seen)
     fitted = {side: fit_hand(side, body, lengths_m, view, cameras) for side, view in views.items()}
-    return Hands(lengths_m, views, fitted)
+    return FittedHands(lengths_m, views, fitted)
 
 
 def _views_of(side: Side, track: Track3D, seen: Observations, joints: JointSet, frame_rate_hz: float) -> HandViews:
@@ -128,7 +128,7 @@ def _views_of(side: Side, track: Track3D, seen: Observations, joints: JointSet, 
     return HandViews(xyz_m, points_px, score, seen_well(wrist_m, xyz_m, measured, frame_rate_hz))
 
 
-def with_hands(body: SkeletonMotion, hands: Hands) -> SkeletonMotion:
+def with_hands(body: SkeletonMotion, hands: FittedHands) -> SkeletonMotion:
     """Add hands to the motion of a body: its wrists are turned, and it has the joints of ``WHOLE_SKELETON``."""
     quat = np.zeros((len(body.root_m), len(WHOLE_SKELETON), 4))
     quat[..., 3] = 1.0
@@ -151,9 +151,9 @@ def with_fingers(body: Track3D, fingers: Track3D, joints: JointSet) -> Track3D:
     """
     on_fingers = np.array([name in FINGER_JOINTS for name in joints.names])
 
-    def joined(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        both = np.empty((one.shape[0], len(joints.names), *one.shape[2:]), one.dtype)
-        both[:, ~on_fingers], both[:, on_fingers] = one, other
+    def joined(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        both = np.empty((first.shape[0], len(joints.names), *first.shape[2:]), first.dtype)
+        both[:, ~on_fingers], both[:, on_fingers] = first, second
         return read_only(both)
 
     sigma_m = None
@@ -174,7 +174,7 @@ def with_fingers(body: Track3D, fingers: Track3D, joints: JointSet) -> Track3D:
 def follow_hands(
     final: Track3D,
     body: SkeletonMotion,
-    hands: Hands,
+    hands: FittedHands,
     located: Track3D,
     seen: Observations,
     joints: JointSet,

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig, networks_of
 from pipeline.data import Detections, PafFields
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.chunk import bodies_in, concatenate, stack_bodies
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.detect.decoders.grouping import group
@@ -141,7 +141,7 @@ def _at(
     return found
 
 
-def _grouped(fields: PafFields, wanted: Sequence[int], joints: JointSet) -> list[tuple[int, Bodies]]:
+def _grouped(fields: PafFields, wanted: Sequence[int], joints: JointSet) -> list[tuple[int, ImageBodies]]:
     """Bodies of some frames of a camera's peaks and fields."""
     rows = [(frame, int(row)) for frame in wanted for row in np.flatnonzero(fields.frame == frame)]
     return [(frame, group(_image(fields, row), fields.limbs, len(joints.names))) for frame, row in rows]

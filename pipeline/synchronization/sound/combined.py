@@ -31,26 +31,28 @@ def synchronize_with_sound(
     itself, say), only offsets near those of sound are compared. If motion tells nothing of them either, and all cameras
     have sound, the clocks are those of sound, whose standard deviation includes the way of the sound.
     """
-    found = synchronize(cameras, times, detections, joints, starts_s, on_share)
+    by_people = synchronize(cameras, times, detections, joints, starts_s, on_share)
     shift_s = {name: value - starts_s[name] for name, value in sound.offset_s.items()}
     if len(shift_s) < 2:
-        return found
-    if found.is_certain:
-        return replace(found, refusals=tuple(_contradictions(found.clocks, shift_s, times)))
+        return by_people
+    if by_people.is_certain:
+        return replace(by_people, refusals=tuple(_contradictions(by_people.clocks, shift_s, times)))
     near = synchronize(cameras, times, detections, joints, starts_s, on_share, near_s=shift_s)
     if near.is_certain and not any(_contradictions(near.clocks, shift_s, times)):
         return near
     if len(shift_s) < len(cameras):
-        return found
-    clocks = tuple(CameraClock(one.name, shift_s[one.name], 1.0, sound.sigma_s[one.name]) for one in cameras)
+        return by_people
+    clocks = tuple(
+        CameraClock(camera.name, shift_s[camera.name], 1.0, sound.sigma_s[camera.name]) for camera in cameras
+    )
     clocks = starting_as_declared(times, clocks, starts_s)
     refusals, warnings = precision_doubts(times, clocks)
     if not refusals:
         message = (
             "The offsets are those of the sound alone, since motion does not tell them: +-3 ms a metre of its way."
         )
-        warnings = (Problem("sync_by_sound", message, hint=found.refusals[0].hint), *warnings)
-    return replace(found, clocks=clocks, refusals=refusals, warnings=warnings)
+        warnings = (Problem("sync_by_sound", message, hint=by_people.refusals[0].hint), *warnings)
+    return replace(by_people, clocks=clocks, refusals=refusals, warnings=warnings)
 
 
 def _contradictions(

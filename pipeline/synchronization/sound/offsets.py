@@ -62,7 +62,7 @@ def sound_offsets(cameras: Sequence[Camera], sounds: Mapping[str, Float32[np.nda
             reasons[camera.name] = "The sound has no onsets, such as claps or steps."
     names = list(strengths)
     pairs = (
-        list(itertools.combinations(names, 2)) if len(names) <= _ALL_PAIRS else [(names[0], one) for one in names[1:]]
+        list(itertools.combinations(names, 2)) if len(names) <= _ALL_PAIRS else [(names[0], name) for name in names[1:]]
     )
     lags = {pair: lag for pair in pairs if (lag := find_lag(strengths[pair[0]], strengths[pair[1]])) is not None}
     group, offset_s = _tree(names, lags)
@@ -77,8 +77,8 @@ def sound_offsets(cameras: Sequence[Camera], sounds: Mapping[str, Float32[np.nda
     if not linked:
         alone = dict.fromkeys(names, "The sound fits no other camera's clearly: it repeats itself, or differs.")
         return SoundOffsets(reasons={**reasons, **alone})
-    sizes = {one: sum(group[name] == one for name in names) for one in dict.fromkeys(group.values())}
-    largest = max(sizes, key=lambda one: sizes[one])
+    sizes = {root: sum(group[name] == root for name in names) for root in dict.fromkeys(group.values())}
+    largest = max(sizes, key=lambda root: sizes[root])
     chosen = [name for name in names if group[name] == largest]
     reference = chosen[0]
     jitter_s = {name: max((lag.sigma_s for pair, lag in lags.items() if name in pair), default=0.0) for name in chosen}
@@ -115,6 +115,6 @@ def _ways_s(cameras: Sequence[Camera]) -> dict[tuple[str, str], float]:
     """Time that sound takes from one camera to another."""
     centers_m = {camera.name: center_in_world(camera) for camera in cameras}
     return {
-        (one, other): float(np.linalg.norm(centers_m[one] - centers_m[other])) / SPEED_OF_SOUND_M_S
-        for one, other in itertools.product(centers_m, repeat=2)
+        (first, second): float(np.linalg.norm(centers_m[first] - centers_m[second])) / SPEED_OF_SOUND_M_S
+        for first, second in itertools.product(centers_m, repeat=2)
     }

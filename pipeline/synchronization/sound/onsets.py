@@ -83,8 +83,8 @@ def find_lag(first: Float[np.ndarray, " m"], second: Float[np.ndarray, " n"]) ->
     drift = 0.0
     middle_ms = float(np.median(places))
     if len(lags) >= _MIN_WINDOWS and (places[-1] - places[0]) / _MS >= _MIN_SPAN_S:
-        one, other = np.triu_indices(len(lags), 1)
-        drift = float(np.median((lags[other] - lags[one]) / (places[other] - places[one])))
+        left, right = np.triu_indices(len(lags), 1)
+        drift = float(np.median((lags[right] - lags[left]) / (places[right] - places[left])))
         if abs(drift) > _MAX_DRIFT:
             return None
     rest = lags - drift * (places - middle_ms)
@@ -107,7 +107,7 @@ def _coarse_lag(first: Float[np.ndarray, " m"], second: Float[np.ndarray, " n"])
     # The part that both recorded, of each lag.
     begin, end = np.maximum(lags, 0), np.minimum(len(first), len(second) + lags)
     shared = end - begin
-    energies = [np.r_[0.0, np.cumsum(one**2)] for one in (first, second)]
+    energies = [np.r_[0.0, np.cumsum(signal**2)] for signal in (first, second)]
     norm = (energies[0][end] - energies[0][begin]) * (energies[1][end - lags] - energies[1][begin - lags])
     is_known = (shared * _BIN_MS >= _MIN_SHARED_MS) & (norm > 1e-9 * norm.max(initial=0.0))
     if not is_known.any():

@@ -9,9 +9,9 @@ from pipeline.clustering.associate import find_poses, reconstruct_by_clustering
 from pipeline.clustering.bone_lengths import LimbLengths, unknown_lengths
 from pipeline.clustering.instant.candidates import Instant
 from pipeline.clustering.instant.clusters import find_joints
-from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.instant.evidence import Membership
 from pipeline.clustering.instant.hypotheses import Candidates
+from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.data import Camera, Detections, FrameTimes, Timebase, Track3D
@@ -88,7 +88,7 @@ def test_perfect_candidates_give_exact_people(ring: tuple[Camera, ...]) -> None:
     parameters = ClusteringParameters(tau1_px=8.0)
     lengths = unknown_lengths(SKELETON)
     candidates = candidates_of(ring, people_m)
-    poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, lengths, parameters, Effort())
+    poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, lengths, parameters, WorkLimits())
     order = np.argsort(poses.xyz_m[:, 0, 1])
     np.testing.assert_allclose(poses.xyz_m[order], people_m, atol=1e-4)
     assert (candidates.body[poses.candidate[order]] == np.arange(2)[:, None, None]).all()
@@ -106,7 +106,7 @@ def clapping_right_hands(ring: tuple[Camera, ...]) -> list[list[int]]:
     projections = np.array([image_from_world(camera) for camera in ring])
     candidates = candidates_of(ring, people_m, noise_px=1.0)
     parameters = ClusteringParameters(tau1_px=8.0)
-    found = find_joints(projections, candidates, EVIDENCE, SKELETON, known_lengths(people_m), parameters, Effort())
+    found = find_joints(projections, candidates, EVIDENCE, SKELETON, known_lengths(people_m), parameters, WorkLimits())
     of_wrists = found.candidate[found.points.joint == wrist]
     return [np.unique(candidates.body[chosen[chosen >= 0]]).tolist() for chosen in of_wrists]
 
@@ -130,7 +130,7 @@ def test_bone_lengths_tell_whose_joint_it_is(ring: tuple[Camera, ...]) -> None:
     parameters = ClusteringParameters(tau1_px=8.0)
 
     def elbow_error_m(lengths: LimbLengths) -> float:
-        poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, lengths, parameters, Effort())
+        poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, lengths, parameters, WorkLimits())
         first = np.argmin(poses.xyz_m[:, 0, 1])
         return float(np.linalg.norm(poses.xyz_m[first, elbow] - people_m[0, elbow]))
 

@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.detect import models
 from pipeline.detect.detector import Detector, open_detector
-from pipeline.detect.registry import Head, NetworkInput
+from pipeline.detect.registry import NetworkHead, NetworkInput
 from pipeline.errors import ModelError
 from pipeline.joints import COCO_17
 from pipeline.runtime.packages import samples
@@ -41,7 +41,7 @@ def draw_blob(size_px: tuple[int, int], center_px: np.ndarray, sigma_px: float) 
 def detector_of(network: Mapping[str, np.ndarray] | None = None, channels: str = "rgb") -> Detector:
     run = find_blob if network is None else lambda _: network
     network_input = NetworkInput("rgb" if channels == "rgb" else "bgr", multiple=32, scaled_px=512)
-    return Detector(run, network_input, Head.MOVENET_MULTIPOSE, COCO_17)
+    return Detector(run, network_input, NetworkHead.MOVENET_MULTIPOSE, COCO_17)
 
 
 @pytest.mark.parametrize("size_px", SIZES)

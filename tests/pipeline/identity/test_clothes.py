@@ -8,8 +8,8 @@ import pytest
 from pipeline.identity.clothes import (
     MAX_LOG_RATIO,
     Clothes,
+    ColourDistances,
     Contrast,
-    Distances,
     learn_contrast,
     log_likelihood_ratio,
     log_likelihood_ratios,
@@ -17,7 +17,7 @@ from pipeline.identity.clothes import (
 )
 
 NUM_CAMERAS, NUM_BINS = 3, 32
-CONTRAST = Contrast(Distances(0.1, 0.7, 0.2), Distances(0.3, 0.7, 0.2))
+CONTRAST = Contrast(ColourDistances(0.1, 0.7, 0.2), ColourDistances(0.3, 0.7, 0.2))
 
 
 def shirt(first_bin: int) -> np.ndarray:
@@ -69,7 +69,7 @@ def test_the_same_clothes_speak_for_the_same_person_and_other_clothes_against_it
 
 
 def test_a_ratio_is_that_of_two_normal_distributions() -> None:
-    distances = Distances(0.2, 0.6, 0.3)
+    distances = ColourDistances(0.2, 0.6, 0.3)
     at = np.array([0.1, 0.25, 0.4, 0.55])
     log_density = [-0.5 * ((at - mean) / 0.3) ** 2 for mean in (0.2, 0.6)]
     np.testing.assert_allclose(distances.log_ratio(at), log_density[0] - log_density[1], atol=1e-12)
@@ -77,7 +77,7 @@ def test_a_ratio_is_that_of_two_normal_distributions() -> None:
 
 def test_pieces_are_compared_in_the_cameras_that_saw_both() -> None:
     rng = np.random.default_rng(3)
-    silent = Contrast(Distances(0.3, 0.3, 0.2), CONTRAST.across_cameras)
+    silent = Contrast(ColourDistances(0.3, 0.3, 0.2), CONTRAST.across_cameras)
     assert log_likelihood_ratio(seen(0, rng), seen(16, rng, [0]), silent) == 0.0
     assert log_likelihood_ratio(seen(0, rng, [1, 2]), seen(16, rng, [0]), silent) < 0.0
     apart = log_likelihood_ratio(seen(0, rng, [0]), seen(0, rng, [1]), CONTRAST)

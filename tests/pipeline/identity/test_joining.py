@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.identity import joining
-from pipeline.identity.joining import Session, doubts_of, join
+from pipeline.identity.joining import TrackletLinks, doubts_of, join
 from pipeline.identity.links import Ends, link_scores
-from pipeline.identity.proportions import NUM_LIMBS, Measured, Proportions
+from pipeline.identity.proportions import NUM_LIMBS, LimbProportions, Measured
 from pipeline.identity.tracklets import Tracklet
 
 
-def session_of(seed: int, count: int) -> Session:
+def session_of(seed: int, count: int) -> TrackletLinks:
     """Tracklets at random places and times, of three builds."""
     rng = np.random.default_rng(seed)
     starts = np.sort(rng.integers(0, 500, count))
@@ -30,11 +30,11 @@ def session_of(seed: int, count: int) -> Session:
         return Ends(frames / 25.0, xyz_m, np.zeros_like(xyz_m), np.arange(count), np.full(count, -1))
 
     tracklets = [Tracklet(k, int(start), int(stop)) for k, (start, stop) in enumerate(zip(starts, stops, strict=True))]
-    proportions = Proportions(measured, np.full(NUM_LIMBS, 0.01))
-    return Session(tracklets, ends(starts, places_m[0]), ends(stops - 1, places_m[1]), proportions, 16.0)
+    proportions = LimbProportions(measured, np.full(NUM_LIMBS, 0.01))
+    return TrackletLinks(tracklets, ends(starts, places_m[0]), ends(stops - 1, places_m[1]), proportions, 16.0)
 
 
-def value(session: Session, chain: tuple[int, ...]) -> float:
+def value(session: TrackletLinks, chain: tuple[int, ...]) -> float:
     """Log-likelihood of a chain, term by term."""
     members = list(chain)
     links = link_scores(
@@ -69,7 +69,7 @@ def test_chains_are_in_order_of_time_and_no_change_of_two_is_better(seed: int) -
                     )
 
 
-def in_order(session: Session, chain: tuple[int, ...]) -> bool:
+def in_order(session: TrackletLinks, chain: tuple[int, ...]) -> bool:
     return all(
         session.tracklets[before].stop_frame <= session.tracklets[after].start_frame
         for before, after in pairwise(chain)

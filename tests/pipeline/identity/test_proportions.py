@@ -7,8 +7,8 @@ from scipy.stats import multivariate_normal
 
 from pipeline.identity.proportions import (
     NUM_LIMBS,
+    LimbProportions,
     Measured,
-    Proportions,
     changes,
     limb_lengths_m,
     measure,
@@ -55,7 +55,7 @@ def test_the_likelihood_of_one_person_is_that_of_the_joint_normal_distribution(s
     measured = [
         Measured(length_m * rng.normal(1.0, 0.05, NUM_LIMBS), rng.uniform(0.5, 3.0, NUM_LIMBS)) for _ in range(count)
     ]
-    proportions = Proportions(measured, SPREAD_M)
+    proportions = LimbProportions(measured, SPREAD_M)
     alone = proportions.log_likelihood(proportions.information, proportions.pull).sum()
     together = proportions.log_likelihood(proportions.information.sum(0), proportions.pull.sum(0))
 

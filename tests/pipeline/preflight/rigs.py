@@ -7,11 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data import Camera
 from pipeline.geometry.rigid import Rigid3
-from pipeline.preflight.sightings import Sightings, choose_instants, frames_at, sightings_of
+from pipeline.preflight.sightings import SimultaneousPeople, choose_instants, frames_at, sightings_of
 from pipeline.simulation.scenes import Simulation
 
 
-def sightings(simulation: Simulation) -> Sightings:
+def sightings(simulation: Simulation) -> SimultaneousPeople:
     """People of a simulation at twelve instants."""
     instants = choose_instants([range(simulation.timebase.num_frames)])
     frames = {name: frames_at(times, simulation.timebase, instants) for name, times in simulation.times.items()}

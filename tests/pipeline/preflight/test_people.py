@@ -12,7 +12,7 @@ from pipeline.data import Camera
 from pipeline.findings import Finding
 from pipeline.preflight.explain import MOVES, Move, move_points
 from pipeline.preflight.people import check_people
-from pipeline.preflight.sightings import Sightings, choose_instants, frames_at, sightings_of
+from pipeline.preflight.sightings import SimultaneousPeople, choose_instants, frames_at, sightings_of
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.preflight.rigs import bumped, in_other_world, sightings
 
@@ -21,7 +21,7 @@ CAMERAS, SEEN = SCENE.cameras, sightings(SCENE)
 NUM = len(CAMERAS)
 
 
-def found(cameras: Sequence[Camera] = CAMERAS, seen: Sightings = SEEN) -> list[tuple[str, str | None]]:
+def found(cameras: Sequence[Camera] = CAMERAS, seen: SimultaneousPeople = SEEN) -> list[tuple[str, str | None]]:
     return [(one.code, one.camera) for one in check_people(cameras, seen)]
 
 
@@ -139,7 +139,7 @@ def test_one_video_twice() -> None:
     assert found(seen=twice) == [("same_video", CAMERAS[1].name)]
 
 
-def without(*cameras: int) -> Sightings:
+def without(*cameras: int) -> SimultaneousPeople:
     seen = SEEN
     for camera in cameras:
         seen = seen.moved(camera, lambda points: points[:0])

@@ -11,7 +11,7 @@ from pipeline.capture.session import CaptureSession, open_session
 from pipeline.config import ReconstructionConfig
 from pipeline.detect.detector import Detector
 from pipeline.detect.profiles import detection
-from pipeline.detect.registry import Head, NetworkInput
+from pipeline.detect.registry import NetworkHead, NetworkInput
 from pipeline.joints import COCO_17
 from pipeline.progress import Progress
 from pipeline.stages import run
@@ -59,7 +59,7 @@ def session(tmp_path: Path) -> CaptureSession:
 @pytest.fixture
 def network(monkeypatch: pytest.MonkeyPatch) -> FakeNetwork:
     fake = FakeNetwork()
-    detector = Detector(fake, NetworkInput("rgb", multiple=32, scaled_px=512), Head.MOVENET_MULTIPOSE, COCO_17)
+    detector = Detector(fake, NetworkInput("rgb", multiple=32, scaled_px=512), NetworkHead.MOVENET_MULTIPOSE, COCO_17)
     monkeypatch.setattr(detection, "load_detector", lambda name: detector)
     monkeypatch.setattr(run, "load_detector", lambda name: detector)
     return fake

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pipeline.clustering.bone_lengths import LimbLengths, unknown_lengths
 from pipeline.clustering.instant import bodies as module
 from pipeline.clustering.instant.bodies import agree, bodies_of, join_bodies, match_bodies
-from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.instant.hypotheses import Candidates
+from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.data import Camera
 from pipeline.geometry.camera import image_from_world
@@ -25,7 +25,7 @@ def people_of(candidates: Candidates, cameras: tuple[Camera, ...], lengths: Limb
     """Detection of each person in each view, -1 for none, sorted."""
     projections = np.array([image_from_world(camera) for camera in cameras])
     bodies = bodies_of(candidates, len(SKELETON.names))
-    matched = match_bodies(projections, candidates, bodies, SKELETON, lengths, PARAMETERS, Effort())
+    matched = match_bodies(projections, candidates, bodies, SKELETON, lengths, PARAMETERS, WorkLimits())
     number = candidates.body[bodies.candidate.max(-1)]
     return sorted(np.where(matched >= 0, number[matched], -1).tolist())
 
@@ -64,7 +64,7 @@ def test_bone_lengths_tell_bodies_apart(ring: tuple[Camera, ...]) -> None:
     bodies = bodies_of(candidates, len(SKELETON.names))
 
     def agreement(known: LimbLengths) -> float:
-        return float(agree(projections, candidates, bodies, SKELETON, known, PARAMETERS, Effort())[0, 1])
+        return float(agree(projections, candidates, bodies, SKELETON, known, PARAMETERS, WorkLimits())[0, 1])
 
     # The elbows and the wrists, each with the score 0.9, change sides.
     assert agreement(UNKNOWN) == pytest.approx(0.9 * (len(SKELETON.names) - 1), abs=1e-6)
@@ -118,9 +118,9 @@ def test_limits_leave_bodies_out_and_say_so(ring: tuple[Camera, ...], monkeypatc
     bodies = bodies_of(candidates, len(SKELETON.names))
 
     def matched() -> tuple[int, bool]:
-        effort = Effort()
-        people = match_bodies(projections, candidates, bodies, SKELETON, UNKNOWN, PARAMETERS, effort)
-        return int((people >= 0).sum()), effort.is_exact
+        limits = WorkLimits()
+        people = match_bodies(projections, candidates, bodies, SKELETON, UNKNOWN, PARAMETERS, limits)
+        return int((people >= 0).sum()), limits.is_exact
 
     assert matched() == (8, True)
     monkeypatch.setattr(module, "MAX_PAIRS", 23)

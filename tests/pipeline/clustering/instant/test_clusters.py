@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 from pipeline.clustering.instant import clusters as module
 from pipeline.clustering.instant.candidates import BodyEvidence
 from pipeline.clustering.instant.clusters import cluster_hypotheses
-from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.instant.hypotheses import meet
+from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.parameters import derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.geometry.camera import image_from_world
@@ -22,8 +22,8 @@ EPS_M = 0.1
 ON_GRID = st.integers(-4, 4).map(lambda step: step / 16)  # distances are exact: none is nearly eps
 
 
-def clusters_of(xyz_m: np.ndarray, joint: np.ndarray, effort: Effort | None = None) -> list[list[int]]:
-    return [members.tolist() for members in cluster_hypotheses(xyz_m, joint, EPS_M, effort or Effort())]
+def clusters_of(xyz_m: np.ndarray, joint: np.ndarray, limits: WorkLimits | None = None) -> list[list[int]]:
+    return [members.tolist() for members in cluster_hypotheses(xyz_m, joint, EPS_M, limits or WorkLimits())]
 
 
 def reference_clusters(xyz_m: np.ndarray, joint: np.ndarray) -> list[list[int]]:
@@ -59,7 +59,7 @@ def test_clusters_of_simulated_instants_are_those_of_brute_force(scene: str) -> 
     num_joined = 0
     for frame in range(0, simulation.timebase.num_frames, simulation.timebase.num_frames // 5):
         candidates = evidence.at(frame).candidates
-        hypotheses = meet(projections, candidates, parameters.tau1_px, Effort())
+        hypotheses = meet(projections, candidates, parameters.tau1_px, WorkLimits())
         joint = candidates.joint[hypotheses.pair[:, 0]]
         clusters = clusters_of(hypotheses.xyz_m, joint)
         assert clusters == reference_clusters(hypotheses.xyz_m, joint)
@@ -86,10 +86,10 @@ def test_too_many_neighbours_are_clustered_by_cells(monkeypatch: pytest.MonkeyPa
     rng = np.random.default_rng(1)
     xyz_m = np.concatenate([rng.uniform(0, 0.04, (40, 3)), 2 + rng.uniform(0, 0.04, (40, 3))])
     joint = np.arange(80) % 2
-    effort = Effort()
-    assert not_in_order(clusters_of(xyz_m, joint, effort)) == not_in_order(reference_clusters(xyz_m, joint))
-    assert not effort.is_exact
-    exact = Effort()
+    limits = WorkLimits()
+    assert not_in_order(clusters_of(xyz_m, joint, limits)) == not_in_order(reference_clusters(xyz_m, joint))
+    assert not limits.is_exact
+    exact = WorkLimits()
     clusters_of(xyz_m[:10], joint[:10], exact)
     assert exact.is_exact
 

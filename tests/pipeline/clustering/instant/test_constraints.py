@@ -2,7 +2,7 @@ import numpy as np
 
 from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths
 from pipeline.clustering.instant.constraints import fits, length_error, nearly_fits
-from pipeline.clustering.instant.evidence import Membership, Points
+from pipeline.clustering.instant.evidence import JointPoints, Membership
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.joints import COCO_17
 
@@ -29,8 +29,8 @@ def test_one_of_connectivity_and_length_may_be_missed() -> None:
     np.testing.assert_array_equal(near, [True, True, True, False, False, False])
 
 
-def places(body: np.ndarray) -> Points:
-    return Points(np.ones(len(body), int), np.zeros((len(body), 3)), body)
+def places(body: np.ndarray) -> JointPoints:
+    return JointPoints(np.ones(len(body), int), np.zeros((len(body), 3)), body)
 
 
 def test_a_length_fits_the_nearest_of_the_known() -> None:
@@ -39,11 +39,11 @@ def test_a_length_fits_the_nearest_of_the_known() -> None:
     known_m = np.full((len(skeleton.names), 2), np.nan)
     known_m[elbow] = [0.30, 0.40]
     lengths = LimbLengths(known_m, np.full(len(skeleton.names), 0.5))
-    parent = Points(np.array([shoulder]), np.zeros((1, 3)), np.zeros((1, 4), int))
+    parent = JointPoints(np.array([shoulder]), np.zeros((1, 3)), np.zeros((1, 4), int))
     points_m = np.array([[0.33, 0.0, 0.0], [0.0, 0.38, 0.0], [0.0, 0.0, 0.49], [0.6, 0.0, 0.0]])
 
-    def error(parent: Points, joint: int) -> np.ndarray:
-        points = Points(np.full(4, joint), points_m, np.zeros((4, 4), int))
+    def error(parent: JointPoints, joint: int) -> np.ndarray:
+        points = JointPoints(np.full(4, joint), points_m, np.zeros((4, 4), int))
         return length_error(parent, points, skeleton, lengths)
 
     np.testing.assert_allclose(error(parent, elbow), [[0.1, 0.05, 0.225, np.inf]])
@@ -72,7 +72,7 @@ def test_the_error_is_that_of_the_best_of_many_lengths() -> None:
     known_m[elbow, :30] = rng.uniform(0.15, 0.45, 30)
     lengths = LimbLengths(known_m, np.array(skeleton.longest_m))
     distance_m = rng.uniform(0.03, 0.49, 500)
-    parents = Points(np.array([shoulder]), np.zeros((1, 3)), np.zeros((1, 2), int))
-    points = Points(np.full(500, elbow), distance_m[:, None] * [1.0, 0.0, 0.0], np.zeros((500, 2), int))
+    parents = JointPoints(np.array([shoulder]), np.zeros((1, 3)), np.zeros((1, 2), int))
+    points = JointPoints(np.full(500, elbow), distance_m[:, None] * [1.0, 0.0, 0.0], np.zeros((500, 2), int))
     of_each = np.abs(distance_m[:, None] - known_m[elbow, :30]) / known_m[elbow, :30]
     np.testing.assert_array_equal(length_error(parents, points, skeleton, lengths)[0], of_each.min(1))

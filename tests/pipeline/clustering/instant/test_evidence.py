@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.clustering.instant.evidence import AffinityFields, Points, ViewFields, limbs_of
+from pipeline.clustering.instant.evidence import AffinityFields, JointPoints, ViewFields, limbs_of
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.data import Camera, MapGrid
 from pipeline.detect.decoders.openpose import LIMBS
@@ -19,8 +19,8 @@ GRID = MapGrid(offset_px=(3.5, 3.5), pitch_px=(8.0, 8.0))
 ELBOW_M, WRIST_M = np.array([[0.1, 0.2, 1.2]]), np.array([[0.1, 0.4, 1.3]])
 
 
-def places(joint: int, xyz_m: np.ndarray, num_cameras: int) -> Points:
-    return Points(np.full(len(xyz_m), joint), xyz_m, np.full((len(xyz_m), num_cameras), -1))
+def places(joint: int, xyz_m: np.ndarray, num_cameras: int) -> JointPoints:
+    return JointPoints(np.full(len(xyz_m), joint), xyz_m, np.full((len(xyz_m), num_cameras), -1))
 
 
 def field_towards(camera: Camera, strength: float) -> ViewFields:

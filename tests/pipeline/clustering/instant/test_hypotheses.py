@@ -1,7 +1,7 @@
 import numpy as np
 
-from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.instant.hypotheses import Candidates, meet, reprojection_px
+from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.data import Camera
 from pipeline.geometry.camera import image_from_world
 
@@ -26,7 +26,7 @@ def candidates_of(projections: np.ndarray, points_m: np.ndarray) -> Candidates:
 def test_every_pair_of_views_meets_at_the_points(ring: tuple[Camera, ...]) -> None:
     projections = np.array([image_from_world(camera) for camera in ring])
     candidates = candidates_of(projections, POINTS_M)
-    hypotheses = meet(projections, candidates, 8.0, Effort())
+    hypotheses = meet(projections, candidates, 8.0, WorkLimits())
     for point, point_m in enumerate(POINTS_M):
         is_right = (candidates.body[hypotheses.pair] == point).all(-1)
         assert is_right.sum() == 6  # four views
@@ -37,20 +37,20 @@ def test_every_pair_of_views_meets_at_the_points(ring: tuple[Camera, ...]) -> No
 def test_joints_of_different_kinds_never_meet(ring: tuple[Camera, ...]) -> None:
     projections = np.array([image_from_world(camera) for camera in ring])
     candidates = candidates_of(projections, POINTS_M[:1])._replace(joint=np.arange(4))
-    assert len(meet(projections, candidates, 8.0, Effort()).pair) == 0
+    assert len(meet(projections, candidates, 8.0, WorkLimits()).pair) == 0
 
 
 def test_a_hypothesis_fits_both_views_within_tau1(ring: tuple[Camera, ...]) -> None:
     projections = np.array([image_from_world(camera) for camera in ring])
     candidates = candidates_of(projections, POINTS_M)
     shifted = candidates._replace(points_px=candidates.points_px + np.where(candidates.view == 0, 30.0, 0.0)[:, None])
-    found = meet(projections, shifted, 8.0, Effort())
+    found = meet(projections, shifted, 8.0, WorkLimits())
     errors_px = reprojection_px(
         projections[shifted.view[found.pair]], np.repeat(found.xyz_m[:, None], 2, 1), shifted.points_px[found.pair]
     )
     assert len(found.pair)
     assert errors_px.max() <= 8.0
-    assert len(meet(projections, shifted, 100.0, Effort()).pair) > len(found.pair)
+    assert len(meet(projections, shifted, 100.0, WorkLimits()).pair) > len(found.pair)
 
 
 def test_points_behind_a_camera_have_no_reprojection(ring: tuple[Camera, ...]) -> None:

@@ -9,11 +9,11 @@ from pipeline.clustering.associate import find_poses, reconstruct_by_clustering
 from pipeline.clustering.bone_lengths import LimbLengths, unknown_lengths
 from pipeline.clustering.instant import people as module
 from pipeline.clustering.instant.candidates import Instant
-from pipeline.clustering.instant.effort import MAX_REPAIRS, Effort
 from pipeline.clustering.instant.evidence import NOWHERE
 from pipeline.clustering.instant.hypotheses import Candidates
 from pipeline.clustering.instant.parsing import Poses
 from pipeline.clustering.instant.people import match_people
+from pipeline.clustering.instant.work_limits import MAX_REPAIRS, WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.data import Camera
 from pipeline.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
@@ -30,7 +30,7 @@ LENGTHS = known_lengths(PEOPLE_M)
 def poses_of(candidates: Candidates, cameras: tuple[Camera, ...], lengths: LimbLengths = LENGTHS) -> Poses:
     """Poses in the order of ``two_people``."""
     projections = np.array([image_from_world(camera) for camera in cameras])
-    poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, lengths, PARAMETERS, Effort())
+    poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, lengths, PARAMETERS, WorkLimits())
     order = np.argsort(np.nanmean(poses.xyz_m[..., 1], axis=1))
     return Poses(*(values[order] for values in poses))
 
@@ -97,10 +97,10 @@ def test_the_papers_steps_find_who_has_no_bodies_to_match(ring: tuple[Camera, ..
     alone = np.where(candidates.body == 1, 100 + candidates.joint, 0)
     candidates = candidates._replace(body=alone)
     projections = np.array([image_from_world(camera) for camera in ring])
-    whole = match_people(projections, candidates, SKELETON, LENGTHS, PARAMETERS, Effort())
+    whole = match_people(projections, candidates, SKELETON, LENGTHS, PARAMETERS, WorkLimits())
     np.testing.assert_allclose(whole.joints.points.xyz_m[whole.joint_of], PEOPLE_M[:1], atol=1e-4)
     lenient = ClusteringParameters(tau1_px=8.0, use_connectivity=False)
-    poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, LENGTHS, lenient, Effort())
+    poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, LENGTHS, lenient, WorkLimits())
     assert len(poses.xyz_m) == 2
     np.testing.assert_allclose(poses.xyz_m[poses.xyz_m[:, 0, 1].argmax()], PEOPLE_M[1], atol=1e-4)
 
@@ -109,7 +109,7 @@ def test_candidates_without_bodies_are_left_to_the_papers_steps(ring: tuple[Came
     candidates = candidates_of(ring, PEOPLE_M)
     candidates = candidates._replace(body=np.full(len(candidates.body), NOWHERE))
     projections = np.array([image_from_world(camera) for camera in ring])
-    whole = match_people(projections, candidates, SKELETON, LENGTHS, PARAMETERS, Effort())
+    whole = match_people(projections, candidates, SKELETON, LENGTHS, PARAMETERS, WorkLimits())
     assert len(whole.joint_of) == len(whole.joints.points.joint) == 0
 
 
@@ -118,9 +118,9 @@ def test_repairs_beyond_the_limit_are_left_out(ring: tuple[Camera, ...], monkeyp
     projections = np.array([image_from_world(camera) for camera in ring])
     for most, is_exact in ((MAX_REPAIRS, True), (4, False)):
         monkeypatch.setattr(module, "MAX_REPAIRS", most)
-        effort = Effort()
-        whole = match_people(projections, candidates, SKELETON, unknown_lengths(SKELETON), PARAMETERS, effort)
-        assert effort.is_exact == is_exact
+        limits = WorkLimits()
+        whole = match_people(projections, candidates, SKELETON, unknown_lengths(SKELETON), PARAMETERS, limits)
+        assert limits.is_exact == is_exact
         assert len(whole.joint_of) == 2
 
 

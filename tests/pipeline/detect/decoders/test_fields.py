@@ -12,7 +12,7 @@ from pipeline.detect.decoders.grouping import group
 from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detect.detector import Detector
 from pipeline.detect.entries import REGISTRY
-from pipeline.detect.registry import Head, NetworkInput
+from pipeline.detect.registry import NetworkHead, NetworkInput
 from pipeline.joints import COCO_18
 
 # In the last three, rounded sizes make the axes' scales differ.
@@ -40,7 +40,7 @@ def find_blob(shift_px: tuple[float, float]) -> Detector:
         return {"heatmaps": np.tile(0.9 * heatmap, (1, 19, 1, 1)), "pafs": pafs}
 
     network_input = NetworkInput("bgr", multiple=8, scaled_px=480, scaled_side="height")
-    return Detector(run, network_input, Head.OPENPOSE, COCO_18, FieldGrid(8, shift_px, 0.3))
+    return Detector(run, network_input, NetworkHead.OPENPOSE, COCO_18, FieldGrid(8, shift_px, 0.3))
 
 
 @pytest.mark.parametrize("size_px", SIZES)
@@ -156,5 +156,5 @@ def test_frames_without_peaks_stack() -> None:
 
 def test_the_registrys_networks_with_fields_are_those_of_this_kind() -> None:
     assert {entry.name for entry in REGISTRY.values() if entry.fields is not None} == {
-        entry.name for entry in REGISTRY.values() if entry.head is Head.OPENPOSE
+        entry.name for entry in REGISTRY.values() if entry.head is NetworkHead.OPENPOSE
     }

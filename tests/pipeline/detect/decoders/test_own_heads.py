@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.detect.decoders.heatmaps import decode_heatmaps
-from pipeline.detect.decoders.rtmo import decode_rtmo
-from pipeline.detect.decoders.simcc import decode_simcc
+from pipeline.detect.decoders.own_heads import decode_rtmo, decode_simcc
 
 SIZE_PX = (192, 256)
 

@@ -6,7 +6,7 @@ import onnx
 import pytest
 
 from pipeline.data import read_only
-from pipeline.detect.bodies import Bodies, BodyDetector
+from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.own.description import usual_network
 from pipeline.detect.own.detectors import as_input, crop_matrix, open_own
 from pipeline.detect.session import open_network
@@ -21,12 +21,12 @@ class OneBody:
 
     joints = COCO_17
 
-    def detect(self, image_rgb: np.ndarray) -> Bodies:
+    def detect(self, image_rgb: np.ndarray) -> ImageBodies:
         keypoints_px = np.full((2, 17, 2), np.nan)
         keypoints_px[0, :2] = [(120.0, 80.0), (220.0, 240.0)]
         score = np.zeros((2, 17))
         score[0, :2] = 0.9
-        return Bodies(read_only(keypoints_px), read_only(score), np.zeros((2, 4)), np.array([0.8, 0.7]))
+        return ImageBodies(read_only(keypoints_px), read_only(score), np.zeros((2, 4)), np.array([0.8, 0.7]))
 
 
 def image_of(x: float, y: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from pipeline.detect.detector import Detector
 from pipeline.detect.profiles import detection
 from pipeline.detect.profiles.detection import BodyDetector, open_detection
 from pipeline.detect.profiles.sizes import CameraSizes
-from pipeline.detect.registry import Head, NetworkInput
+from pipeline.detect.registry import NetworkHead, NetworkInput
 from pipeline.joints import COCO_17
 
 IMAGE_RGB = np.zeros((180, 320, 3), np.uint8)
@@ -25,7 +25,9 @@ def shapes(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
         channels = {"center": 1, "heatmap": 17, "offset": 34, "regress": 34}
         return {name: np.zeros((1, number, *shape)) for name, number in channels.items()}
 
-    detector = Detector(network, NetworkInput("rgb", multiple=32, scaled_px=512), Head.MOVENET_MULTIPOSE, COCO_17)
+    detector = Detector(
+        network, NetworkInput("rgb", multiple=32, scaled_px=512), NetworkHead.MOVENET_MULTIPOSE, COCO_17
+    )
     monkeypatch.setattr(detection, "load_detector", lambda name: detector)
     return given
 

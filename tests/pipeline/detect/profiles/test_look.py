@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.calibration.write import encode
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.profiles.look import frames_to_look_at, look_at_people
 from pipeline.detect.profiles.sizes import CameraSizes, SizeRule
 from pipeline.joints import COCO_17, JointSet
@@ -29,10 +29,10 @@ class TallBody:
     def joints(self) -> JointSet:
         return COCO_17
 
-    def detect(self, image_rgb: np.ndarray) -> Bodies:
+    def detect(self, image_rgb: np.ndarray) -> ImageBodies:
         self.grey.append(float(np.median(image_rgb)))
         keypoints_px = np.stack([np.full(17, 30.0), np.linspace(10.0, 58.0, 17)], axis=-1)[None]
-        return Bodies(keypoints_px, np.full((1, 17), 0.8), np.array([[30.0, 10.0, 30.0, 58.0]]), np.array([0.9]))
+        return ImageBodies(keypoints_px, np.full((1, 17), 0.8), np.array([[30.0, 10.0, 30.0, 58.0]]), np.array([0.9]))
 
 
 def make_session(folder: Path, num_frames: int, keyframe_every: int) -> CaptureSession:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.profiles.sizes import RULES, CameraSizes, SizeRule, body_spans_px, choose_sizes
 
 RULE = SizeRule(span_px=230.0, max_px=800)
@@ -17,13 +17,13 @@ def spans(*frames: list[float]) -> list[np.ndarray]:
     return [np.array(frame, np.float64) for frame in frames]
 
 
-def wide(height: float, width: float, num_sure: int) -> Bodies:
+def wide(height: float, width: float, num_sure: int) -> ImageBodies:
     """Body with joints at the corners of a box, and as many sure joints."""
     keypoints_px = np.full((1, 17, 2), 50.0)
     keypoints_px[0, 0] = 50.0 + width, 50.0
     keypoints_px[0, 1] = 50.0, 50.0 + height
     score = np.where(np.arange(17) < num_sure, 0.9, 0.1)[None]
-    return Bodies(keypoints_px, score, np.array([[50.0, 50.0, 50.0 + width, 50.0 + height]]), np.array([0.8]))
+    return ImageBodies(keypoints_px, score, np.array([[50.0, 50.0, 50.0 + width, 50.0 + height]]), np.array([0.8]))
 
 
 def test_the_span_is_the_longer_side_around_sure_joints() -> None:

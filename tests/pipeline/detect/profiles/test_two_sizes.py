@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.detect.bodies import Bodies
+from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.profiles.two_sizes import merge_passes
 
 BORDER_PX = 300.0
@@ -10,25 +10,25 @@ BORDER_PX = 300.0
 SHAPE = np.stack([np.tile([0.45, 0.5, 0.55], 6)[:17], np.linspace(0.0, 1.0, 17)], axis=-1)
 
 
-def body(x_px: float, height_px: float, score: float = 0.9) -> Bodies:
+def body(x_px: float, height_px: float, score: float = 0.9) -> ImageBodies:
     keypoints_px = SHAPE * height_px + np.array([x_px, 40.0])
     return of(keypoints_px[None], np.full((1, 17), score))
 
 
-def of(keypoints_px: np.ndarray, score: np.ndarray) -> Bodies:
+def of(keypoints_px: np.ndarray, score: np.ndarray) -> ImageBodies:
     low, high = np.nanmin(keypoints_px, axis=1), np.nanmax(keypoints_px, axis=1)
-    return Bodies(keypoints_px, score, np.concatenate([low, high], axis=-1), score.max(-1))
+    return ImageBodies(keypoints_px, score, np.concatenate([low, high], axis=-1), score.max(-1))
 
 
-def together(*bodies: Bodies) -> Bodies:
-    return Bodies(*(np.concatenate([getattr(one, name) for one in bodies]) for name in Bodies.__slots__))
+def together(*bodies: ImageBodies) -> ImageBodies:
+    return ImageBodies(*(np.concatenate([getattr(one, name) for one in bodies]) for name in ImageBodies.__slots__))
 
 
-def nobody() -> Bodies:
-    return Bodies(np.empty((0, 17, 2)), np.empty((0, 17)), np.empty((0, 4)), np.empty(0))
+def nobody() -> ImageBodies:
+    return ImageBodies(np.empty((0, 17, 2)), np.empty((0, 17)), np.empty((0, 4)), np.empty(0))
 
 
-def part(whole: Bodies, joints: slice, shift_px: float) -> Bodies:
+def part(whole: ImageBodies, joints: slice, shift_px: float) -> ImageBodies:
     """A body with some of the joints of another one only, a little beside them."""
     keypoints_px, score = np.full_like(whole.keypoints_px, np.nan), np.zeros_like(whole.score)
     keypoints_px[:, joints] = whole.keypoints_px[:, joints] + shift_px
@@ -36,7 +36,7 @@ def part(whole: Bodies, joints: slice, shift_px: float) -> Bodies:
     return of(keypoints_px, score)
 
 
-def heights(bodies: Bodies) -> list[float]:
+def heights(bodies: ImageBodies) -> list[float]:
     return sorted((bodies.box_px[:, 3] - bodies.box_px[:, 1]).round().tolist())
 
 

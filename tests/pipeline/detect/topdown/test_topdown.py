@@ -3,7 +3,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pipeline.detect.bodies import Bodies, BodyDetector
+from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.session import Network
 from pipeline.detect.topdown.blazepose import body_region
 from pipeline.detect.topdown.detector import TopDown
@@ -21,11 +21,11 @@ class FixedBodies:
     keypoints_px: np.ndarray
     joints: JointSet = COCO_17
 
-    def detect(self, image_rgb: np.ndarray) -> Bodies:
+    def detect(self, image_rgb: np.ndarray) -> ImageBodies:
         del image_rgb
         box_px = np.concatenate([self.keypoints_px.min(1), self.keypoints_px.max(1)], axis=1)
         n = len(self.keypoints_px)
-        return Bodies(self.keypoints_px, np.full((n, len(self.joints.names)), 0.6), box_px, np.full(n, 0.8))
+        return ImageBodies(self.keypoints_px, np.full((n, len(self.joints.names)), 0.6), box_px, np.full(n, 0.8))
 
 
 def network_of(points_px: np.ndarray) -> Network:

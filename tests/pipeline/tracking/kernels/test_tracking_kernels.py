@@ -34,7 +34,7 @@ def test_tracks_are_those_of_the_reference(scene: str, seed: int) -> None:
         undistorted(simulation.cameras, bodies),
     )
     frames = make_frames(times, bodies, ideal_px, parameters.min_score)
-    plain = reference.Tracker(simulation.cameras, make_rig(simulation.cameras), frames, parameters)
+    plain = reference.ReferenceTracker(simulation.cameras, make_rig(simulation.cameras), frames, parameters)
     identity = plain.run()
     tracker = Tracker(simulation.cameras, frames, parameters)
     np.testing.assert_array_equal(tracker.run(), identity)

@@ -1,4 +1,4 @@
-"""A second look at the bodies that association gave to nobody.
+"""Recovery of detections that association gave to nobody.
 
 Where fewer than two cameras see a person for a while, the person is expected on the way from the last position to the
 next one. A body that belongs to nobody and is at this place in a picture is the person's.
@@ -26,7 +26,7 @@ _LONGEST_GAP_S = 2.0
 _FAR_M = 1e6
 
 
-def look_again(
+def recover_detections(
     people: Sequence[Person], left: Leftovers, cameras: Sequence[Camera], timebase: Timebase, min_score: float
 ) -> list[Person]:
     """Give people the bodies that are where they are expected, and locate their joints there.

@@ -35,7 +35,7 @@ _STEPS_A_ROUND = 100
 
 
 @dataclass(slots=True)
-class Effort:
+class WorkLimits:
     """Account of the work at one instant.
 
     Parameters

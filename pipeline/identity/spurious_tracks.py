@@ -1,4 +1,4 @@
-"""People who may be chance: the expected number of equally good coincidences in a session.
+"""Spurious tracks, which may be chance: the expected number of equally good coincidences in a session.
 
 Bodies of different cameras that do not belong together agree by chance now and then. How often follows from geometry
 (a-contrario detection, Desolneux, Moisan and Morel 2000): a body of a second camera lies at a ray by chance with the
@@ -29,7 +29,7 @@ def mean_bodies(observations: Iterable[Observations], timebase: Timebase) -> flo
     return float(max(1.0, sum(of_person.sum() / of_person.shape[1] for of_person in bodies) / timebase.num_frames))
 
 
-def is_chance(person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float) -> bool:
+def is_spurious(person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float) -> bool:
     """Whether a track may be chance; never if it lasts for half of the session, which may be too short to tell.
 
     Parameters
@@ -43,7 +43,7 @@ def is_chance(person: Person, cameras: Sequence[Camera], timebase: Timebase, num
 
 
 def log_false_alarms(person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float) -> float:
-    """Logarithm of the expected number of coincidences that are as good as a track; see ``is_chance``."""
+    """Logarithm of the expected number of coincidences that are as good as a track; see ``is_spurious``."""
     track, seen = person
     num_views = _has_body(seen).sum(-1)
     size_px = np.median([camera.size_px for camera in cameras], axis=0)
