@@ -68,25 +68,25 @@ def _can_be_held(agreement, rays, center_m, wrist_m):
 
 @kernel
 @no_type_check
-def _meet(agreement, first, second, first_center_m, second_center_m, wrist_m):
+def _meet(agreement, one, other, one_center_m, other_center_m, wrist_m):
     """Compute the points nearest to both views' rays into ``met_m``; return whether they are knuckles at the wrist."""
     count = 0
     mean_x, mean_y, mean_z = 0.0, 0.0, 0.0
-    for k in range(len(first)):
-        cos = first[k, 0] * second[k, 0] + first[k, 1] * second[k, 1] + first[k, 2] * second[k, 2]
+    for k in range(len(one)):
+        cos = one[k, 0] * other[k, 0] + one[k, 1] * other[k, 1] + one[k, 2] * other[k, 2]
         sine2 = 1.0 - cos * cos
         known = sine2 > agreement.least_sine2
-        along_first, along_second = 0.0, 0.0
+        along_one, along_other = 0.0, 0.0
         for axis in range(3):
-            apart_m = second_center_m[axis] - first_center_m[axis]
-            along_first += apart_m * first[k, axis]
-            along_second += apart_m * second[k, axis]
+            apart_m = other_center_m[axis] - one_center_m[axis]
+            along_one += apart_m * one[k, axis]
+            along_other += apart_m * other[k, axis]
         over = 1.0 / sine2
-        first_m, second_m = (along_first - cos * along_second) * over, (cos * along_first - along_second) * over
+        first_m, second_m = (along_one - cos * along_other) * over, (cos * along_one - along_other) * over
         known = known and first_m > 0 and second_m > 0
         for axis in range(3):
             middle_m = 0.5 * (
-                first_center_m[axis] + first_m * first[k, axis] + second_center_m[axis] + second_m * second[k, axis]
+                one_center_m[axis] + first_m * one[k, axis] + other_center_m[axis] + second_m * other[k, axis]
             )
             agreement.met_m[k, axis] = middle_m if known else np.nan
         if known:
@@ -129,17 +129,16 @@ def _find_best(agreement, rays, weights, centers_m, wrist_m, side):
     """Compute the knuckles with the most support into ``best_m``; return whether there are any."""
     num_views, most = len(rays), 0.0
     for first in range(num_views):
-        for first_hand in range(2):
+        for one in range(2):
             if not (
-                weights[first, first_hand] > 0
-                and _can_be_held(agreement, rays[first, first_hand], centers_m[first], wrist_m[side])
+                weights[first, one] > 0 and _can_be_held(agreement, rays[first, one], centers_m[first], wrist_m[side])
             ):
                 continue
             for second in range(first + 1, num_views):
-                for second_hand in range(2):
-                    if not weights[second, second_hand] > 0:
+                for other in range(2):
+                    if not weights[second, other] > 0:
                         continue
-                    pair = rays[first, first_hand], rays[second, second_hand], centers_m[first], centers_m[second]
+                    pair = rays[first, one], rays[second, other], centers_m[first], centers_m[second]
                     if not _meet(agreement, *pair, wrist_m[side]):
                         continue
                     total = _total_support(agreement, rays, weights, centers_m, side)
@@ -188,11 +187,11 @@ def choose_hands(agreement, rays, weights, centers_m, wrist_m, chosen):
         ours = chosen[frame]
         for side in range(2):
             known = wrist_m[frame, side, 0] == wrist_m[frame, side, 0]
-            is_found = known and _find_best(agreement, rays[frame], weights[frame], centers_m, wrist_m[frame], side)
+            found = known and _find_best(agreement, rays[frame], weights[frame], centers_m, wrist_m[frame], side)
             for view in range(len(ours)):
                 ours[view, side] = -1
                 agreement.support[view, side] = 0.0
-                if not is_found:
+                if not found:
                     continue
                 for hand in range(2):
                     weight = _weight_for(agreement, weights[frame, view], side, hand)

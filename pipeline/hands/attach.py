@@ -19,7 +19,7 @@ from pipeline.hands.agreement_kernels import Agreement, choose_hands
 from pipeline.hands.ownership import owners
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, without_hands
 from pipeline.tracking.kernels.observation_kernels import sample
-from pipeline.tracking.observations import SessionDetections, rows_by_person, sampling_of
+from pipeline.tracking.observations import Bodies, rows_by_person, sampling_of
 
 # Knuckles whose positions in the palm hardly change: the roots of the five fingers.
 _KNUCKLES = ("thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
@@ -43,7 +43,7 @@ def has_hands(joints: JointSet) -> bool:
     return set(joints.names) >= FINGER_JOINTS
 
 
-def without_fingers(bodies: SessionDetections, joints: JointSet) -> SessionDetections:
+def without_fingers(bodies: Bodies, joints: JointSet) -> Bodies:
     """Detections with the joints of ``without_hands(joints)`` only; the detections themselves if that is all.
 
     Parameters
@@ -57,7 +57,7 @@ def without_fingers(bodies: SessionDetections, joints: JointSet) -> SessionDetec
 
 def attach_hands(
     people: People,
-    bodies: SessionDetections,
+    bodies: Bodies,
     cameras: Sequence[Camera],
     joints: JointSet,
     timebase: Timebase,
@@ -115,7 +115,7 @@ def _columns(joints: JointSet, names: Sequence[str]) -> Int[np.ndarray, " names"
     return np.array(joints.indices(tuple(names)), np.int64)
 
 
-def _only(bodies: SessionDetections, columns: Int[np.ndarray, " columns"]) -> SessionDetections:
+def _only(bodies: Bodies, columns: Int[np.ndarray, " columns"]) -> Bodies:
     """Detections with some joints."""
     return bodies._replace(
         seen_px=np.ascontiguousarray(bodies.seen_px[:, columns]), score=np.ascontiguousarray(bodies.score[:, columns])
@@ -124,7 +124,7 @@ def _only(bodies: SessionDetections, columns: Int[np.ndarray, " columns"]) -> Se
 
 def _sampled(
     track: Track3D,
-    fingers: SessionDetections,
+    fingers: Bodies,
     rows: Int[np.ndarray, " rows"],
     num_cameras: int,
     timebase: Timebase,

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Observations, People, Timebase, Track3D
-from pipeline.tracking.observations import NOBODY, SessionDetections
+from pipeline.tracking.observations import NOBODY, Bodies
 
 # Distance of a joint from the person's observation at which it counts by half, as a share of the body's size. An
 # observation between two frames of a camera lies between two detections.
@@ -13,7 +13,7 @@ _REACH_SHARE = 0.05
 _LEAST_ALIKE = 2.0
 
 
-def owners(people: People, bodies: SessionDetections, timebase: Timebase) -> Int[np.ndarray, " detections"]:
+def owners(people: People, bodies: Bodies, timebase: Timebase) -> Int[np.ndarray, " detections"]:
     """Find the person of each detection: the one whose observations in the camera have the detection's joints.
 
     Parameters
@@ -44,7 +44,7 @@ def owners(people: People, bodies: SessionDetections, timebase: Timebase) -> Int
 
 
 def _rows_in(
-    track: Track3D, camera: int, bodies: SessionDetections, nearest: Int[np.ndarray, " detections"]
+    track: Track3D, camera: int, bodies: Bodies, nearest: Int[np.ndarray, " detections"]
 ) -> Int[np.ndarray, " rows"]:
     """Detections of a camera in the frames of a track; a camera's detections are in order of time."""
     start, stop = np.searchsorted(bodies.camera, [camera, camera + 1])
@@ -55,9 +55,9 @@ def _rows_in(
 
 def _sizes_px(points_px: Float[np.ndarray, "n joints 2"]) -> Float[np.ndarray, " n"]:
     """Longer side of the box around each body's joints; at least a pixel."""
-    is_found = np.isfinite(points_px)
-    low = np.where(is_found, points_px, np.inf).min(1, initial=np.inf)
-    high = np.where(is_found, points_px, -np.inf).max(1, initial=-np.inf)
+    found = np.isfinite(points_px)
+    low = np.where(found, points_px, np.inf).min(1, initial=np.inf)
+    high = np.where(found, points_px, -np.inf).max(1, initial=-np.inf)
     return np.maximum((high - low).max(-1), 1.0)
 
 

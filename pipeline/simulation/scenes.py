@@ -16,7 +16,7 @@ from pipeline.simulation.motion.exchange import Exchange, exchange
 from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
-from pipeline.simulation.views.detector import DetectorModel, detect
+from pipeline.simulation.views.detector import Detector, detect
 from pipeline.simulation.views.extremities import detect_extremities
 from pipeline.simulation.views.faults import Faults
 from pipeline.simulation.views.fields import Sketch, sketch
@@ -47,7 +47,7 @@ class Scene:
     rig: Rig
     cast: Cast | Exchange | tuple[Role, ...]
     clock: Clock = field(default_factory=Clock)
-    detector: DetectorModel = field(default_factory=DetectorModel)
+    detector: Detector = field(default_factory=Detector)
     boxes: tuple[Box, ...] = ()
     duration_s: float = 30.0
 
@@ -162,7 +162,7 @@ SCENES: Mapping[str, Scene] = {
         Rig(Layout.CEILING, 28, (8.5, 6.5), 3.6, focal_px=700.0, target_height_m=0.8),
         Cast(16, (14.0, 10.0), walking=0.7),
         Clock(10.0),
-        DetectorModel(faults=Faults(miss_body=0.10)),
+        Detector(faults=Faults(miss_body=0.10)),
         boxes=_LONG_SHELVES,
     ),
     "outdoor": Scene(
@@ -180,7 +180,7 @@ SCENES: Mapping[str, Scene] = {
     "exchange": Scene(
         Rig(Layout.RING, 6, (4.0, 4.0), 2.4, focal_px=760.0),
         Exchange(7, gap_m=0.5),
-        detector=DetectorModel(noise_m=0.015, faults=Faults(miss_joint=0.05, miss_body=0.2, mix=0.3, memory_s=0.3)),
+        detector=Detector(noise_m=0.015, faults=Faults(miss_joint=0.05, miss_body=0.2, mix=0.3, memory_s=0.3)),
         duration_s=20.0,
     ),
     "contact": Scene(
@@ -220,7 +220,7 @@ SCENES: Mapping[str, Scene] = {
     "noisy": Scene(
         Rig(Layout.RING, 5, (4.5, 4.5), 2.3),
         Cast(4, (4.0, 4.0), gestures=_ACTIVE),
-        detector=DetectorModel(
+        detector=Detector(
             noise_m=0.025,
             tail=3.0,
             faults=Faults(

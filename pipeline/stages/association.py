@@ -33,7 +33,7 @@ from pipeline.joints import JointSet
 from pipeline.parameters import change_parameters
 from pipeline.progress import OnShare, ignore
 from pipeline.tracking.associate import track_bodies
-from pipeline.tracking.observations import SessionDetections
+from pipeline.tracking.observations import Bodies
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
 from pipeline.video.timeline import cut_timebase, frames_in, span_s
@@ -110,7 +110,7 @@ def clustering_parameters(session: Session, config: ReconstructionConfig) -> Clu
 
 
 def track(
-    session: Session, bodies: SessionDetections, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
+    session: Session, bodies: Bodies, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
 ) -> People:
     """Track people by cross-view tracking: one pass in time order.
 
@@ -204,9 +204,7 @@ def assign_identities(
     return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people, colour)
 
 
-def attach(
-    session: Session, people: People, bodies: SessionDetections, joints: JointSet, config: ReconstructionConfig
-) -> People:
+def attach(session: Session, people: People, bodies: Bodies, joints: JointSet, config: ReconstructionConfig) -> People:
     """Add the fingers of detections to people of either method; see ``pipeline.hands.attach``.
 
     Parameters

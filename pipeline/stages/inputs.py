@@ -25,7 +25,7 @@ from pipeline.stages.outputs_npz import (
     with_colours,
 )
 from pipeline.stages.plan import DETECT, REFINE, SYNCHRONIZE, FrameCut, SessionFacts, Task
-from pipeline.tracking.observations import SessionDetections, gather
+from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import frames_in
 
 PEOPLE = "people.npz"
@@ -209,7 +209,7 @@ def _ranges_near(task: Task, context: Context, session: Session, frames: range) 
     return range(near[0], near[-1] + 1) if near else range(0)
 
 
-def gathered_bodies(context: Context) -> tuple[SessionDetections, tuple[DamagedVideo, ...]]:
+def gathered_bodies(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
     """All cameras' bodies as tracking takes them, and the damaged videos among those that show them."""
     session, joints = wanted_inputs(context, context.session())
     detections = (

@@ -13,7 +13,7 @@ from pipeline.geometry.track_assembly import close_gaps, find_life, make_person,
 from pipeline.progress import OnShare, ignore, part_of
 from pipeline.tracking.kernels.observation_kernels import Sampling, locate, record
 from pipeline.tracking.observations import (
-    SessionDetections,
+    Bodies,
     detections_at,
     gather,
     rows_by_person,
@@ -87,7 +87,7 @@ def reconstruct_tracks(
 def track_bodies(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
-    bodies: SessionDetections,
+    bodies: Bodies,
     timebase: Timebase,
     parameters: TrackingParameters,
     on_share: OnShare = ignore,
@@ -113,7 +113,7 @@ def track_bodies(
 def _identify(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
-    bodies: SessionDetections,
+    bodies: Bodies,
     ideal_px: Float[np.ndarray, "detections joints 2"],
     parameters: TrackingParameters,
     on_share: OnShare,
@@ -126,7 +126,7 @@ def _identify(
 
 def _samplings(
     cameras: Sequence[Camera],
-    bodies: SessionDetections,
+    bodies: Bodies,
     identity: Int[np.ndarray, " detections"],
     timebase: Timebase,
     parameters: TrackingParameters,
@@ -140,7 +140,7 @@ def _samplings(
 
 def _triangulate(
     cameras: Sequence[Camera],
-    bodies: SessionDetections,
+    bodies: Bodies,
     ideal_px: Float[np.ndarray, "detections joints 2"],
     samplings: Sequence[Sampling],
     parameters: TrackingParameters,
@@ -163,7 +163,7 @@ def _triangulate(
 
 def _record(
     cameras: Sequence[Camera],
-    bodies: SessionDetections,
+    bodies: Bodies,
     samplings: Sequence[Sampling],
     xyz_m: Sequence[Float[np.ndarray, "_ joints 3"]],
     timebase: Timebase,
@@ -201,7 +201,7 @@ def _record(
     return People(*number_people(recorded), leftovers=_leftovers(bodies, np.flatnonzero(is_left), timebase))
 
 
-def _leftovers(bodies: SessionDetections, rows: Int[np.ndarray, " n"], timebase: Timebase) -> Leftovers:
+def _leftovers(bodies: Bodies, rows: Int[np.ndarray, " n"], timebase: Timebase) -> Leftovers:
     place = (bodies.time_s[rows] - timebase.start_time_s) * timebase.frame_rate_hz
     frame = np.round(place).astype(int)
     inside = (frame >= 0) & (frame < timebase.num_frames)

@@ -15,7 +15,7 @@ NOBODY = -1
 """Identity of a detection that belongs to no person."""
 
 
-class SessionDetections(NamedTuple):
+class Bodies(NamedTuple):
     """Detections of all cameras, camera by camera and in order of frames.
 
     Parameters
@@ -39,15 +39,13 @@ class SessionDetections(NamedTuple):
     colour: np.ndarray
 
 
-def gather(
-    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]
-) -> SessionDetections:
+def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]) -> Bodies:
     """Copy the detections of all cameras into arrays.
 
     Parameters
     ----------
     cameras
-        Cameras in the order of ``SessionDetections.camera``.
+        Cameras in the order of ``Bodies.camera``.
     times, detections
         Frame times and detections by camera name.
     """
@@ -57,7 +55,7 @@ def gather(
     )
     score = np.concatenate([of_camera.score for of_camera in ordered])
     clear_unfound(seen_px, score)
-    return SessionDetections(
+    return Bodies(
         camera=np.repeat(np.arange(len(cameras)), [len(of_camera.frame) for of_camera in ordered]),
         frame=np.concatenate([of_camera.frame for of_camera in ordered]),
         time_s=np.concatenate([times[of_camera.camera].time_s[of_camera.frame] for of_camera in ordered]),
@@ -88,7 +86,7 @@ def _gather_colours(ordered: Sequence[Detections]) -> UInt8[np.ndarray, "detecti
     )
 
 
-def undistorted(cameras: Sequence[Camera], bodies: SessionDetections) -> Float[np.ndarray, "detections joints 2"]:
+def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, "detections joints 2"]:
     """Undistort the joints of all detections; returns ``bodies.seen_px`` itself if no camera has distortion."""
     if all(camera.is_ideal for camera in cameras):
         return bodies.seen_px
@@ -99,9 +97,7 @@ def undistorted(cameras: Sequence[Camera], bodies: SessionDetections) -> Float[n
     return ideal_px
 
 
-def rows_by_person(
-    bodies: SessionDetections, identity: Int[np.ndarray, " detections"]
-) -> Iterator[Int[np.ndarray, " rows"]]:
+def rows_by_person(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
     """Rows of each person's detections in ``bodies``, ascending.
 
     Of several detections of a person in one frame, the row with the highest sum of scores is kept.
@@ -119,7 +115,7 @@ def rows_by_person(
             yield _best_in_frame(bodies, rows)
 
 
-def _best_in_frame(bodies: SessionDetections, rows: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " _"]:
+def _best_in_frame(bodies: Bodies, rows: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " _"]:
     camera, frame = bodies.camera[rows], bodies.frame[rows]
     if np.all((np.diff(camera) != 0) | (np.diff(frame) != 0)):
         return rows
@@ -129,7 +125,7 @@ def _best_in_frame(bodies: SessionDetections, rows: Int[np.ndarray, " rows"]) ->
 
 
 def sampling_of(
-    timebase: Timebase, bodies: SessionDetections, rows: Int[np.ndarray, " rows"], num_cameras: int, lambda_t_hz: float
+    timebase: Timebase, bodies: Bodies, rows: Int[np.ndarray, " rows"], num_cameras: int, lambda_t_hz: float
 ) -> Sampling:
     """Prepare the sampling of a person's observations at the output instants.
 
@@ -158,9 +154,7 @@ def sampled_in(life: slice, sampling: Sampling) -> Sampling:
     )
 
 
-def detections_at(
-    timebase: Timebase, bodies: SessionDetections, sampling: Sampling
-) -> Int[np.ndarray, "frames cameras"]:
+def detections_at(timebase: Timebase, bodies: Bodies, sampling: Sampling) -> Int[np.ndarray, "frames cameras"]:
     """Rows of a person's detections by nearest output frame and camera.
 
     Parameters

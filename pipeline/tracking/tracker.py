@@ -14,15 +14,15 @@ from pipeline.tracking.initialization import Lost, Unmatched, find_returning, gr
 from pipeline.tracking.kernels import tracking_kernels as kernels
 from pipeline.tracking.kernels.observation_kernels import keep_used
 from pipeline.tracking.kernels.state import (
-    CameraGeometry,
     Frames,
+    Limits,
     Outcome,
     Pool,
-    TrackingLimits,
+    Rig,
     make_targets,
     make_workspace,
 )
-from pipeline.tracking.observations import NOBODY, SessionDetections
+from pipeline.tracking.observations import NOBODY, Bodies
 from pipeline.tracking.parameters import TrackingParameters
 
 _FIRST_SLOTS = 16
@@ -32,10 +32,10 @@ _MAX_TARGETS = 512
 _FRAMES_AT_ONCE = 64
 
 
-def make_rig(cameras: Sequence[Camera]) -> CameraGeometry:
+def make_rig(cameras: Sequence[Camera]) -> Rig:
     """Gather the geometry of all cameras in arrays."""
     projections = np.array([image_from_world(camera) for camera in cameras])
-    return CameraGeometry(
+    return Rig(
         image_from_world=projections,
         world_ray_from_image=np.linalg.inv(projections[:, :, :3]),
         center_m=np.array([center_in_world(camera) for camera in cameras]),
@@ -43,14 +43,14 @@ def make_rig(cameras: Sequence[Camera]) -> CameraGeometry:
     )
 
 
-def make_limits(parameters: TrackingParameters) -> TrackingLimits:
+def make_limits(parameters: TrackingParameters) -> Limits:
     """Convert parameters to the tuple that the kernels take."""
-    return TrackingLimits(**{name: getattr(parameters, name) for name in TrackingLimits._fields})
+    return Limits(**{name: getattr(parameters, name) for name in Limits._fields})
 
 
 def make_frames(
     times: Sequence[FrameTimes],
-    bodies: SessionDetections,
+    bodies: Bodies,
     ideal_px: Float[np.ndarray, "detections joints 2"],
     min_score: float,
 ) -> Frames:

@@ -19,7 +19,7 @@ from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, record
 from pipeline.stages.association import assign_identities, link, locate_people, measure_bones, track
-from pipeline.tracking.observations import SessionDetections, gather
+from pipeline.tracking.observations import Bodies, gather
 from tests.hostile.crowds import hostile_crowds
 
 CLUSTERING = ReconstructionConfig(method="clustering")
@@ -35,7 +35,7 @@ def child() -> Iterator[ProcessPoolExecutor]:
         yield pool
 
 
-def gathered(session: KeypointSession) -> SessionDetections:
+def gathered(session: KeypointSession) -> Bodies:
     return gather(session.cameras, session.times, session.detections)
 
 

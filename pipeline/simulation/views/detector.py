@@ -29,7 +29,7 @@ _DUPLICATE_MISSING = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class DetectorModel:
+class Detector:
     """Accuracy of a simulated detector.
 
     Parameters
@@ -63,7 +63,7 @@ class DetectorModel:
     smallest_palm_px: float = 15.0
 
 
-PERFECT = DetectorModel(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS, smallest_palm_px=0.0)
+PERFECT = Detector(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS, smallest_palm_px=0.0)
 """Detector that finds every joint in the image exactly; hidden joints have lower scores."""
 
 
@@ -102,7 +102,7 @@ def detect(
     period_s: float,
     people_m: Float[np.ndarray, "people frames joints 3"],
     boxes: Sequence[Box],
-    detector: DetectorModel,
+    detector: Detector,
     rng: np.random.Generator,
 ) -> tuple[Detections, Int[np.ndarray, " n"]]:
     """Detect people in all frames of one camera.
@@ -130,7 +130,7 @@ def find_bodies(
     period_s: float,
     people_m: Float[np.ndarray, "people frames joints 3"],
     boxes: Sequence[Box],
-    detector: DetectorModel,
+    detector: Detector,
     rng: np.random.Generator,
 ) -> Found:
     """Find the bodies in all frames of one camera; for the arguments see ``detect``."""
@@ -164,7 +164,7 @@ def _mark(
     view: View,
     confusion: Confusion,
     found: Bool[np.ndarray, "people frames"],
-    detector: DetectorModel,
+    detector: Detector,
     noise_frames: float,
     rng: np.random.Generator,
 ) -> Bodies:
@@ -179,7 +179,7 @@ def see_joints(
     view: View,
     who: Int[np.ndarray, "people frames joints"],
     which: Int[np.ndarray, "people frames joints"],
-    detector: DetectorModel,
+    detector: Detector,
     noise_frames: float,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
@@ -205,7 +205,7 @@ def noisy(
     sigma_px: Float[np.ndarray, "people frames joints"],
     px_per_m: Float[np.ndarray, "people frames joints"],
     hidden: Bool[np.ndarray, "people frames joints"],
-    detector: DetectorModel,
+    detector: Detector,
     noise_frames: float,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from pipeline.data import Camera, Detections
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.joints import COCO_17, FINGER_JOINTS, SIDES, JointSet, finger_joints
-from pipeline.simulation.views.detector import Bodies, DetectorModel, View, collect, find_bodies, noisy
+from pipeline.simulation.views.detector import Bodies, Detector, View, collect, find_bodies, noisy
 from pipeline.simulation.views.faults import Confusion
 from pipeline.simulation.views.noise import lasting_events
 from pipeline.simulation.views.occlusion import Box, hidden_by_boxes, points_hidden_by_bodies
@@ -29,7 +29,7 @@ def detect_extremities(
     period_s: float,
     people_m: Float[np.ndarray, "people frames joints 3"],
     boxes: Sequence[Box],
-    detector: DetectorModel,
+    detector: Detector,
     rng: np.random.Generator,
     joints: JointSet,
 ) -> tuple[Detections, Int[np.ndarray, " n"]]:
@@ -101,7 +101,7 @@ def _extend(
     view: View,
     palm_px: Float[np.ndarray, "people frames beyond"],
     confusion: Confusion,
-    detector: DetectorModel,
+    detector: Detector,
     period_s: float,
     joints: JointSet,
     rng: np.random.Generator,
@@ -135,7 +135,7 @@ def _extend(
 
 
 def _sources(
-    confusion: Confusion, detector: DetectorModel, memory_frames: float, joints: JointSet, rng: np.random.Generator
+    confusion: Confusion, detector: Detector, memory_frames: float, joints: JointSet, rng: np.random.Generator
 ) -> tuple[Int[np.ndarray, "people frames beyond"], Int[np.ndarray, "people frames beyond"]]:
     """Person and joint behind each detected joint of feet and hands."""
     carriers = _carriers(joints)
@@ -152,7 +152,7 @@ def _missed_hands(
     view: View,
     source: tuple[np.ndarray, np.ndarray, np.ndarray],
     palm_px: Float[np.ndarray, "people frames beyond"],
-    detector: DetectorModel,
+    detector: Detector,
     memory_frames: float,
     joints: JointSet,
     rng: np.random.Generator,

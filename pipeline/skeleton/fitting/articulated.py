@@ -2,7 +2,7 @@
 
 The energy, a function of the root's position and all rotations of ``articulation.FREEDOMS``, is the sum of:
 
-- the evidence for landmarks: rays of all views, or positions (``LandmarkEvidence``);
+- the evidence for landmarks: rays of all views, or positions (``Evidence``);
 - Cauchy's function of the landmarks' second differences (``positions.tie_weight``);
 - priors for unobservable rotations: the rest pose for bends of spine, neck and collar bones; for the twist of upper
   arms and thighs the rest pose, small changes between frames, and limits.
@@ -38,7 +38,7 @@ _LIBRARIES = ThreadpoolController()
 
 
 @runtime_checkable
-class LandmarkEvidence(Protocol):
+class Evidence(Protocol):
     """Evidence for the positions of landmarks."""
 
     def normal_equations(
@@ -49,7 +49,7 @@ class LandmarkEvidence(Protocol):
 
 
 @dataclass(slots=True, eq=False)
-class ArticulatedPoses:
+class Bodies:
     """Pose of a person in each frame of a window; changed by the fit.
 
     Parameters
@@ -76,7 +76,7 @@ def start_from(
     root_m: Float[np.ndarray, "frames 3"],
     parent_from_joint: Float[np.ndarray, "frames joints 4"],
     skeleton: Articulation,
-) -> ArticulatedPoses:
+) -> Bodies:
     """Build bodies from any pose. Rotations of hinges are reduced to their axis and clipped to their limits."""
     num_frames = len(root_m)
     local = Rotation.from_quat(parent_from_joint.reshape(-1, 4)).as_matrix().reshape(num_frames, -1, 3, 3)
@@ -87,10 +87,10 @@ def start_from(
             bend = Rotation.from_quat(parent_from_joint[:, joint]).as_rotvec() @ axis
             angle_rad[:, number] = np.clip(bend, *freedom.limits_rad)
             local[:, joint] = Rotation.from_rotvec(angle_rad[:, [number]] * axis).as_matrix()
-    return ArticulatedPoses(np.array(root_m), local, angle_rad)
+    return Bodies(np.array(root_m), local, angle_rad)
 
 
-def landmarks_of(bodies: ArticulatedPoses, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
+def landmarks_of(bodies: Bodies, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
     """World positions of landmarks (metres)."""
     return Posed(bodies, skeleton).landmark_m
 
@@ -98,7 +98,7 @@ def landmarks_of(bodies: ArticulatedPoses, skeleton: Articulation) -> Float[np.n
 class Posed:
     """World positions and orientations of all joints, and positions of landmarks."""
 
-    def __init__(self, bodies: ArticulatedPoses, skeleton: Articulation) -> None:
+    def __init__(self, bodies: Bodies, skeleton: Articulation) -> None:
         self._skeleton = skeleton
         num_frames, num_joints = bodies.local.shape[:2]
         self.world = np.empty((num_frames, num_joints, 3, 3))
@@ -133,7 +133,7 @@ class Posed:
         return result
 
 
-def move(bodies: ArticulatedPoses, skeleton: Articulation, step: Float[np.ndarray, "frames freedoms"]) -> None:
+def move(bodies: Bodies, skeleton: Articulation, step: Float[np.ndarray, "frames freedoms"]) -> None:
     """Apply a step to all degrees of freedom in place; rotations are limited a step, and hinges to their range."""
     turn(
         step,
@@ -149,9 +149,9 @@ def move(bodies: ArticulatedPoses, skeleton: Articulation, step: Float[np.ndarra
 
 
 def refine(
-    bodies: ArticulatedPoses,
+    bodies: Bodies,
     skeleton: Articulation,
-    evidence: LandmarkEvidence,
+    evidence: Evidence,
     usual_m: Float[np.ndarray, " landmarks"],
     frame_rate_hz: float,
     num_steps: int,
@@ -175,9 +175,9 @@ def refine(
 
 
 def _step(
-    bodies: ArticulatedPoses,
+    bodies: Bodies,
     skeleton: Articulation,
-    evidence: LandmarkEvidence,
+    evidence: Evidence,
     usual_m: Float[np.ndarray, " landmarks"],
     frame_rate_hz: float,
 ) -> Float[np.ndarray, "frames freedoms"]:
@@ -202,7 +202,7 @@ def _step(
 
 
 def _draw_to_rest(
-    bodies: ArticulatedPoses,
+    bodies: Bodies,
     skeleton: Articulation,
     lower: Float[np.ndarray, "frames freedoms below"],
     force: Float[np.ndarray, "frames freedoms"],
@@ -224,7 +224,7 @@ def _draw_to_rest(
 
 
 def _steady_twist(
-    bodies: ArticulatedPoses,
+    bodies: Bodies,
     skeleton: Articulation,
     frame_rate_hz: float,
     lower: Float[np.ndarray, "frames freedoms below"],

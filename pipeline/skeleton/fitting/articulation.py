@@ -243,7 +243,7 @@ def build(
     freedom_joint = np.full((NUM_ROOT + len(freedoms), 2), -1)
     for number, freedom in enumerate(freedoms, NUM_ROOT):
         freedom_joint[number, : len(freedom.joints)] = [index[name] for name in freedom.joints]
-    moved_by = [_moved_by(landmark.joint, landmark.beside, parent, freedom_joint) for landmark in landmarks]
+    moved_by = [_moved_by(one.joint, one.beside, parent, freedom_joint) for one in landmarks]
     most = max(map(len, moved_by), default=0)
     limits = [freedom.limits_rad or (-np.inf, np.inf) for freedom in freedoms]
     return Articulation(
@@ -251,9 +251,9 @@ def build(
         twists=twists,
         parent=parent,
         offset_m=offset_m,
-        landmark=np.array([landmark.landmark for landmark in landmarks], dtype=int),
-        landmark_joint=np.array([landmark.joint for landmark in landmarks], dtype=int),
-        landmark_offset_m=np.array([landmark.offset_m for landmark in landmarks]).reshape(-1, 3),
+        landmark=np.array([one.landmark for one in landmarks], dtype=int),
+        landmark_joint=np.array([one.joint for one in landmarks], dtype=int),
+        landmark_offset_m=np.array([one.offset_m for one in landmarks]).reshape(-1, 3),
         freedom_joint=freedom_joint,
         freedom_axis=np.array([*np.zeros((NUM_ROOT, 3)), *(freedom.axis for freedom in freedoms)]),
         lowest_rad=np.array([*[-np.inf] * NUM_ROOT, *(lowest for lowest, _ in limits)]),

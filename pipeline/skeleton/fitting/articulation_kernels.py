@@ -152,10 +152,10 @@ def factorise(jacobian, moved_by, num_moved_by, precision, priors, factor):
         for landmark in range(len(num_moved_by)):
             here = precision[frame, landmark]
             for k in range(num_moved_by[landmark]):
-                derivative = jacobian[frame, landmark, k]
-                u = here[0, 0] * derivative[0] + here[0, 1] * derivative[1] + here[0, 2] * derivative[2]
-                v = here[1, 0] * derivative[0] + here[1, 1] * derivative[1] + here[1, 2] * derivative[2]
-                w = here[2, 0] * derivative[0] + here[2, 1] * derivative[1] + here[2, 2] * derivative[2]
+                one = jacobian[frame, landmark, k]
+                u = here[0, 0] * one[0] + here[0, 1] * one[1] + here[0, 2] * one[2]
+                v = here[1, 0] * one[0] + here[1, 1] * one[1] + here[1, 2] * one[2]
+                w = here[2, 0] * one[0] + here[2, 1] * one[1] + here[2, 2] * one[2]
                 for m in range(k + 1):
                     other = jacobian[frame, landmark, m]
                     lower[moved_by[landmark, k], moved_by[landmark, m]] += u * other[0] + v * other[1] + w * other[2]

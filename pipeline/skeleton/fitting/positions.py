@@ -98,20 +98,18 @@ def _limbs(
 ) -> list[list[tuple[int, float]]]:
     """Limbs of each joint, as other end and the person's median length in metres, left and right pooled."""
     pooled: dict[str, list[np.ndarray]] = {}
-    ends = [
-        (joints.index(first), joints.index(second)) for first, second in LIMBS if {first, second} <= set(joints.names)
-    ]
-    for first, second in ends:
-        both = measured[:, first] & measured[:, second]
-        lengths_m = np.linalg.norm(track.xyz_m[both, first] - track.xyz_m[both, second], axis=-1)
-        pooled.setdefault(joints.names[second].rpartition("_")[2], []).append(lengths_m)
+    ends = [(joints.index(one), joints.index(other)) for one, other in LIMBS if {one, other} <= set(joints.names)]
+    for one, other in ends:
+        both = measured[:, one] & measured[:, other]
+        lengths_m = np.linalg.norm(track.xyz_m[both, one] - track.xyz_m[both, other], axis=-1)
+        pooled.setdefault(joints.names[other].rpartition("_")[2], []).append(lengths_m)
     hanging: list[list[tuple[int, float]]] = [[] for _ in joints.names]
-    for first, second in ends:
-        lengths_m = np.concatenate(pooled[joints.names[second].rpartition("_")[2]])
+    for one, other in ends:
+        lengths_m = np.concatenate(pooled[joints.names[other].rpartition("_")[2]])
         if len(lengths_m):
             length_m = float(np.median(lengths_m))
-            hanging[first].append((second, length_m))
-            hanging[second].append((first, length_m))
+            hanging[one].append((other, length_m))
+            hanging[other].append((one, length_m))
     return hanging
 
 
@@ -179,10 +177,10 @@ def _solve(
     if num_frames > 2:
         second_m = before_m[2:] - 2 * before_m[1:-1] + before_m[:-2]
         tie = tie_weight(second_m, usual_m)
-        for axis in range(3):
-            for other in range(axis, 3):
+        for one in range(3):
+            for other in range(one, 3):
                 tied = slice(other, num_frames - 2 + other)
-                banded[8 - 3 * (other - axis), tied] += (_DIFFERENCE[axis] * _DIFFERENCE[other] * tie)[:, None]
+                banded[8 - 3 * (other - one), tied] += (_DIFFERENCE[one] * _DIFFERENCE[other] * tie)[:, None]
     solved: np.ndarray = solveh_banded(
         banded.reshape(9, -1), (right + _INERTIA * before_m).ravel(), overwrite_ab=True, check_finite=False
     )

@@ -97,10 +97,8 @@ class Rays:
     def _fit_exchanged(
         self, xyz_m: Float[np.ndarray, "frames joints 3"], left: list[int], right: list[int], scale_m2: float
     ) -> Bool[np.ndarray, "frames cameras"]:
-        def cost(frame_times: list[int], seen_as: list[int]) -> Float[np.ndarray, "frames cameras"]:
-            off_m2 = np.stack(
-                [self._off_m2(ray, xyz_m[:, joint]) for joint, ray in zip(frame_times, seen_as, strict=True)], -1
-            )
+        def cost(of: list[int], seen_as: list[int]) -> Float[np.ndarray, "frames cameras"]:
+            off_m2 = np.stack([self._off_m2(ray, xyz_m[:, joint]) for joint, ray in zip(of, seen_as, strict=True)], -1)
             lost = self._weight[:, :, seen_as] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m2)
             return np.asarray(np.nan_to_num(lost).sum(-1))
 

@@ -25,13 +25,13 @@ def bury(targets, time_s, limits):
 
 @inlined
 @no_type_check
-def _same_place(first, second, duplicate_m):
+def _same_place(one, other, duplicate_m):
     count, x, y, z = 0.0, 0.0, 0.0, 0.0
-    for k in range(first.views.shape[0]):
+    for k in range(one.views.shape[0]):
         dx, dy, dz = (
-            first.xyz_m[0, k] - second.xyz_m[0, k],
-            first.xyz_m[1, k] - second.xyz_m[1, k],
-            first.xyz_m[2, k] - second.xyz_m[2, k],
+            one.xyz_m[0, k] - other.xyz_m[0, k],
+            one.xyz_m[1, k] - other.xyz_m[1, k],
+            one.xyz_m[2, k] - other.xyz_m[2, k],
         )
         known = dx == dx
         count += 1.0 if known else 0.0
@@ -42,11 +42,11 @@ def _same_place(first, second, duplicate_m):
     if count < MIN_JOINTS or x * x + y * y + z * z >= (duplicate_m * count) ** 2:
         return False
     total_m = 0.0
-    for k in range(first.views.shape[0]):
+    for k in range(one.views.shape[0]):
         dx, dy, dz = (
-            first.xyz_m[0, k] - second.xyz_m[0, k],
-            first.xyz_m[1, k] - second.xyz_m[1, k],
-            first.xyz_m[2, k] - second.xyz_m[2, k],
+            one.xyz_m[0, k] - other.xyz_m[0, k],
+            one.xyz_m[1, k] - other.xyz_m[1, k],
+            one.xyz_m[2, k] - other.xyz_m[2, k],
         )
         apart_m = np.sqrt(dx * dx + dy * dy + dz * dz)
         total_m += apart_m if dx == dx else 0.0
@@ -55,34 +55,34 @@ def _same_place(first, second, duplicate_m):
 
 @inlined
 @no_type_check
-def _is_better(first, second, time_s, limits):
+def _is_better(one, other, time_s, limits):
     """Whether the first of two duplicates stays: by recent support, then by number of supports, then by age."""
-    one_is_old = time_s - first.supported_s > limits.velocity_window_s
-    other_is_old = time_s - second.supported_s > limits.velocity_window_s
+    one_is_old = time_s - one.supported_s > limits.velocity_window_s
+    other_is_old = time_s - other.supported_s > limits.velocity_window_s
     if one_is_old != other_is_old:
         return other_is_old
-    if first.num_supported != second.num_supported:
-        return first.num_supported > second.num_supported
-    return first.target_id < second.target_id
+    if one.num_supported != other.num_supported:
+        return one.num_supported > other.num_supported
+    return one.target_id < other.target_id
 
 
 @inlined
 @no_type_check
 def merge_duplicates(targets, time_s, limits, replaced_by, room):
-    """Merge targets at the same place; see ``reference.ReferenceTracker``."""
+    """Merge targets at the same place; see ``reference.Tracker``."""
     count = targets.alive[0]
     gone = room.gone
     gone[:count] = False
     any_gone = False
     for i in range(count):
         for j in range(i + 1, count):
-            first, second = targets.state[targets.order[i]], targets.state[targets.order[j]]
-            if gone[i] or gone[j] or not _same_place(first, second, limits.duplicate_m):
+            one, other = targets.state[targets.order[i]], targets.state[targets.order[j]]
+            if gone[i] or gone[j] or not _same_place(one, other, limits.duplicate_m):
                 continue
             any_gone = True
-            stays = _is_better(first, second, time_s, limits)
+            stays = _is_better(one, other, time_s, limits)
             gone[j if stays else i] = True
-            loser, twin = (second, first) if stays else (first, second)
+            loser, twin = (other, one) if stays else (one, other)
             if not loser.confirmed:
                 replaced_by[loser.target_id] = twin.target_id
     if any_gone:

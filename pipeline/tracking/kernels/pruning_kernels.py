@@ -60,15 +60,15 @@ def _bound_points(body):
 @inlined
 @no_type_check
 def _least(lanes):
-    first, second = min(lanes[0], lanes[1]), min(lanes[2], lanes[3])
-    return min(first, second)
+    one, other = min(lanes[0], lanes[1]), min(lanes[2], lanes[3])
+    return min(one, other)
 
 
 @inlined
 @no_type_check
 def _largest(lanes):
-    first, second = max(lanes[0], lanes[1]), max(lanes[2], lanes[3])
-    return max(first, second)
+    one, other = max(lanes[0], lanes[1]), max(lanes[2], lanes[3])
+    return max(one, other)
 
 
 @inlined

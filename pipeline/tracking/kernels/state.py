@@ -88,7 +88,7 @@ def fence_dtype() -> np.dtype:
     )
 
 
-class CameraGeometry(NamedTuple):
+class Rig(NamedTuple):
     """Geometry of all cameras."""
 
     image_from_world: np.ndarray  # (cameras, 3, 4)
@@ -109,7 +109,7 @@ class Frames(NamedTuple):
     flat_px: np.ndarray  # points_px as (detections, 2 * joints), for vectorised loops
 
 
-class TrackingLimits(NamedTuple):
+class Limits(NamedTuple):
     """``TrackingParameters`` that the kernels use, as a tuple of numbers."""
 
     alpha_2d_px_s: float

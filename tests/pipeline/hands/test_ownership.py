@@ -4,7 +4,7 @@ import numpy as np
 
 from pipeline.data import Observations, People, Timebase, Track3D
 from pipeline.hands.ownership import owners
-from pipeline.tracking.observations import NOBODY, SessionDetections
+from pipeline.tracking.observations import NOBODY, Bodies
 
 NUM_JOINTS = 17
 TIMEBASE = Timebase(1.0, 10.0, 20)
@@ -44,7 +44,7 @@ def test_detections_belong_to_whoever_has_their_joints() -> None:
         (1, 1, 1.4, other, 0),
         (1, 2, 1.4, body_px(300.0), NOBODY),
     ]
-    bodies = SessionDetections(
+    bodies = Bodies(
         np.array([row[0] for row in rows]),
         np.array([row[1] for row in rows]),
         np.array([row[2] for row in rows]),

@@ -19,7 +19,7 @@ from pipeline.joints import COCO_17
 from pipeline.stages import run
 from pipeline.stages.association import track
 from pipeline.stages.local import reconstruct
-from pipeline.tracking.observations import SessionDetections
+from pipeline.tracking.observations import Bodies
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import write_video
 
@@ -70,11 +70,11 @@ def network(monkeypatch: pytest.MonkeyPatch) -> FakeNetwork:
 
 
 @pytest.fixture
-def tracked(monkeypatch: pytest.MonkeyPatch) -> list[SessionDetections]:
+def tracked(monkeypatch: pytest.MonkeyPatch) -> list[Bodies]:
     """Bodies that were tracked, in the order of the calls."""
-    calls: list[SessionDetections] = []
+    calls: list[Bodies] = []
 
-    def recorded(session: Any, bodies: SessionDetections, *others: Any) -> Any:
+    def recorded(session: Any, bodies: Bodies, *others: Any) -> Any:
         calls.append(bodies)
         return track(session, bodies, *others)
 
@@ -93,7 +93,7 @@ def arrays_in(folder: Path) -> set[str]:
 
 
 def test_colours_reach_the_tracker_and_stay_in_no_cache(
-    session: CaptureSession, network: FakeNetwork, tracked: list[SessionDetections], tmp_path: Path
+    session: CaptureSession, network: FakeNetwork, tracked: list[Bodies], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
     (bodies,) = tracked
@@ -106,7 +106,7 @@ def test_colours_reach_the_tracker_and_stay_in_no_cache(
 
 
 def test_another_association_measures_them_again_without_the_network(
-    session: CaptureSession, network: FakeNetwork, tracked: list[SessionDetections], tmp_path: Path
+    session: CaptureSession, network: FakeNetwork, tracked: list[Bodies], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
     num_images = network.num_images
@@ -120,7 +120,7 @@ def test_another_association_measures_them_again_without_the_network(
 def test_nothing_is_decoded_for_people_who_are_tracked_already(
     session: CaptureSession,
     network: FakeNetwork,
-    tracked: list[SessionDetections],
+    tracked: list[Bodies],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -131,7 +131,7 @@ def test_nothing_is_decoded_for_people_who_are_tracked_already(
 
 
 def test_a_damaged_output_of_detection_is_detected_anew_with_its_colours(
-    session: CaptureSession, network: FakeNetwork, tracked: list[SessionDetections], tmp_path: Path
+    session: CaptureSession, network: FakeNetwork, tracked: list[Bodies], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
     for path in (tmp_path / "cache").iterdir():
@@ -143,7 +143,7 @@ def test_a_damaged_output_of_detection_is_detected_anew_with_its_colours(
 
 
 def test_the_cut_into_chunks_changes_no_byte(
-    session: CaptureSession, network: FakeNetwork, tracked: list[SessionDetections]
+    session: CaptureSession, network: FakeNetwork, tracked: list[Bodies]
 ) -> None:
     for chunk_frames in (5, 10, 100):
         reconstruct(session, replace(CONFIG, chunk_frames=chunk_frames))
@@ -157,7 +157,7 @@ def test_the_cut_into_chunks_changes_no_byte(
 def test_colours_that_nobody_asks_for_are_not_measured(
     session: CaptureSession,
     network: FakeNetwork,
-    tracked: list[SessionDetections],
+    tracked: list[Bodies],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     choice: dict[str, Any],

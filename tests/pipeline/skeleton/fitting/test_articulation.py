@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.joints import BODY_25, COCO_17, JointSet
 from pipeline.skeleton.fitting import articulated
-from pipeline.skeleton.fitting.articulated import ArticulatedPoses, landmarks_of, move, refine, start_from
+from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of, move, refine, start_from
 from pipeline.skeleton.fitting.articulation import NUM_ROOT, Articulation, articulate, joint_of_landmark
 from pipeline.skeleton.model import INDEX, SKELETON
 
@@ -24,7 +24,7 @@ def skeleton_of(joints: JointSet) -> Articulation:
     return articulate(LENGTHS_M, joints, offsets_m)
 
 
-def anybody(skeleton: Articulation, num_frames: int, seed: int = 0) -> ArticulatedPoses:
+def anybody(skeleton: Articulation, num_frames: int, seed: int = 0) -> Bodies:
     rng = np.random.default_rng(seed)
     rotvec = rng.normal(0.0, 0.4, (num_frames, len(SKELETON), 3))
     quat = Rotation.from_rotvec(rotvec.reshape(-1, 3)).as_quat().reshape(num_frames, len(SKELETON), 4)
@@ -48,7 +48,7 @@ def test_the_jacobian_is_what_differences_say(joints: JointSet) -> None:
     for freedom in range(skeleton.num_freedoms):
         step = np.zeros((2, skeleton.num_freedoms))
         step[:, freedom] = STEP
-        moved = ArticulatedPoses(bodies.root_m.copy(), bodies.local.copy(), bodies.angle_rad.copy())
+        moved = Bodies(bodies.root_m.copy(), bodies.local.copy(), bodies.angle_rad.copy())
         move(moved, skeleton, step)
         difference = (landmarks_of(moved, skeleton) - posed.landmark_m) / STEP
         for landmark in range(len(skeleton.landmark)):
