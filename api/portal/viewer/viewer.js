@@ -149,7 +149,7 @@ export class Viewer {
   #setShown(person, isShown) {
     this.shown[person] = isShown;
     this.view?.setShown(person, isShown);
-    this.wall.follow();
+    this.wall.redraw();
   }
 
   /** Show the frame at the play head, unless it is shown. */

@@ -12,13 +12,16 @@ const MIN_PIXEL_RATIO = 0.5;
 const MEASURED_FRAMES = 8;
 // A longer time between two pictures is a pause: the tab was hidden.
 const PAUSE_MS = 2000;
+// Time without a change after which the view is at rest, and is drawn with all pixels.
+const REST_MS = 250;
 
 export class Stage {
   #needsDraw = true;
   #durations = [];
   #lastDraw = 0;
+  #changedAt = 0; // when a picture was drawn last that had changed
   #largestRatio = Math.min(2, globalThis.devicePixelRatio || 1);
-  #pixelRatio = this.#largestRatio;
+  #pixelRatio = this.#largestRatio; // while the picture changes
   #orbit = null; // what was looked at from where before it was seen through a camera
 
   constructor(canvas, floor) {
@@ -135,16 +138,20 @@ export class Stage {
     this.invalidate();
   }
 
-  /** Draw if something has changed; returns whether it did. */
+  /** Draw if something has changed, or once with all pixels when it is at rest; returns whether it did. */
   draw(now) {
     if (this.controls.enabled) this.controls.update();
-    if (!this.#needsDraw) {
-      this.#lastDraw = 0;
-      return false;
+    if (this.#needsDraw) {
+      this.#needsDraw = false;
+      this.#useRatio(this.#pixelRatio);
+      this.renderer.render(this.scene, this.camera);
+      this.#adapt(now);
+      this.#changedAt = now;
+      return true;
     }
-    this.#needsDraw = false;
+    this.#lastDraw = 0;
+    if (now - this.#changedAt < REST_MS || !this.#useRatio(this.#largestRatio)) return false;
     this.renderer.render(this.scene, this.camera);
-    this.#adapt(now);
     return true;
   }
 
@@ -234,12 +241,14 @@ export class Stage {
     if (this.#durations.length < MEASURED_FRAMES) return;
     const median = this.#durations.sort((a, b) => a - b)[MEASURED_FRAMES >> 1];
     this.#durations = [];
-    let ratio = this.#pixelRatio;
-    if (median > SLOW_MS) ratio = Math.max(MIN_PIXEL_RATIO, ratio * 0.75);
-    else if (median < FAST_MS) ratio = Math.min(this.#largestRatio, ratio * 1.1);
-    if (ratio === this.#pixelRatio) return;
-    this.#pixelRatio = ratio;
+    if (median > SLOW_MS) this.#pixelRatio = Math.max(MIN_PIXEL_RATIO, this.#pixelRatio * 0.75);
+    else if (median < FAST_MS) this.#pixelRatio = Math.min(this.#largestRatio, this.#pixelRatio * 1.1);
+  }
+
+  /** Draw with so many pixels for each of the page from now on; returns whether that is a change. */
+  #useRatio(ratio) {
+    if (ratio === this.renderer.getPixelRatio()) return false;
     this.renderer.setPixelRatio(ratio);
-    this.invalidate();
+    return true;
   }
 }

@@ -17,7 +17,7 @@ export class CameraClock {
   frameAt(timeS) {
     const rows = this.#rows;
     if (rows.length === 0) return null;
-    const halfS = this.#intervalS() / 2;
+    const halfS = this.intervalS / 2;
     if (timeS < rows[0][SESSION] - halfS || timeS > rows.at(-1)[SESSION] + halfS) return null;
     return Math.round(this.#map(timeS, SESSION, FRAME));
   }
@@ -42,8 +42,13 @@ export class CameraClock {
     return this.#map(timeS, SESSION, VIDEO);
   }
 
+  /** Number of the last frame. */
+  get lastFrame() {
+    return this.#rows.at(-1)[FRAME];
+  }
+
   /** Mean interval of the frames. */
-  #intervalS() {
+  get intervalS() {
     const [first, last] = [this.#rows[0], this.#rows.at(-1)];
     return (last[SESSION] - first[SESSION]) / Math.max(1, last[FRAME] - first[FRAME]);
   }

@@ -22,13 +22,23 @@ export class Overlay {
     this.#pixels = new Float64Array(2 * description.joint_names.length);
   }
 
-  /** Begin a picture; returns the size of a pixel of the camera in pixels of the canvas. */
-  clear() {
+  /** Size of the canvas in pixels: that of its place in the page, as measured by `measure`. */
+  get size() {
+    return [this.canvas.width, this.canvas.height];
+  }
+
+  /** Give the canvas the size of its place in the page. */
+  measure() {
     const ratio = Math.min(2, globalThis.devicePixelRatio || 1);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((length) => Math.round(length * ratio));
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    this.#context.clearRect(0, 0, width, height);
-    return width / this.#size[0];
+  }
+
+  /** Begin a picture, from an `ImageData` of the canvas' size or empty; returns the size of a pixel of the camera in pixels of the canvas. */
+  begin(picture = null) {
+    if (picture !== null) this.#context.putImageData(picture, 0, 0);
+    else this.#context.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    return this.canvas.width / this.#size[0];
   }
 
   /** Draw a person's joints, positions in metres. */

