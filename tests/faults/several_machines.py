@@ -24,8 +24,8 @@ from tests.waiting import wait_for
 BROKER_PORT = 6391
 # Longest time until a request is answered at last, beyond all outages.
 ANSWER_S = 300.0
-# Codes of a service that waits for one of its parts.
-OUTAGE_CODES = {"artifacts_unavailable", "database_unavailable"}
+# Codes of requests that are sent again.
+TRY_AGAIN = {"artifacts_unavailable", "database_unavailable", "idempotency_key_busy", "too_many_checks", "checks_busy"}
 
 
 @dataclass
@@ -44,12 +44,11 @@ class SeveralMachines:
         while True:
             with contextlib.suppress(httpx2.TransportError):
                 answer: httpx2.Response = self.client.request(method, path, **request)
-                if answer.status_code == 409 and answer.json()["code"] == "idempotency_key_busy":
-                    answer.status_code = 503  # the first try is still under way
-                elif answer.status_code != 503:
+                if answer.status_code not in {409, 429, 503}:
                     assert answer.status_code < 500, answer.text
                     return answer
-                assert answer.json()["code"] in OUTAGE_CODES, answer.text
+                # Also a request whose first try is still under way, or that waits for others of the tenant.
+                assert answer.json()["code"] in TRY_AGAIN, answer.text
                 assert int(answer.headers["Retry-After"]) > 0
             assert time.monotonic() < deadline_s, f"{method} {path}"
             time.sleep(0.5)

@@ -20,7 +20,6 @@ from typing import Any
 import pytest
 
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.config import ReconstructionConfig
 from pipeline.export.results import write_results
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
@@ -28,6 +27,7 @@ from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.several_machines import SeveralMachines, several_machines
 from tests.pipeline.simulations import write_simulation
+from worker.jobs.spec import JobSpec
 
 pytestmark = pytest.mark.xdist_group("faults")
 
@@ -122,7 +122,8 @@ def expected(take: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[
     found = []
     for spec in SPECS:
         folder = tmp_path_factory.mktemp("expected")
-        write_results(reconstruct(session, ReconstructionConfig(**spec)), folder)
+        config = JobSpec.model_validate(spec).config
+        write_results(reconstruct(session, config), folder, config.exports)
         found.append(digests(folder))
     return found
 
