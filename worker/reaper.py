@@ -112,9 +112,10 @@ class Reaper:
             self._is_broker_away = False
 
     def _plan_again(self) -> None:
+        # Asked first: after an outage of the database workers are listed again one after another.
+        if not self._store.plans.is_run(stage_codes().values()):
+            return  # workers of this version may start later
         for job_id in self._store.plans.unclaimable():
-            if not self._store.plans.is_run(stage_codes().values()):
-                return  # workers of this version may start later
             job = self._store.jobs.get(job_id)
             session = self._store.sessions.get(job.session_id)
             stages = plan_job(
