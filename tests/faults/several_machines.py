@@ -112,6 +112,8 @@ def several_machines(folder: Path) -> Iterator[SeveralMachines]:
             "MULTICAP_ARTIFACTS_URL": s3.new_url(),
             "MULTICAP_PORT": str(port),
             "MULTICAP_NICE": "0",
+            # No outage: other programs of the machine may take its processors.
+            "MULTICAP_PREFLIGHT_TIMEOUT_S": "180",
         }
         options = ["--port", str(BROKER_PORT), "--bind", network.address, "--save", "", "--protected-mode", "no"]
         stack.enter_context(_started([*network.prefix, get_binary_path(), *options], folder / "broker", {}))
