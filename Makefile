@@ -120,7 +120,7 @@ test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones 
 test-slow: test-data  ## Run the slow tests: faults, crowds, distributed services, benchmarks' data (20 minutes)
 	$(PYTEST) -m "$(DESELECTED) and slow"
 
-soak: setup  ## Run 200 jobs, each disturbed by a fault at a random moment (half an hour)
+soak: setup  ## Run 200 jobs disturbed by faults, and 100 rounds of 20 jobs under outages (two hours)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
 
 hostile: setup  ## Send 6,000 damaged and malicious sessions to a service (an hour)
