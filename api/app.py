@@ -83,6 +83,7 @@ def create_app(settings: Settings) -> FastAPI:
             uploads.router,
             calibrations.router,
             sessions.router,
+            calibrations.small,
             sessions.small,
             videos.router,
             thumbnails.router,

@@ -76,6 +76,7 @@ DOCUMENTS: dict[str, Any] = {
     },
     "link": {"scope": "file", "name": "person-1.bvh", "expires_in_s": 900.0},
     "rename": {"name": "Handshake, take 4"},
+    "rename_calibration": {"name": "Studio B, March"},
     "edits": {
         "edits": [
             {"action": "merge", "person": 1, "other": 3},
@@ -173,6 +174,7 @@ _CALIBRATION: dict[str, Any] = {
             "position_m": [0.0, -4.0, 1.5],
         }
     ],
+    "sha256": _SHA256,
     "report": None,
     "error": None,
     "links": {

@@ -1,14 +1,15 @@
 // Frame of the page: signing in, navigation, the view of the address.
 
 import { announce } from "./shared/announce.js";
-import { call, signedOut, useLink } from "./shared/api.js";
+import { call, Problem, signedOut, useLink } from "./shared/api.js";
+import { persistently, reached } from "./shared/away.js";
 import { feed } from "./shared/feed.js";
 import { html, nothing, render } from "./shared/lit.js";
 import { problemBox } from "./shared/problem.js";
 import { currentRoute, replace } from "./shared/router.js";
 import { sending } from "./send/sending.js";
 
-const RETRY_MS = 5000;
+const NEW_MS = 10_000;
 // A guest opened the page by a link to one job, which is all that the link opens.
 const GUEST = { name: null, scopes: [], isGuest: true };
 
@@ -31,8 +32,15 @@ async function navigate({ isFirst = false } = {}) {
   if (caller === null) return;
   if (!(route.name in VIEWS)) return replace(startView());
   const number = ++opening;
-  const module = await VIEWS[route.name]();
-  if (number !== opening) return;
+  const isOver = () => number !== opening;
+  let module;
+  try {
+    module = await persistently(() => load(route.name), { isOver, away: (problem) => showAway(route.name, problem) });
+  } catch (problem) {
+    if (!isOver()) showAway(route.name, problem);
+    return;
+  }
+  if (isOver()) return;
   view?.close();
   const place = document.createElement("div");
   place.className = `view view-${route.name}`;
@@ -44,6 +52,37 @@ async function navigate({ isFirst = false } = {}) {
   if (isFirst) return;
   at("view").focus({ preventScroll: true });
   announce(view.title);
+}
+
+// Module of a view. A browser that could not load a module may keep that for good; the page is then loaded anew, unless it is
+// new itself, or has files that would have to be chosen again.
+async function load(name) {
+  try {
+    return await VIEWS[name]();
+  } catch {
+    if (!await reached()) throw new Problem(null);
+    if (sending.rows.length || performance.now() < NEW_MS) throw new Problem({ detail: "The view can't be loaded. Reload the page.", hint: "The files have to be chosen again." }, 500);
+    location.reload();
+    return new Promise(() => {});
+  }
+}
+
+// Say that a view can't be loaded yet.
+function showAway(name, problem) {
+  view?.close();
+  view = null;
+  const [, label] = NAV.find(([to]) => to === name) ?? [name, "Job"];
+  showPlace((place) => render(html`<h1 class="title">${label}</h1>${problemBox(problem)}`, place));
+  showNav(name);
+  document.title = `${label} · Multicap`;
+}
+
+// Fill the page anew.
+function showPlace(fill) {
+  const place = document.createElement("div");
+  place.className = "view";
+  at("view").replaceChildren(place);
+  fill(place);
 }
 
 function linkOf(route) {
@@ -138,13 +177,11 @@ async function enter() {
   const secret = linkOf(route);
   if (secret !== null) return enterByLink(route, secret);
   try {
-    caller = await call("/v1/caller");
+    const away = (problem) => showPlace((place) => render(problemBox(problem), place));
+    caller = await persistently(() => call("/v1/caller"), { away });
   } catch (problem) {
     if (problem.status === 401) return showEntrance();
-    const place = document.createElement("div");
-    at("view").replaceChildren(place);
-    render(problemBox(problem), place);
-    setTimeout(enter, RETRY_MS);
+    showPlace((place) => render(problemBox(problem), place));
     return;
   }
   await feed.start();
@@ -152,6 +189,8 @@ async function enter() {
   showStatus();
   if (caller.scopes.includes("write")) sending.resume();
   await navigate({ isFirst: true });
+  // The other views are there when they are opened, also without a connection.
+  for (const open of Object.values(VIEWS)) open().catch(() => null);
 }
 
 const openedBy = linkOf(currentRoute());

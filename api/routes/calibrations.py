@@ -1,23 +1,26 @@
-"""Calibrations: send a file, make one from a board or from people, list, read, download, delete."""
+"""Calibrations: send a file, make one from a board or from people, list, read, download, rename, delete."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
 from urllib.parse import quote
 
-from fastapi import APIRouter, Query, Request, Response, status
+from fastapi import APIRouter, Body, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
+from api.contract import examples
 from api.contract.description import RETRY_AFTER, answer, calibration_body, location, problems
 from api.dependencies import POLL_AFTER_S, CalibrationId, Cursor, Limit, Services, ServicesDep
 from api.errors import ApiError
-from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
+from api.requests.bodies import SmallBodyRoute
 from api.requests.calibration_intake import CheckedCalibration, ReadFile, check_calibration
 from api.requests.form import CALIBRATION_FORM
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import SPEC, received, stored
 from api.schemas.calibrations import (
     MEDIA_TYPES,
+    CalibrationChanges,
     CalibrationOut,
     CalibrationPage,
     Format,
@@ -32,6 +35,8 @@ from worker.planning import plan_job
 from worker.telemetry import tracing
 
 router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
+# A route that takes JSON; the form has its own limits.
+small = APIRouter(prefix="/v1/calibrations", tags=["calibrations"], route_class=SmallBodyRoute)
 
 _ONE = answer("Calibration")
 _LOCATION = {"headers": {"Location": location("calibration", "/v1/calibrations/{calibration_id}")}}
@@ -130,6 +135,29 @@ def get_calibration_file(
     name = quote(f"{calibration.name}.{ending}", safe="")
     headers = {"Cache-Control": "private, no-cache", "Content-Disposition": f"attachment; filename*=utf-8''{name}"}
     return Response(calibration.files[file_format], headers=headers, media_type=media_type)
+
+
+@small.patch(
+    "/{calibration_id}",
+    operation_id="renameCalibration",
+    summary="Rename a calibration",
+    response_model=CalibrationOut,
+    responses={200: _ONE | {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
+)
+def rename_calibration(
+    calibration_id: CalibrationId,
+    changes: Annotated[
+        CalibrationChanges, Body(openapi_examples={"default": {"value": examples.DOCUMENTS["rename_calibration"]}})
+    ],
+    records: RecordsDep,
+    if_match: IfMatch = None,
+) -> Response:
+    """Rename a calibration. With `If-Match`, only an unchanged one."""
+    with records.transaction() as work:
+        if if_match is not None:
+            require_match(CalibrationOut.of(work.calibrations.get(calibration_id)), if_match)
+        calibration = work.calibrations.rename(calibration_id, changes.name)
+    return conditional(CalibrationOut.of(calibration), None)
 
 
 @router.delete(

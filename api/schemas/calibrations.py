@@ -1,5 +1,6 @@
 """Bodies of requests for calibrations, and of their responses, as Pydantic models."""
 
+import hashlib
 import json
 from typing import Annotated, Any, Literal, Self
 from uuid import UUID
@@ -130,6 +131,16 @@ class UploadedCalibration(UploadedFiles, CalibrationSpec):
         return [*super().uploads(), *images, *((part, one) for part, one in single if one is not None)]
 
 
+class CalibrationChanges(BaseModel):
+    """Changes of a calibration. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
+        min_length=1, max_length=200, description="Name of the calibration for people."
+    )
+
+
 class CalibratedCamera(ResponseModel):
     """Camera of a calibration: x = K (R X + t), with OpenCV's distortion."""
 
@@ -167,6 +178,10 @@ class CalibrationOut(ResponseModel):
     )
     warnings: tuple[str, ...] = Field(description="Warnings about the file, or of the report.")
     cameras: tuple[CalibratedCamera, ...] = Field(description="Cameras; none until the calibration is ready.")
+    sha256: str | None = Field(
+        description="SHA-256 of the file in Multicap's format: calibrations with equal cameras have equal ones. Null "
+        "until the calibration is ready."
+    )
     report: dict[str, Any] | None = Field(
         description="Report of a calibration that was made: errors and views by camera, the world, warnings."
     )
@@ -189,6 +204,7 @@ class CalibrationOut(ResponseModel):
             source={name: value for name, value in calibration.source.items() if name != "notes"},
             warnings=(*notes, *(warning["message"] for warning in found)),
             cameras=() if calibration.files is None else _cameras(calibration.files["multicap"]),
+            sha256=calibration.files and hashlib.sha256(calibration.files["multicap"].encode()).hexdigest(),
             report=None if calibration.report is None else dict(calibration.report),
             error=JobError.of(calibration.problem) if calibration.problem else None,
             links=CalibrationLinks(

@@ -44,12 +44,9 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
     choose(page, *sample.videos.values(), sample.calibration)
     expect(page.get_by_label("Camera of cam02.mp4")).to_have_value("cam02", timeout=60_000)
     page.get_by_role("button", name="Send and reconstruct").click()
-    latest = page.get_by_role("region", name="Latest").get_by_role("listitem").first
-    expect(latest).to_contain_text("<b>Take</b> 1", timeout=60_000)
-    expect(latest.get_by_text("Running")).to_be_visible(timeout=60_000)
-    expect(latest.get_by_text("Done, with warnings", exact=True)).to_be_visible(timeout=240_000)
-    latest.get_by_role("link", name="<b>Take</b> 1").click()
-    expect(page.get_by_role("heading", name="<b>Take</b> 1", level=1)).to_be_visible()
+    expect(page.get_by_role("heading", name="<b>Take</b> 1", level=1)).to_be_visible(timeout=60_000)
+    expect(page.get_by_text("Running").first).to_be_visible(timeout=60_000)
+    expect(page.get_by_text("Done, with warnings", exact=True)).to_be_visible(timeout=240_000)
     files = page.get_by_role("region", name="Files")
     found, packed = {}, {}
     expect(files.get_by_role("link", name="All as ZIP")).to_be_visible()

@@ -80,18 +80,19 @@ def test_dropped_files_become_a_capture_with_files_to_download(page: Page, keypo
     assert bottom(send) <= 800
     page.get_by_role("radio", name="Unreal Engine").check()
     send.click()
-    expect(latest(page)).to_contain_text("Dropped", timeout=60_000)
-    assert page.evaluate("scrollY") >= 0
-    assert bottom(latest(page)) <= 800  # seen without scrolling
-    expect(latest(page).get_by_text("Done")).to_be_visible(timeout=120_000)
-    # Ready for the next take: the same cameras and choices, no files.
-    expect(page.get_by_text("Drop the videos")).to_be_visible()
-    expect(page.get_by_label("Stored calibration")).not_to_have_value("")
-    expect(page.get_by_role("radio", name="Unreal Engine")).to_be_checked()
-    latest(page).get_by_role("link", name="Dropped").click()
+    # The page of the new job opens.
+    expect(page).to_have_url(re.compile("#/jobs/"), timeout=60_000)
+    expect(page.get_by_role("heading", name="Dropped", level=1)).to_be_visible()
+    expect(page.get_by_text("Done").first).to_be_visible(timeout=120_000)
     with page.expect_download() as download:
         page.get_by_role("link", name=re.compile(r"\.bvh")).first.click()
     assert download.value.path().read_text().startswith("HIERARCHY\nROOT pelvis")
+    # Ready for the next take: the same cameras and choices, no files.
+    page.get_by_role("link", name="New capture").click()
+    expect(latest(page)).to_contain_text("Dropped")
+    expect(page.get_by_text("Drop the videos")).to_be_visible()
+    expect(page.get_by_label("Stored calibration")).not_to_have_value("")
+    expect(page.get_by_role("radio", name="Unreal Engine")).to_be_checked()
 
 
 def test_another_run_uploads_nothing(page: Page, served: Served, keypoints: dict[str, Path]) -> None:

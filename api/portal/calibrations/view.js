@@ -2,6 +2,7 @@
 
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
+import { persistently } from "../shared/away.js";
 import { confirm } from "../shared/dialog.js";
 import { feed } from "../shared/feed.js";
 import { moment } from "../shared/format.js";
@@ -29,7 +30,8 @@ export function open(place, route, caller) {
   async function load() {
     clearTimeout(timer);
     try {
-      calibrations = (await call(`/v1/calibrations?limit=${MOST}`)).calibrations;
+      const away = (refused) => { problem = refused; draw(); };
+      calibrations = (await persistently(() => call(`/v1/calibrations?limit=${MOST}`), { isOver: () => isClosed, away })).calibrations;
       problem = null;
     } catch (refused) {
       problem = refused;

@@ -1,6 +1,7 @@
 // Motion of a job in the view Look: the viewer, and another job of the capture beside it.
 
-import { addressed, call } from "../shared/api.js";
+import { addressed, call, Problem } from "../shared/api.js";
+import { persistently, reached } from "../shared/away.js";
 import { moment } from "../shared/format.js";
 import { html, nothing, render } from "../shared/lit.js";
 import { problemBox } from "../shared/problem.js";
@@ -57,12 +58,8 @@ export class Motion extends EventTarget {
     this.#chosen = other;
     const number = this.#number;
     try {
-      const [{ mount, mountPair }, { ApiSource }] = await Promise.all([import("../viewer/mount.js"), import("../viewer/source.js")]);
-      const { cameras } = this.session.preflight;
-      const sourceOf = ({ id }) => new ApiSource(id, cameras, addressed);
-      const viewer = other === null
-        ? await mount(this.stage, sourceOf(this.job))
-        : await mountPair(this.stage, [this.job, other].map(sourceOf), [this.job, other].map(titleOf));
+      const isOver = () => number !== this.#number;
+      const viewer = await persistently(() => this.#mounted(other), { isOver, away: (problem) => this.#tell(problem) });
       if (number !== this.#number) return viewer.close();
       this.#viewer = viewer;
       if (before !== null) viewer.resume(before);
@@ -70,10 +67,30 @@ export class Motion extends EventTarget {
       viewer.player.addEventListener("time", () => this.#moved());
       this.#moved();
     } catch (problem) {
-      if (number === this.#number) render(problemBox(problem), this.stage);
+      if (number === this.#number) this.#tell(problem);
     } finally {
       if (number === this.#number) this.stage.style.minHeight = "";
     }
+  }
+
+  // Viewer of the job, or of it and another one.
+  async #mounted(other) {
+    try {
+      const [{ mount, mountPair }, { ApiSource }] = await Promise.all([import("../viewer/mount.js"), import("../viewer/source.js")]);
+      const { cameras } = this.session.preflight;
+      const sourceOf = ({ id }) => new ApiSource(id, cameras, addressed);
+      return other === null
+        ? await mount(this.stage, sourceOf(this.job))
+        : await mountPair(this.stage, [this.job, other].map(sourceOf), [this.job, other].map(titleOf));
+    } catch (error) {
+      throw await reached() ? error : new Problem(null);
+    }
+  }
+
+  #tell(problem) {
+    const place = document.createElement("div");
+    this.stage.replaceChildren(place);
+    render(problemBox(problem), place);
   }
 
   #moved() {

@@ -1,6 +1,7 @@
 // View Look: one job, its motion, its people, its files and its public links. A guest, who has a link alone, reads only.
 
 import { call } from "../shared/api.js";
+import { persistently } from "../shared/away.js";
 import { feed } from "../shared/feed.js";
 import { factsOf, hasEnded, stateOf } from "../shared/jobs.js";
 import { html, nothing, render } from "../shared/lit.js";
@@ -44,15 +45,26 @@ class Look {
   async start() {
     feed.addEventListener("change", this.onFeed);
     this.draw();
-    try {
+    await this.#persist(async () => {
       this.job = feed.jobs.get(this.id) ?? await call(`/v1/jobs/${encodeURIComponent(this.id)}`);
       document.title = `${this.job.session_name} · Multicap`;
       [this.session, this.options] = await Promise.all([call(this.job.links.session), this.caller.isGuest ? null : readOptions()]);
       await this.#showResults();
-    } catch (problem) {
+    });
+  }
+
+  // Load what the view needs, again until the service answers.
+  async #persist(load) {
+    const show = (problem) => {
       this.problem = problem;
+      this.draw();
+    };
+    try {
+      await persistently(load, { isOver: () => this.#isClosed, away: show });
+      show(null);
+    } catch (problem) {
+      show(problem);
     }
-    this.draw();
   }
 
   close() {
@@ -67,7 +79,7 @@ class Look {
     const job = feed.jobs.get(this.id);
     if (!job || job === this.job) return;
     this.job = job;
-    this.#showResults().catch((problem) => { this.problem = problem; this.draw(); });
+    this.#persist(() => this.#showResults());
     this.draw();
   }
 
@@ -78,6 +90,15 @@ class Look {
     await this.#panel?.follow(job);
     if (job.state !== "succeeded" || this.session === null || this.#viewed === `${job.attempt}`) return;
     this.#viewed = `${job.attempt}`;
+    try {
+      await this.#openResults(job);
+    } catch (problem) {
+      this.#viewed = "";
+      throw problem;
+    }
+  }
+
+  async #openResults(job) {
     this.results = (await call(job.links.results)).results;
     this.draw();
     if (job.kind !== "reconstruction") return;

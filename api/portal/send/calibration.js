@@ -16,29 +16,30 @@ function factsOf(calibration) {
   return facts.join(" · ");
 }
 
-export function calibrationPart({ sending, stored, choose, sendFile, isLocked }) {
+export function calibrationPart({ sending, stored, choose, readFile, isLocked }) {
   const ready = stored.filter(({ state, report }) => state === "ready" && report?.has_extrinsics !== false);
-  const chosen = sending.calibration;
+  const { rig } = sending;
+  const chosen = sending.capture.calibration;
   // The list may be older than the chosen calibration.
-  const listed = chosen && !ready.some(({ id }) => id === chosen.id) ? [chosen, ...ready] : ready;
+  const listed = rig.id && !ready.some(({ id }) => id === rig.id) ? [{ id: rig.id, name: rig.name ?? "…" }, ...ready] : ready;
   return html`
     <div class="pair">
       <label class="field"><span>Stored calibration</span>
-        <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value)}>
-          <option value="" .selected=${live(!chosen)}>${listed.length ? "Choose …" : "None is stored yet"}</option>
-          ${listed.map(({ id, name }) => html`<option value=${id} .selected=${live(id === sending.draft.calibrationId)}>${name}</option>`)}
+        <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value, event.target.selectedOptions[0].label)}>
+          <option value="" .selected=${live(!rig.id)}>${listed.length ? "Choose …" : "None is stored yet"}</option>
+          ${listed.map(({ id, name }) => html`<option value=${id} .selected=${live(id === rig.id)}>${name}</option>`)}
         </select>
       </label>
       <label class="field"><span>Or a calibration file</span>
         <input type="file" accept=${ACCEPTED_CALIBRATIONS} ?disabled=${isLocked}
-          @change=${(event) => { if (event.target.files.length) sendFile(event.target.files[0]); event.target.value = ""; }}>
+          @change=${(event) => { if (event.target.files.length) readFile(event.target.files[0]); event.target.value = ""; }}>
       </label>
     </div>
-    ${sending.isReadingCalibration ? html`<p class="notice" role="status">Checking the calibration …</p>` : nothing}
+    ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">Checking the calibration …</span></p>` : nothing}
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${factsOf(chosen)}</span></p>
       ${warningList(chosen.warnings, "Warnings about the calibration")}` : nothing}
-    ${sending.calibrationFile ? html`<label class="field unit"><span>Unit of length, if the file does not state it</span>
-      <select ?disabled=${isLocked} @change=${(event) => sendFile(sending.calibrationFile.file, event.target.value)}>
-        ${UNITS.map(([unit, label]) => html`<option value=${unit} .selected=${live(unit === sending.calibrationFile.units)}>${label}</option>`)}</select></label>` : nothing}
+    ${rig.file ? html`<label class="field unit"><span>Unit of length, if the file does not state it</span>
+      <select ?disabled=${isLocked} @change=${(event) => readFile(rig.file, event.target.value)}>
+        ${UNITS.map(([unit, label]) => html`<option value=${unit} .selected=${live(unit === rig.units)}>${label}</option>`)}</select></label>` : nothing}
     <p class="quiet">No calibration yet? <a href="#/calibrations">Make one from footage of a board or of people.</a></p>`;
 }

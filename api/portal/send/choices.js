@@ -22,6 +22,19 @@ function offered(choice, spec, options) {
   return choice.values.filter(({ name }) => !lacks.get(name));
 }
 
+// Part of a spec that the form shows: values that can't be had here, such as a network that was removed since, are left out.
+export function shownSpec(spec, options) {
+  const shown = {};
+  for (const choice of options.choices) {
+    if (!(choice.name in spec)) continue;
+    const names = offered(choice, { ...spec, ...shown }, options).map(({ name }) => name);
+    const value = spec[choice.name];
+    if (choice.kind === "several") shown[choice.name] = value.filter((name) => names.includes(name));
+    else if (choice.kind !== "one" || names.includes(value)) shown[choice.name] = value;
+  }
+  return shown;
+}
+
 // Value that a choice has in a spec: the default if it is not set.
 export const valueOf = (choice, spec) => (choice.name in spec ? spec[choice.name] : choice.default);
 

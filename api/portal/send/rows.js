@@ -32,7 +32,7 @@ function cameraField(row, sending, change, isLocked) {
 }
 
 export function fileTable({ sending, change, remove }) {
-  const isLocked = sending.phase !== "draft" && sending.phase !== "sending" && sending.phase !== "paused";
+  const { isLocked } = sending;
   const hasVideos = sending.rows.some(({ kind }) => kind === "video");
   return html`<div class="scroll" role="group" aria-label="Files" tabindex="0"><table class="files">
     <caption class="unseen">Files of the capture</caption>

@@ -11,20 +11,30 @@ async function fetchFile({ name, link, media_type: type }) {
   return new File([await response.blob()], name, { type, lastModified: 0 });
 }
 
+async function fetchSample() {
+  const sample = await call("/v1/sample");
+  if (!sample.installed) {
+    throw new Problem({ detail: "The sample capture is not installed on the service.", hint: sample.install });
+  }
+  return { ...sample, files: await Promise.all(sample.files.map(fetchFile)) };
+}
+
+// Add the sample to the capture; false if other files were chosen meanwhile.
+async function addSample(sending) {
+  const { files, attribution } = await fetchSample();
+  if (sending.rows.length) return false;
+  sending.draft.name ||= "Sample capture";
+  await sending.add(files);
+  sending.notes.push(attribution);
+  return true;
+}
+
 export function sampleButton({ sending, draw, failed }) {
   const load = async () => {
     isLoading = true;
     draw();
     try {
-      const sample = await call("/v1/sample");
-      if (!sample.installed) {
-        throw new Problem({ detail: "The sample capture is not installed on the service.", hint: sample.install });
-      }
-      const files = await Promise.all(sample.files.map(fetchFile));
-      sending.draft.name ||= "Sample capture";
-      await sending.add(files);
-      sending.notes.push(sample.attribution);
-      await sending.send();
+      if (await sending.reading("the sample capture", addSample(sending))) await sending.send();
     } catch (problem) {
       failed(problem);
     } finally {

@@ -3,29 +3,35 @@
 
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
+import { persistently } from "../shared/away.js";
 import { feed } from "../shared/feed.js";
 import { count, percent } from "../shared/format.js";
-import { storedCalibration } from "./calibration_file.js";
-import { emptyDraft, isSame, loadDraft, rowOf, saveDraft } from "./draft.js";
-import { kindOf, matchCameras } from "./files.js";
-import { sessionBody } from "./session_body.js";
+import { readOptions } from "../shared/options.js";
+import { captureOf, jobBody, sessionBody } from "./capture.js";
+import { addFiles } from "./chosen_files.js";
+import { emptyDraft, loadDraft, saveDraft } from "./draft.js";
+import { faultsOf } from "./faults.js";
+import { matchCameras } from "./files.js";
+import { Rig } from "./rig.js";
 import { Uploads } from "./uploads.js";
 
-const MIN_CAMERAS = 2;
 const SAVE_MS = 300;
 const STILL_CHECKING_MS = 1500;
+const BUSY = ["restoring", "waiting", "sending", "checking", "starting"];
+const LOCKED = ["restoring", "checking", "checked", "starting"];
 
 class Sending extends EventTarget {
   draft = loadDraft();
-  calibration = null; // the chosen one, with its cameras
-  calibrationFile = null; // its file and the unit of length, if it was chosen as a file
-  phase = "draft"; // draft, sending, paused, checking, checked, starting
+  rig = new Rig(() => { this.assignCameras(); this.changed(); });
+  options = null; // choices that the service offers
+  phase = "draft"; // draft, waiting, sending, paused, restoring, checking, checked, starting
   problem = null;
-  isReadingCalibration = false; // whether a calibration file is being checked
   notes = []; // about files that were dropped
   session = null; // once the files are checked
-  lastJob = null; // job of the capture sent last
   #uploads = new Uploads(() => this.changed());
+  #reading = new Map(); // what is being read and has to be there before the capture is sent, as words by promise
+  #press = 0; // number of the last press of Send or Pause, so that a former one does not go on
+  #round = 0; // number of the draft, so that what was read for a former one is left out
   #saveTimer = 0;
   #frame = 0;
   #isResumed = false;
@@ -34,15 +40,25 @@ class Sending extends EventTarget {
   async resume() {
     if (this.#isResumed) return;
     this.#isResumed = true;
-    if (this.draft.calibrationId) await this.chooseCalibration(this.draft.calibrationId).catch(() => null);
-    if (this.draft.request) await this.#check().catch((problem) => this.#fail(problem));
-    else if (this.draft.sessionId) await this.#recall();
+    const { calibrationId, request, sessionId } = this.draft;
+    if (calibrationId) this.#recallCalibration(calibrationId);
+    if (!request && !sessionId) return;
+    this.#go("restoring");
+    if (request) await this.#check().catch((problem) => this.#fail(problem));
+    else await this.#recall();
+  }
+
+  // Calibration of the last capture, unless it was deleted since.
+  async #recallCalibration(id) {
+    await this.chooseCalibration(id);
+    if (this.rig.problem?.status === 404) this.rig.choose(null);
   }
 
   // A capture that was checked before the page was loaded anew.
   async #recall() {
     try {
-      this.session = await call(`/v1/sessions/${this.draft.sessionId}`);
+      this.session = await persistently(() => call(`/v1/sessions/${this.draft.sessionId}`), { away: (problem) => this.#show(problem) });
+      this.problem = null;
       this.#go("checked");
     } catch {
       this.clear();
@@ -50,11 +66,20 @@ class Sending extends EventTarget {
   }
 
   get rows() { return this.draft.rows; }
-  get used() { return this.rows.filter((row) => row.isUsed); }
-  get isBusy() { return ["sending", "checking", "starting"].includes(this.phase); }
+  get capture() { return captureOf(this); }
+  get used() { return this.capture.files; }
+  get isBusy() { return BUSY.includes(this.phase); }
+  get isLocked() { return LOCKED.includes(this.phase); }
+  // Files that the check refused may be replaced at once.
+  get takesFiles() { return !this.isLocked || (this.phase === "checked" && hasErrors(this.session)); }
   // Files that were being sent when the page was closed, and have to be chosen again.
   get missing() { return this.used.filter((row) => row.file === null && !row.isSent); }
   get isGuessed() { return this.#match().isGuess; }
+
+  // What Send waits for, as words.
+  get unread() {
+    return [...new Set([...this.#reading.values(), ...(this.rig.isReading ? [`the calibration ${this.rig.name ?? ""}`] : [])])];
+  }
 
   // Text about a running upload for other views; null without one.
   progress() {
@@ -71,6 +96,7 @@ class Sending extends EventTarget {
   changed() {
     // Not postponed by later changes: a running upload reports its progress all the time.
     this.#saveTimer ||= setTimeout(() => this.save(), SAVE_MS);
+    this.dispatchEvent(new Event("state")); // at once, also while the page is hidden
     if (this.#frame) return;
     this.#frame = requestAnimationFrame(() => {
       this.#frame = 0;
@@ -81,62 +107,79 @@ class Sending extends EventTarget {
   save() {
     clearTimeout(this.#saveTimer);
     this.#saveTimer = 0;
+    this.draft.calibrationId = this.rig.id ?? (this.#isResumed ? null : this.draft.calibrationId);
     saveDraft(this.draft);
   }
 
-  async add(files) {
-    this.notes = [];
-    this.problem = null;
-    const calibrations = [];
-    const others = [];
-    for (const file of files) {
-      const kind = await kindOf(file);
-      if (kind === "calibration") calibrations.push(file);
-      else if (kind === null) others.push(file.name);
-      else this.#addRow(file, kind);
-    }
-    if (calibrations.length > 1) {
-      this.notes.push(`Several files may be the calibration: ${calibrations.map(({ name }) => name).join(", ")}. The first is used.`);
-    }
-    if (others.length) this.notes.push(`Left out: ${others.join(", ")}. A capture has videos, or zips of images or of keypoints, and a calibration.`);
-    if (!this.draft.name && this.rows.length) this.draft.name = folderOf(files) ?? "";
-    this.assignCameras();
-    announce(`${count(this.rows.length, "file")} chosen`);
+  // Note that something is being read for the capture, under a name for people. Send waits until it is there.
+  reading(words, promise) {
+    this.#reading.set(promise, words);
     this.changed();
-    if (calibrations.length) await this.sendCalibration(calibrations[0]);
+    const end = () => {
+      this.#reading.delete(promise);
+      this.changed();
+    };
+    promise.then(end, end);
+    return promise;
+  }
+
+  // Read the choices that the service offers.
+  loadOptions() {
+    const load = async () => {
+      this.options = await persistently(readOptions, { away: (problem) => this.#show(problem) });
+      if (this.problem?.isAway) this.problem = null;
+    };
+    return this.reading("the choices", load());
+  }
+
+  // Add files, or those that a promise gives. They are left out if the draft is cleared before they are read.
+  async add(files) {
+    await this.reading("the chosen files", this.#add(files));
     if (this.draft.wasSending && this.missing.length === 0 && this.phase === "draft") await this.send();
   }
 
-  #addRow(file, kind) {
-    const known = this.rows.findIndex((row) => isSame(row, file));
-    const facts = { name: file.name, size: file.size, modified: file.lastModified, kind };
-    if (known >= 0) {
-      const row = this.rows[known];
-      if (row.file === null) this.rows[known] = rowOf({ ...facts, ...pick(row) }, file);
-      return;
-    }
-    if (this.rows.some((row) => row.name === file.name)) {
-      this.notes.push(`Two files have the name ${file.name}. Rename one of them.`);
-      return;
-    }
-    this.rows.push(rowOf(facts, file));
+  async #add(read) {
+    const round = this.#round;
+    const isOver = () => round !== this.#round;
+    const files = await read;
+    if (isOver()) return;
+    if (this.phase === "checked") await this.reopen();
+    this.notes = [];
+    this.problem = null;
+    const calibration = await addFiles(this.draft, files, { notes: this.notes, forget: (row) => this.#forget(row), isOver });
+    if (isOver()) return;
+    this.assignCameras();
+    announce(`${count(this.rows.length, "file")} chosen`);
+    this.changed();
+    if (calibration) this.readCalibration(calibration);
+  }
+
+  #forget(row) {
+    this.#uploads.forget(row);
+    if (row.preview) URL.revokeObjectURL(row.preview);
   }
 
   removeRow(row) {
-    this.#uploads.forget(row);
-    if (row.preview) URL.revokeObjectURL(row.preview);
-    this.draft.rows = this.rows.filter((one) => one !== row);
+    this.#forget(row);
+    this.draft.rows = this.rows.filter((other) => other !== row);
     this.changed();
   }
 
   clear() {
     this.#uploads.stop();
-    for (const row of this.rows) this.removeRow(row);
-    this.draft = emptyDraft(this.#kept);
-    this.phase = "draft";
+    for (const row of this.rows) this.#forget(row);
+    this.#begin();
+  }
+
+  // Begin the next draft. The next take has the same cameras and, most often, the same choices.
+  #begin() {
+    this.#round += 1;
+    this.#press += 1;
+    const { clock, frameRate_hz, spec } = this.draft;
+    this.draft = emptyDraft({ clock, frameRate_hz, spec, calibrationId: this.rig.id });
     this.session = this.problem = null;
     this.notes = [];
-    this.changed();
+    this.#go("draft");
   }
 
   #match() {
@@ -144,82 +187,53 @@ class Sending extends EventTarget {
     return matchCameras(names, this.cameraNames);
   }
 
-  get cameraNames() { return this.calibration?.cameras.map(({ name }) => name) ?? []; }
+  get cameraNames() { return this.rig.record?.cameras.map(({ name }) => name) ?? []; }
 
   // Give a camera to files that have none, by their names.
   assignCameras() {
     const names = this.cameraNames;
-    if (names.length === 0) return;
+    if (names.length === 0 || this.isLocked) return;
     const { matched } = this.#match();
     for (const row of this.rows) {
       if (row.kind === "timestamps") continue;
       if (!names.includes(row.camera)) row.camera = null;
-      const isFree = (camera) => !this.rows.some((one) => one !== row && one.camera === camera);
+      const isFree = (camera) => !this.rows.some((other) => other !== row && other.camera === camera);
       const camera = matched.get(row.name);
-      if (row.camera === null && camera && isFree(camera)) row.camera = camera;
+      if (row.camera === null && camera && isFree(camera)) this.assign(row, { camera });
     }
   }
 
-  async chooseCalibration(id) {
-    this.draft.calibrationId = id || null;
-    this.calibrationFile = null;
-    this.calibration = null;
-    this.changed();
-    if (!id) return;
-    try {
-      this.calibration = await call(`/v1/calibrations/${id}`);
-    } catch (problem) {
-      if (problem.status === 404) this.draft.calibrationId = null;
-      throw problem;
-    } finally {
-      this.assignCameras();
-      this.changed();
-    }
+  chooseCalibration(id, name = null) {
+    return this.#readRig(this.rig.choose(id, name));
   }
 
-  // Store a calibration file, which checks it; the capture names it by its id.
-  async sendCalibration(file, units = "m") {
+  readCalibration(file, units) {
+    return this.#readRig(this.rig.readFile(file, units));
+  }
+
+  async #readRig(read) {
     this.problem = null;
-    this.isReadingCalibration = true;
-    this.changed();
-    try {
-      this.calibration = await storedCalibration(file, units);
-      this.calibrationFile = { file, units };
-      this.draft.calibrationId = this.calibration.id;
-      announce(`Calibration with ${count(this.calibration.cameras.length, "camera")}`);
-      this.assignCameras();
-    } catch (problem) {
-      this.problem = problem;
-    }
-    this.isReadingCalibration = false;
-    this.changed();
-  }
-
-  // What keeps the capture from being sent, as sentences.
-  faults() {
-    const faults = [];
-    const views = this.used.filter(({ kind }) => kind !== "timestamps");
-    if (views.length < MIN_CAMERAS) faults.push(`Add the videos of at least ${MIN_CAMERAS} cameras.`);
-    if (!this.calibration) faults.push("Choose or add the calibration of the cameras.");
-    if (this.missing.length) faults.push(`Choose again: ${this.missing.map(({ name }) => name).join(", ")}.`);
-    if (!this.calibration) return faults;
-    const without = views.filter((row) => row.camera === null);
-    if (without.length) faults.push(`Give a camera to ${without.map(({ name }) => name).join(", ")}, or leave it out.`);
-    const twice = views.filter((row) => row.camera && views.some((one) => one !== row && one.camera === row.camera));
-    if (twice.length) faults.push(`One camera has two files: ${twice.map(({ name }) => name).join(", ")}.`);
-    return faults;
+    await read;
+    const { record, isReading } = this.rig;
+    if (record && !isReading) announce(`Calibration with ${count(record.cameras.length, "camera")}`);
   }
 
   // Change a file's camera, timing or use.
   assign(row, facts) {
     // A zip of keypoints has the name of its camera from the start of its upload.
-    if (row.kind === "keypoints" && "camera" in facts && row.url) this.#uploads.forget(row);
+    if (row.kind === "keypoints" && "camera" in facts && (row.url || row.isActive)) this.#uploads.forget(row);
     Object.assign(row, facts);
     this.changed();
   }
 
+  // Wait for all that is being read, also for what is chosen meanwhile.
+  async #settle() {
+    while (this.unread.length) await new Promise((resolve) => { this.addEventListener("state", resolve, { once: true }); });
+  }
+
   #isComplete() {
-    const faults = this.faults();
+    const faults = faultsOf(this.capture, this.rig);
+    if (!this.options) faults.push("The choices could not be loaded. Reload the page.");
     if (faults.length === 0) return true;
     this.problem = { message: "The capture is not complete.", items: faults.map((message) => ({ message })) };
     this.draft.wasSending = false;
@@ -227,20 +241,29 @@ class Sending extends EventTarget {
     return false;
   }
 
+  // Send what the page shows, once all of it is read.
   async send({ isCheckOnly = false } = {}) {
-    if (this.isBusy) return;
-    this.problem = this.lastJob = null;
-    if (!this.#isComplete()) return;
+    if (this.isBusy || this.phase === "checked") return;
+    const press = ++this.#press;
+    const isOver = () => press !== this.#press;
+    this.problem = null;
     try {
-      this.#go("sending");
-      this.draft.wasSending = true;
-      if (!await this.#uploads.send(() => this.used)) return;
-      if (!this.#isComplete()) return; // it may have been changed meanwhile
-      this.draft.request = { body: sessionBody(this.draft), key: newKey(), isCheckOnly };
+      do {
+        this.#go("waiting");
+        await this.#settle();
+        if (isOver() || !this.#isComplete()) return;
+        this.draft.wasSending = true;
+        this.#go("sending");
+        await persistently(() => this.#uploads.send(() => this.used), { isOver, away: (problem) => this.#show(problem) });
+        if (isOver()) return;
+      } while (this.unread.length || this.used.some(({ isSent }) => !isSent)); // it was changed meanwhile
+      if (!this.#isComplete()) return;
+      this.problem = null;
+      this.draft.request = { body: sessionBody(this.capture), key: newKey(), isCheckOnly };
       announce("All files are sent. They are being checked.");
       await this.#check();
     } catch (problem) {
-      this.#fail(problem);
+      if (!isOver()) this.#fail(problem);
     }
   }
 
@@ -259,10 +282,14 @@ class Sending extends EventTarget {
     announce(hasErrors(this.session) ? "The check found errors." : "The files are checked.");
   }
 
+  // Answer to a POST, which is sent again with its key while the service is away or still at it.
   async #answered(path, body, key) {
     for (;;) {
       try {
-        return await call(path, { method: "POST", body, headers: { "Idempotency-Key": key } });
+        const request = () => call(path, { method: "POST", body, headers: { "Idempotency-Key": key } });
+        const answer = await persistently(request, { away: (problem) => this.#show(problem) });
+        this.problem = null;
+        return answer;
       } catch (problem) {
         if (problem.code !== "idempotency_key_busy") throw problem;
         await new Promise((resolve) => { setTimeout(resolve, STILL_CHECKING_MS); });
@@ -275,32 +302,22 @@ class Sending extends EventTarget {
     this.problem = null;
     this.#go("starting");
     try {
-      this.#sent(await call(this.session.links.jobs, { method: "POST", body: { sync: "declared", ...this.draft.spec } }));
+      if (!this.options) await this.loadOptions();
+      const job = await this.#answered(this.session.links.jobs, jobBody(this.capture), newKey());
+      feed.put(job);
+      for (const { preview } of this.rows) if (preview) URL.revokeObjectURL(preview);
+      this.#begin();
+      announce(`${job.session_name} is sent. Its job waits.`);
+      this.dispatchEvent(new CustomEvent("sent", { detail: job }));
     } catch (problem) {
       this.problem = problem;
       this.#go("checked");
     }
   }
 
-  // The next take has the same cameras and, most often, the same choices.
-  get #kept() {
-    const { calibrationId, clock, spec } = this.draft;
-    return { calibrationId, clock, spec };
-  }
-
-  #sent(job) {
-    feed.put(job);
-    this.lastJob = job.id;
-    for (const { preview } of this.rows) if (preview) URL.revokeObjectURL(preview);
-    this.draft = emptyDraft(this.#kept);
-    this.session = null;
-    this.#go("draft");
-    announce(`${job.session_name} is sent. Its job waits.`);
-  }
-
   // Problems of the last answer and findings of the check that concern a file.
   findingsOf(row) {
-    const isOf = (one) => (one.file ? one.file === row.name : Boolean(one.camera) && one.camera === row.camera);
+    const isOf = (item) => (item.file ? item.file === row.name : Boolean(item.camera) && item.camera === row.camera);
     const refused = (this.problem?.items ?? []).filter(isOf).map((item) => ({ ...item, severity: "error" }));
     return [...refused, ...(this.session?.preflight.findings ?? []).filter(({ camera }) => camera && camera === row.camera)];
   }
@@ -315,14 +332,29 @@ class Sending extends EventTarget {
     this.clear();
   }
 
+  // Go back from a checked capture to its files, which are sent again.
+  async reopen() {
+    await call(this.session.links.self, { method: "DELETE" });
+    for (const row of this.rows) Object.assign(row, { url: null, sent: 0, isSent: false });
+    Object.assign(this.draft, { sessionId: null, wasSending: false });
+    this.session = this.problem = null;
+    this.#go("draft");
+  }
+
   pause() {
+    this.#press += 1;
     this.#uploads.stop();
-    this.#go("paused");
+    this.#go(this.phase === "sending" ? "paused" : "draft");
     announce("The upload is paused.");
   }
 
   #go(phase) {
     this.phase = phase;
+    this.changed();
+  }
+
+  #show(problem) {
+    this.problem = problem;
     this.changed();
   }
 
@@ -339,15 +371,7 @@ class Sending extends EventTarget {
 
 const hasErrors = (session) => (session.preflight.findings ?? []).some(({ severity }) => severity === "error");
 
-const pick = ({ camera, isUsed, offset_s, rate, url, sent, isSent }) => ({ camera, isUsed, offset_s, rate, url, sent, isSent });
-
 const newKey = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
-
-// Name of the folder that the files were dropped or chosen with.
-function folderOf(files) {
-  const [path] = [...files].map((file) => file.webkitRelativePath).filter(Boolean);
-  return path?.split("/")[0] ?? null;
-}
 
 export const sending = new Sending();
 

@@ -39,30 +39,36 @@ export class Uploads {
   // Forget what is stored of a file, for example because it has another name now.
   forget(row) {
     this.#tasks.get(row)?.stop();
+    this.#tasks.delete(row);
     if (row.url) discard(row.url);
     Object.assign(row, { url: null, sent: 0, isSent: false });
   }
 
   async #sendRow(row) {
     Object.assign(row, { isActive: true, hasFailed: false });
+    // An upload that was forgotten may still answer.
+    const update = (facts) => {
+      if (this.#tasks.get(row) !== task) return;
+      Object.assign(row, facts);
+      this.changed();
+    };
     const task = upload(row.file, {
       // The service finds the camera of a zip of keypoints by the name of the zip.
       name: row.kind === "keypoints" ? `${row.camera}.zip` : row.name,
       url: row.url,
-      onUrl: (url) => { row.url = url; this.changed(); },
-      onProgress: (sent) => { row.sent = sent; this.changed(); },
+      onUrl: (url) => update({ url }),
+      onProgress: (sent) => update({ sent }),
     });
     this.#tasks.set(row, task);
     this.changed();
     try {
-      row.isSent = await task.done !== null;
-      if (row.isSent) row.sent = row.size;
+      if (await task.done !== null) update({ isSent: true, sent: row.size });
     } catch ({ message, hint, code, status }) {
       row.hasFailed = true;
       throw new Problem({ detail: `${row.name}: ${message}`, hint, code }, status);
     } finally {
       row.isActive = false;
-      this.#tasks.delete(row);
+      if (this.#tasks.get(row) === task) this.#tasks.delete(row);
       this.changed();
     }
   }

@@ -1,15 +1,15 @@
 // View Send: a new capture, from dropped files to its job.
 
 import { call } from "../shared/api.js";
+import { persistently } from "../shared/away.js";
 import { feed } from "../shared/feed.js";
-import { count, percent, size } from "../shared/format.js";
+import { percent } from "../shared/format.js";
 import { html, live, nothing, render, typed } from "../shared/lit.js";
-import { readOptions } from "../shared/options.js";
-import { problemBox, warningList } from "../shared/problem.js";
+import { go } from "../shared/router.js";
 import { calibrationPart } from "./calibration.js";
 import { choicesForm } from "./choices.js";
 import { ACCEPTED, droppedFiles } from "./files.js";
-import { findingList } from "./findings.js";
+import { goPanel } from "./go.js";
 import { recentJobs } from "./recent.js";
 import { fileTable } from "./rows.js";
 import { sampleButton } from "./sample.js";
@@ -21,17 +21,16 @@ const CLOCKS = [
 ];
 
 export function open(place) {
-  let options = null;
   let stored = [];
+  let isClosed = false;
   let isOver = false; // whether files are held over the page
   const draw = () => render(page(), place);
   const failed = (problem) => { sending.problem = problem; draw(); };
 
-  const load = async () => {
-    options = await readOptions();
-    draw();
-    stored = (await call(`/v1/calibrations?limit=${MOST_CALIBRATIONS}`)).calibrations;
-    draw();
+  const loadCalibrations = async () => {
+    const isOver = () => isClosed;
+    stored = (await persistently(() => call(`/v1/calibrations?limit=${MOST_CALIBRATIONS}`), { isOver })).calibrations;
+    if (!isClosed) draw();
   };
 
   const change = (row, facts) => sending.assign(row, facts);
@@ -46,7 +45,14 @@ export function open(place) {
     if (value === undefined) delete sending.draft.spec[name]; else sending.draft.spec[name] = value;
     sending.changed();
   };
-  const add = (files) => sending.add([...files]).catch(failed);
+  // Text that is no number is empty for a script, though the page shows it.
+  const send = (options) => {
+    const unread = [...place.querySelectorAll("input[type=number]")].filter(({ validity }) => validity.badInput);
+    if (unread.length === 0) return sending.send(options);
+    const items = unread.map((field) => ({ message: `${field.ariaLabel ?? field.labels[0].innerText.split("\n")[0]}: type a number.` }));
+    return failed({ message: "The capture is not complete.", items });
+  };
+  const add = (files) => sending.add(files).catch(failed);
   const chosen = (event) => {
     const files = [...event.target.files];
     event.target.value = "";
@@ -66,6 +72,18 @@ export function open(place) {
     </div>`;
   }
 
+  // What the files do not say about their times.
+  function timePart(isLocked) {
+    const { clock, needsFrameRate, frameRate_hz: rate } = sending.capture;
+    return html`${clock ? html`<label class="field clock"><span>The videos start</span>
+        <select ?disabled=${isLocked} @change=${(event) => { sending.draft.clock = event.target.value; sending.changed(); }}>
+          ${CLOCKS.map(([name, label]) => html`<option value=${name} .selected=${live(name === clock)}>${label}</option>`)}</select></label>` : nothing}
+      ${needsFrameRate ? html`<label class="field clock"><span>Frame rate of the keypoints, Hz</span>
+        <input type="number" class="number" min="1" max="1000" step="any" required .value=${typed(rate)} ?disabled=${isLocked}
+          @input=${(event) => { sending.draft.frameRate_hz = event.target.value === "" ? null : event.target.valueAsNumber; sending.changed(); }}>
+        <span class="quiet">Frames a second of the videos that the keypoints are of. A file of timestamps (CSV) does instead.</span></label>` : nothing}`;
+  }
+
   function filesPart(isLocked) {
     const isMissing = sending.phase === "draft" && sending.missing.length > 0;
     return html`<section class="panel" aria-labelledby="files-title">
@@ -73,93 +91,48 @@ export function open(place) {
       ${isMissing ? html`<p class="notice" role="status">${sending.draft.wasSending
     ? `The upload was interrupted at ${percent(sending.fraction)}. Choose the same files again: it goes on where it stopped.`
     : "The page was loaded anew, and browsers keep no files. Choose the same files again."}</p>` : nothing}
-      ${dropPart(isLocked)}
+      ${dropPart(!sending.takesFiles)}
       ${sending.notes.map((note) => html`<p class="notice" role="status">${note}</p>`)}
       ${sending.rows.length ? fileTable({ sending, change, remove }) : nothing}
-      ${sending.rows.some(({ kind }) => kind === "video") ? html`<label class="field clock"><span>The videos start</span>
-        <select ?disabled=${isLocked} @change=${(event) => { sending.draft.clock = event.target.value; sending.changed(); }}>
-          ${CLOCKS.map(([clock, label]) => html`<option value=${clock} .selected=${live(clock === sending.draft.clock)}>${label}</option>`)}</select></label>` : nothing}
+      ${timePart(isLocked)}
       ${sending.rows.length && sending.isGuessed ? html`<p class="notice">No file has the name of a camera. Files and cameras are paired in the order of their names: check them.</p>` : nothing}
     </section>`;
   }
 
-  function summary() {
-    const used = sending.used;
-    const total = used.reduce((sum, row) => sum + row.size, 0);
-    if (used.length === 0) return html`<p class="quiet">No files yet.</p>`;
-    return html`<p class="quiet">${count(used.length, "file")}, ${size(total)}${sending.calibration ? ` · ${sending.calibration.name}` : ""}</p>`;
-  }
-
-  function progressPart() {
-    if (!["sending", "paused", "checking", "starting"].includes(sending.phase)) return nothing;
-    const [sent, total] = sending.used.reduce(([a, b], row) => [a + row.sent, b + row.size], [0, 0]);
-    const text = { sending: `${size(sent)} of ${size(total)} sent`, paused: `Paused at ${percent(sending.fraction)}`,
-      checking: "Sent. Checking the files …", starting: "Starting the job …" }[sending.phase];
-    return html`<div class="upload"><progress max="1" .value=${sending.fraction} aria-label="Upload"></progress><p class="quiet">${text}</p></div>`;
-  }
-
-  function buttons() {
-    if (sending.phase === "checked") {
-      return html`<button type="button" class="button primary" @click=${() => sending.start()}>Reconstruct</button>
-        <button type="button" class="button" @click=${() => sending.discardSession().catch(failed)}>Discard the capture</button>`;
-    }
-    if (sending.phase === "paused") return html`<button type="submit" class="button primary">Go on</button>`;
-    return html`<button type="submit" class="button primary" aria-disabled=${sending.isBusy ? "true" : nothing}>Send and reconstruct</button>
-      ${sending.phase === "sending" ? html`<button type="button" class="button" @click=${() => sending.pause()}>Pause</button>`
-        : html`<button type="button" class="button" aria-disabled=${sending.isBusy ? "true" : nothing} @click=${() => sending.send({ isCheckOnly: true })}>Send and check only</button>`}`;
-  }
-
-  function checkPart() {
-    if (sending.session === null) return nothing;
-    const { preflight } = sending.session;
-    const general = (preflight.findings ?? []).filter(({ camera }) => !sending.rows.some((row) => row.camera === camera && camera));
-    const known = new Set((preflight.findings ?? []).map(({ message }) => message));
-    const isFine = preflight.warnings.length === 0 && !preflight.findings?.length;
-    return html`<div class="checked"><h3>The check</h3>
-      ${isFine ? html`<p>Nothing speaks against a reconstruction.</p>` : nothing}
-      ${preflight.findings?.length && general.length === 0 ? html`<p>See the findings beside the files.</p>` : nothing}
-      ${findingList(general, preflight.cameras)}${warningList(preflight.warnings.filter((warning) => !known.has(warning)))}</div>`;
-  }
-
   function page() {
-    const isLocked = ["checking", "checked", "starting"].includes(sending.phase);
-    return html`<form class="send" novalidate @submit=${(event) => { event.preventDefault(); sending.send(); }}
+    const { isLocked } = sending;
+    return html`<form class="send" novalidate @submit=${(event) => { event.preventDefault(); send(); }}
         @dragover=${(event) => { event.preventDefault(); if (!isOver) { isOver = true; draw(); } }}
         @dragleave=${(event) => { if (!place.contains(event.relatedTarget)) { isOver = false; draw(); } }}
-        @drop=${async (event) => { event.preventDefault(); isOver = false; draw(); if (!isLocked) add(await droppedFiles(event.dataTransfer)); }}>
-      <h1 class="title">New capture</h1>
+        @drop=${(event) => { event.preventDefault(); isOver = false; draw(); if (sending.takesFiles) add(droppedFiles(event.dataTransfer)); }}>
+      <div class="bar"><h1 class="title">New capture</h1>
+        <label class="take"><span>Name of the take</span>
+          <input name="name" maxlength="200" placeholder="Handshake, take 3" autocomplete="off" .value=${typed(sending.capture.name)}
+            ?disabled=${isLocked} @input=${(event) => { sending.draft.name = event.target.value; sending.changed(); }}></label></div>
       <div class="steps">
         ${filesPart(isLocked)}
         <section class="panel" aria-labelledby="calibration-title"><h2 id="calibration-title">Calibration</h2>
-          ${calibrationPart({ sending, stored, isLocked, choose: (id) => sending.chooseCalibration(id).catch(failed), sendFile: (file, units) => sending.sendCalibration(file, units) })}
+          ${calibrationPart({ sending, stored, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (file, units) => sending.readCalibration(file, units) })}
         </section>
         <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">Choices</h2>
-          ${choicesForm({ id: "send", options, spec: sending.draft.spec, onChange: spec })}
+          ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec })}
         </section>
       </div>
-      <aside class="side">
-        <section class="panel go" aria-label="Send">
-          <label class="field"><span>Name of the take</span>
-            <input name="name" maxlength="200" placeholder="Handshake, take 3" autocomplete="off" .value=${typed(sending.draft.name)}
-              ?disabled=${isLocked} @input=${(event) => { sending.draft.name = event.target.value; sending.changed(); }}></label>
-          ${summary()}
-          ${progressPart()}
-          ${checkPart()}
-          <div class="actions">${buttons()}</div>
-          ${problemBox(sending.problem)}
-        </section>
-        ${recentJobs(feed, sending.lastJob)}
-      </aside>
+      <aside class="side">${goPanel({ sending, send, failed, change: () => place.querySelector("#choose-files").focus() })}${recentJobs(feed)}</aside>
     </form>`;
   }
 
+  const onSent = ({ detail: job }) => go("jobs", job.id);
+  sending.addEventListener("sent", onSent);
   sending.addEventListener("change", draw);
   feed.addEventListener("change", draw);
   draw();
-  load().catch(failed);
+  for (const loading of [sending.loadOptions(), loadCalibrations()]) loading.catch((problem) => { if (!isClosed) failed(problem); });
   return {
     title: "New capture",
     close() {
+      isClosed = true;
+      sending.removeEventListener("sent", onSent);
       sending.removeEventListener("change", draw);
       feed.removeEventListener("change", draw);
     },

@@ -3,12 +3,15 @@
 export class Problem extends Error {
   // body: a problem of RFC 9457, or null if the service did not answer.
   constructor(body, status = 0) {
-    super(body?.detail ?? "The service does not answer. Check that it runs and that you are connected.");
+    super(body?.detail ?? "The service does not answer. It is asked again until it does.");
     this.code = body?.code ?? null;
     this.items = body?.errors ?? [];
     this.hint = body?.hint ?? null;
     this.status = status;
   }
+
+  // Whether the service, or what it needs, could not be reached: the same request may succeed later.
+  get isAway() { return [0, 502, 503, 504].includes(this.status); }
 }
 
 let link = null;

@@ -110,7 +110,8 @@ class Feed extends EventTarget {
     const wanted = this.newest().filter((job) => !hasEnded(job)).sort((one, other) => other.progress - one.progress);
     const ids = new Set(wanted.slice(0, MAX_STREAMS).map(({ id }) => id));
     for (const [id, stream] of this.#streams) {
-      if (ids.has(id)) continue;
+      // A browser gives a stream up that the service refused; it is opened again.
+      if (ids.has(id) && stream.readyState !== EventSource.CLOSED) continue;
       stream.close();
       this.#streams.delete(id);
     }

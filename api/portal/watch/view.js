@@ -2,6 +2,7 @@
 
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
+import { persistently } from "../shared/away.js";
 import { feed } from "../shared/feed.js";
 import { stateOf } from "../shared/jobs.js";
 import { html, nothing, render, repeat } from "../shared/lit.js";
@@ -51,12 +52,18 @@ class Captures {
     feed.addEventListener("change", this.onFeed);
     for (const job of feed.jobs.values()) this.#states.set(job.id, job.state);
     this.draw();
+    this.reload();
     try {
-      [this.options] = await Promise.all([readOptions(), this.load()]);
+      this.options = await persistently(readOptions, this.#awhile);
     } catch (problem) {
       this.problem = problem;
     }
     this.draw();
+  }
+
+  // How requests are made that the view needs: again, until the service answers or the view is closed.
+  get #awhile() {
+    return { isOver: () => this.#isClosed, away: (problem) => { this.problem = problem; this.draw(); } };
   }
 
   close() {
@@ -84,14 +91,16 @@ class Captures {
 
   reload(delayMs = 0) {
     clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => this.load().catch((problem) => { this.problem = problem; this.draw(); }), delayMs);
+    const load = () => persistently(() => this.load(), this.#awhile).catch((problem) => { this.problem = problem; this.draw(); });
+    this.#timer = setTimeout(load, delayMs);
   }
 
   // Jobs that are older than those of the feed.
   async #loadJobs(session) {
     if (this.#asked.has(session.id) || feed.ofSession(session.id).length >= session.num_jobs) return;
+    const { jobs } = await call(session.links.jobs);
     this.#asked.add(session.id);
-    feed.put(...(await call(session.links.jobs)).jobs);
+    feed.put(...jobs);
   }
 
   #feedChanged() {

@@ -60,6 +60,7 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
         "getSession", "getSessionThumbnail", "getSessionVideo", "getUpload", "listAttempts", "listCalibrations",
         "listJobs",
         "listLinks", "listResults", "listSessionJobs", "listSessions", "makeJobVisuals", "openBrowserSession",
+        "renameCalibration",
         "renameSession",
         "retryJob", "revokeLink", "streamJobEvents",
     ]  # fmt: skip

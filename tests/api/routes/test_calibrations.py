@@ -1,5 +1,6 @@
 """Calibrations: files in any format, given to sessions by id, downloaded in others, deleted."""
 
+import hashlib
 import json
 import tomllib
 from collections.abc import Callable, Iterator
@@ -45,6 +46,27 @@ def test_a_file_is_read_and_kept(strict: Live) -> None:
     assert calibration["cameras"][0] == CAMERA | {"lens": "standard", "position_m": [-0.25, -4.0, 1.5]}
     assert strict.client.get(calibration["links"]["self"]).json() == calibration
     assert strict.client.get("/v1/calibrations").json()["calibrations"][0] == calibration
+
+
+def test_equal_files_have_equal_digests(strict: Live) -> None:
+    other = json.dumps({"schema_version": 1, "cameras": [CAMERA, CAMERA | {"name": "cam_2"}]}).encode()
+    first, again, different = (send(strict, content).json() for content in (CALIBRATION, CALIBRATION, other))
+    assert first["sha256"] == again["sha256"] != different["sha256"]
+    assert first["sha256"] == hashlib.sha256(strict.client.get(first["links"]["file"]).content).hexdigest()
+
+
+def test_rename(strict: Live) -> None:
+    path = send(strict).json()["links"]["self"]
+    before = strict.client.get(path)
+    answer = strict.client.patch(path, json={"name": "Studio é"}, headers={"If-Match": before.headers["etag"]})
+    assert answer.status_code == 200, answer.text
+    assert answer.json() == before.json() | {"name": "Studio é"} == strict.client.get(path).json()
+    stale = strict.client.patch(path, json={"name": "Hall"}, headers={"If-Match": before.headers["etag"]})
+    problem_of(stale, 412, "changed_meanwhile")
+    download = strict.client.get(answer.json()["links"]["file"]).headers["content-disposition"]
+    assert download == "attachment; filename*=utf-8''Studio%20%C3%A9.json"
+    problem_of(strict.client.patch(path, json={"name": ""}), 422, "invalid_request")
+    problem_of(strict.client.patch(f"/v1/calibrations/{uuid4()}", json={"name": "x"}), 404, "not_found")
 
 
 def test_it_is_downloaded_in_other_formats(strict: Live) -> None:

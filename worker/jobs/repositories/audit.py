@@ -27,6 +27,7 @@ class AuditAction(StrEnum):
     UPLOAD_CREATED = "upload-created"
     UPLOAD_DELETED = "upload-deleted"
     CALIBRATION_CREATED = "calibration-created"
+    CALIBRATION_RENAMED = "calibration-renamed"
     CALIBRATION_DELETED = "calibration-deleted"
     LINK_CREATED = "link-created"
     LINK_REVOKED = "link-revoked"

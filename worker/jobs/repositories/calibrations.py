@@ -60,6 +60,17 @@ class Calibrations:
         with self._access.reading() as connection:
             return [calibration_of(row) for row in connection.execute(query)]
 
+    def rename(self, calibration_id: str, name: str) -> Calibration:
+        """Give a calibration another name; ``NotFound`` if there is none."""
+        with self._access.writing() as connection:
+            row = self._row(connection, calibration_id)
+            changed = connection.execute(
+                update(calibrations).where(calibrations.c.id == row.id, calibrations.c.name != name).values(name=name)
+            )
+            if changed.rowcount == 1:
+                record_event(connection, self._access.actor, row.tenant, AuditAction.CALIBRATION_RENAMED, row.id)
+            return self._read(connection, calibration_id)
+
     def delete(self, calibration_id: str) -> None:
         """Delete a calibration, the job that made it, and the session that was sent for it alone.
 

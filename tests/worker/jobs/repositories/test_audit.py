@@ -32,6 +32,15 @@ def test_what_is_done_is_noted_with_who_did_it(jobs: Bench) -> None:
     assert [event.done_at for event in events] == sorted((event.done_at for event in events), reverse=True)
 
 
+def test_a_calibration_that_is_renamed_is_noted(jobs: Bench) -> None:
+    mine = jobs.store.of("mine", Quotas(), ACTOR)
+    made = mine.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id
+    for name in ("Studio B", "Studio B"):  # the second time it is no change
+        assert mine.calibrations.rename(made, name).name == "Studio B"
+    acts = [event.act for event in jobs.store.audit.events("mine") if event.subject == made]
+    assert acts == ["calibration-renamed", "calibration-created"]
+
+
 def test_what_is_refused_was_not_done(jobs: Bench) -> None:
     job = jobs.queue()
     before = jobs.store.audit.events()

@@ -1,0 +1,55 @@
+// Files that were dropped or chosen, as rows of a draft.
+
+import { isSame, rowOf } from "./draft.js";
+import { kindOf } from "./files.js";
+
+const pick = ({ camera, isUsed, offset_s, rate, url, sent, isSent }) => ({ camera, isUsed, offset_s, rate, url, sent, isSent });
+
+// Add files to a draft, and return the calibration file among them, or null. Sentences about files that are left out or
+// replaced are added to `notes`, `forget(row)` hears of a row that another file replaces, and nothing is added once
+// `isOver()`.
+export async function addFiles(draft, files, { notes, forget, isOver }) {
+  const kinds = await Promise.all([...files].map(kindOf));
+  if (isOver()) return null;
+  const filesOf = (kind) => [...files].filter((file, index) => kinds[index] === kind);
+  const [calibrations, others] = [filesOf("calibration"), filesOf(null)];
+  const added = new Set();
+  [...files].forEach((file, index) => {
+    const kind = kinds[index];
+    if (kind === null || kind === "calibration") return;
+    if (added.has(file.name)) notes.push(`Two files have the name ${file.name}. Rename one of them.`);
+    else addRow(draft, file, kind, { notes, forget });
+    added.add(file.name);
+  });
+  if (calibrations.length > 1) {
+    notes.push(`Several files may be the calibration: ${calibrations.map(({ name }) => name).join(", ")}. The first is used.`);
+  }
+  if (others.length) {
+    notes.push(`Left out: ${others.map(({ name }) => name).join(", ")}. A capture has videos, or zips of images or of keypoints, and a calibration.`);
+  }
+  if (!draft.name && draft.rows.length) draft.name = folderOf(files) ?? "";
+  return calibrations[0] ?? null;
+}
+
+// A file goes on with its own upload, and takes the place of another file of its name.
+function addRow(draft, file, kind, { notes, forget }) {
+  const facts = { name: file.name, size: file.size, modified: file.lastModified, kind };
+  const at = draft.rows.findIndex(({ name }) => name === file.name);
+  if (at < 0) {
+    draft.rows.push(rowOf(facts, file));
+    return;
+  }
+  const row = draft.rows[at];
+  if (isSame(row, file) && row.file !== null) return;
+  if (!isSame(row, file)) {
+    forget(row);
+    notes.push(`${file.name} takes the place of the file of this name.`);
+  }
+  draft.rows[at] = rowOf({ ...facts, ...pick(row) }, file);
+}
+
+// Name of the folder that the files were dropped or chosen with.
+function folderOf(files) {
+  const [path] = [...files].map((file) => file.webkitRelativePath).filter(Boolean);
+  return path?.split("/")[0] ?? null;
+}

@@ -1,0 +1,23 @@
+// What keeps a capture from being sent, as sentences.
+
+const MIN_CAMERAS = 2;
+
+const listed = (rows) => rows.map(({ name }) => name).join(", ");
+
+export function faultsOf({ files, views, calibration, needsFrameRate, frameRate_hz }, rig) {
+  const faults = [];
+  const missing = files.filter((row) => row.file === null && !row.isSent);
+  if (views.length < MIN_CAMERAS) faults.push(`Add the videos of at least ${MIN_CAMERAS} cameras.`);
+  if (rig.problem) faults.push(`The calibration ${rig.name ?? ""} could not be read. Choose or add another one.`);
+  else if (!calibration) faults.push("Choose or add the calibration of the cameras.");
+  if (missing.length) faults.push(`Choose again: ${listed(missing)}.`);
+  if (needsFrameRate && !(frameRate_hz >= 1)) faults.push("State the frame rate of the keypoints, or add their timestamps, a CSV file.");
+  const images = views.filter(({ kind, name, rate }) => kind === "video" && /\.zip$/i.test(name) && !rate);
+  if (images.length) faults.push(`State the frame rate of the images: ${listed(images)}.`);
+  if (!calibration) return faults;
+  const without = views.filter((row) => row.camera === null);
+  if (without.length) faults.push(`Give a camera to ${listed(without)}, or leave it out.`);
+  const twice = views.filter((row) => row.camera && views.some((other) => other !== row && other.camera === row.camera));
+  if (twice.length) faults.push(`One camera has two files: ${listed(twice)}.`);
+  return faults;
+}

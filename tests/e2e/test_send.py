@@ -1,0 +1,158 @@
+"""Sending a capture: Send in reach, the page of the new job, files that replace refused ones, rates of keypoints."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Locator, Page, ViewportSize, expect
+
+from tests.e2e.browsing import opened
+from tests.e2e.captures import keypoint_capture, two_videos
+from tests.e2e.serving import Served
+from tests.e2e.test_serve_keypoints import archives
+
+# The service is that of the other tests of the page.
+pytestmark = pytest.mark.xdist_group("sample")
+
+PHONE: ViewportSize = {"width": 390, "height": 800}
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return two_videos(tmp_path_factory.mktemp("videos"))
+
+
+@pytest.fixture(scope="module")
+def keypoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("keypoints")
+    keypoint_capture(folder)
+    for _, (name, content) in archives(folder):
+        (folder / name).write_bytes(content)
+    return {path.name: path for path in sorted(folder.iterdir()) if path.suffix in {".zip", ".csv", ".json"}}
+
+
+@pytest.fixture
+def page(served: Served) -> Iterator[Page]:
+    with opened(f"{served.client.base_url}#/new", PHONE, allowed=("422 (Unprocessable",)) as page:
+        yield page
+
+
+def choose(page: Page, *paths: Path) -> None:
+    page.get_by_label("Choose files").set_input_files(paths)
+
+
+def send(page: Page) -> Locator:
+    return page.get_by_role("button", name="Send and reconstruct")
+
+
+def is_seen(part: Locator) -> bool:
+    """Whether a part is on the screen as the page stands."""
+    box, viewport = part.bounding_box(), part.page.viewport_size
+    assert box is not None
+    assert viewport is not None
+    return box["y"] >= 0 and box["y"] + box["height"] <= viewport["height"]
+
+
+def test_send_is_in_reach_on_a_phone_and_opens_the_job(page: Page, videos: dict[str, Path]) -> None:
+    assert is_seen(send(page))
+    choose(page, *videos.values())
+    expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=60_000)
+    expect(page.get_by_role("radio", name="Blender")).to_be_visible()
+    for part in ("The videos start", "Stored calibration"):
+        page.get_by_label(part).scroll_into_view_if_needed()
+        assert is_seen(send(page)), part
+    page.get_by_label("Name of the take").fill("From a phone")
+    send(page).click()
+    expect(page).to_have_url(re.compile("#/jobs/"), timeout=60_000)
+    expect(page.get_by_role("heading", name="From a phone", level=1)).to_be_visible()
+    assert page.evaluate("scrollY") == 0
+    first = page.get_by_role("main").get_by_role("progressbar").first
+    if first.count():  # until the job ends
+        assert is_seen(first)
+    expect(page.get_by_text("Done: nobody was found")).to_be_visible(timeout=120_000)
+
+
+def test_the_page_of_a_running_job_shows_its_progress_at_once(
+    page: Page, served: Served, videos: dict[str, Path]
+) -> None:
+    worker = served.part("worker")
+    tree = [worker, *worker.children(recursive=True)]
+    for process in tree:
+        process.suspend()
+    try:
+        choose(page, *videos.values())
+        expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=60_000)
+        send(page).click()
+        expect(page).to_have_url(re.compile("#/jobs/"), timeout=60_000)
+        expect(page.locator(".state")).to_have_text("Waiting")
+        for progress in page.get_by_role("main").get_by_role("progressbar").all():
+            assert is_seen(progress)
+        assert page.get_by_role("main").get_by_role("progressbar").count() > 0
+    finally:
+        for process in tree:
+            process.resume()
+
+
+def test_a_refused_file_is_replaced_by_another_of_its_name(
+    page: Page, served: Served, videos: dict[str, Path], tmp_path: Path
+) -> None:
+    broken = tmp_path / "left.mp4"
+    broken.write_bytes(b"no video")
+    choose(page, broken, videos["right.mp4"], videos["calibration.json"])
+    camera, offset = page.get_by_label("Camera of left.mp4"), page.get_by_label("Offset in seconds of left.mp4")
+    expect(camera).to_have_value("left", timeout=60_000)
+    offset.fill("0.25")
+    send(page).click()
+    refusal = page.get_by_role("region", name="Send").get_by_role("alert")
+    expect(refusal).to_contain_text("left.mp4", timeout=60_000)
+    choose(page, videos["left.mp4"])
+    expect(page.get_by_text("left.mp4 takes the place of the file of this name.")).to_be_visible()
+    expect(refusal).to_have_count(0)
+    # What was said of the camera stays.
+    expect(camera).to_have_value("left")
+    expect(offset).to_have_value("0.25")
+    with page.expect_response("**/v1/sessions/*/jobs", timeout=60_000) as answer:
+        send(page).click()
+    files = served.client.get(answer.value.json()["links"]["session"]).json()["files"]
+    sizes = {one["name"]: one["num_bytes"] for one in files}
+    assert sizes["left.mp4"] == videos["left.mp4"].stat().st_size
+
+
+def test_two_files_of_one_name_that_come_together_are_not_mixed(
+    page: Page, videos: dict[str, Path], tmp_path: Path
+) -> None:
+    other = tmp_path / "left.mp4"
+    other.write_bytes(b"another camera of this name")
+    choose(page, videos["left.mp4"], other)
+    expect(page.get_by_text("Two files have the name left.mp4.")).to_be_visible()
+    expect(page.get_by_label("Use left.mp4")).to_have_count(1)
+
+
+def test_keypoints_without_timestamps_need_a_frame_rate(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
+    timestamps = keypoints["timestamps.csv"]
+    rate = page.get_by_label("Frame rate of the keypoints, Hz")
+    choose(page, *(path for path in keypoints.values() if path != timestamps))
+    expect(page.get_by_label("Camera of cam_00.zip")).to_have_value("cam_00", timeout=60_000)
+    expect(rate).to_have_value("")
+    send(page).click()
+    refusal = page.get_by_role("region", name="Send").get_by_role("alert")
+    expect(refusal).to_contain_text("State the frame rate of the keypoints")
+    # Timestamps do instead.
+    choose(page, timestamps)
+    expect(rate).to_have_count(0)
+    page.get_by_label("Use timestamps.csv").uncheck()
+    rate.fill("50")
+    with page.expect_response("**/v1/sessions", timeout=60_000) as answer:
+        page.get_by_role("button", name="Send and check only").click()
+    session = answer.value.json()
+    assert session["preflight"]["timebase"]["frame_rate_hz"] == 50
+    assert "frame_rate_assumed" not in {one["code"] for one in session["preflight"]["findings"]}
+    # Files of a capture that was checked are changed without choosing them again.
+    page.get_by_role("button", name="Change the files").click()
+    rate.fill("25")
+    with page.expect_response("**/v1/sessions", timeout=60_000) as answer:
+        page.get_by_role("button", name="Send and check only").click()
+    assert answer.value.json()["preflight"]["timebase"]["frame_rate_hz"] == 25
+    assert served.client.get(session["links"]["self"]).status_code == 404
+    page.get_by_role("button", name="Discard the capture").click()
