@@ -30,15 +30,15 @@ Method = (
 Profile = (
     Annotated[
         Literal["fast"],
-        Value("Fast", note="0.46 x the time of MoveNet MultiPose alone; mean error of rendered people 28 mm."),
+        Value("Fast", note="Mean error of rendered people 28 mm."),
     ]
     | Annotated[
         Literal["balanced"],
-        Value("Balanced", note="1.2 x the time of MoveNet MultiPose alone; mean error of rendered people 26 mm."),
+        Value("Balanced", note="Mean error of rendered people 26 mm."),
     ]
     | Annotated[
         Literal["accurate"],
-        Value("Accurate", note="3.0 x the time of MoveNet MultiPose alone; mean error of rendered people 25 mm."),
+        Value("Accurate", note="Mean error of rendered people 25 mm."),
     ]
 )
 DetectedJoints = (

@@ -448,6 +448,7 @@ ANSWERS: dict[str, dict[str, Any]] = {
                     {
                         "joints": "body",
                         "networks": ["movenet-multipose-int8"],
+                        "camera_frame_s": 0.023,
                         "installed": True,
                         "install": "Run: multicap models install movenet-multipose-int8",
                     }

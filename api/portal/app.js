@@ -10,6 +10,7 @@ import { currentRoute, replace } from "./shared/router.js";
 import { sending } from "./send/sending.js";
 
 const NEW_MS = 10_000;
+const [KEY_PREFIX, KEY_LENGTH] = ["mc_", 43];
 // A guest opened the page by a link to one job, which is all that the link opens.
 const GUEST = { name: null, scopes: [], isGuest: true };
 
@@ -136,11 +137,22 @@ function showEntrance(problem = null) {
       await call("/v1/browser-session", { method: "POST", body: { key: event.target.elements.key.value.trim() } });
       await enter();
     } catch (refused) {
-      draw(refused);
+      const hint = refused.status === 401 ? lookOfKey(event.target.elements.key.value.trim()) : refused.hint;
+      draw({ message: refused.message, hint, items: refused.items });
     }
   };
   draw(problem);
   place.querySelector("input").focus();
+}
+
+// What a key looks like, and how a text that is no key differs.
+function lookOfKey(text) {
+  const look = `A key is ${KEY_PREFIX} and ${KEY_LENGTH} letters, digits, - or _, in one piece.`;
+  if (!text.startsWith(KEY_PREFIX)) return `${look} What was typed does not begin with ${KEY_PREFIX}.`;
+  const length = text.length - KEY_PREFIX.length;
+  if (/[^\w-]/.test(text)) return `${look} What was typed has other characters.`;
+  if (length !== KEY_LENGTH) return `${look} What was typed has ${length} after ${KEY_PREFIX}: copy the whole key.`;
+  return `${look} What was typed looks like one: it is of another service, or was revoked. Ask the operator for a new key.`;
 }
 
 // The link that opened the page opens nothing any more.

@@ -1,6 +1,7 @@
 """Routes for a form that sends captures: the choices of a job, the installed networks, a sample capture."""
 
 import mimetypes
+from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Annotated
 from urllib.parse import quote
@@ -38,6 +39,15 @@ from pipeline.runtime.packages import samples
 from worker.jobs.repositories.work.workers import installed_detectors
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
+
+# Seconds of a job a camera's frame, by profile and joints: docs/measurements.md, "Profiles".
+_CAMERA_FRAME_S: Mapping[tuple[Profile, JointsOfBody], float] = {
+    ("fast", "body"): 0.023,
+    ("fast", "feet"): 0.054,
+    ("balanced", "feet"): 0.063,
+    ("balanced", "whole"): 0.100,
+    ("accurate", "feet"): 0.151,
+}
 
 _INSTALL = "Run: multicap samples install"
 
@@ -136,6 +146,7 @@ def _profile_networks(profile: Profile, joints: JointsOfBody, installed: frozens
     return ProfileNetworksOut(
         joints=joints,
         networks=networks,
+        camera_frame_s=_CAMERA_FRAME_S.get((profile, joints)),
         installed=None if installed is None else not missing,
         install=install_command(*networks),
     )

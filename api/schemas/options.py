@@ -24,6 +24,10 @@ class ProfileNetworksOut(ResponseModel):
 
     joints: JointsOfBody = Field(description="Value of `joints` in the spec of a job.")
     networks: tuple[str, ...] = Field(description="Names of the networks.")
+    camera_frame_s: float | None = Field(
+        description="Seconds that a job took for a frame of a camera when it was measured, on one core; null if it was "
+        "not measured. Other machines are faster or slower."
+    )
     installed: bool | None = Field(
         description="Whether all ready workers have the networks; null while no worker is ready."
     )

@@ -9,6 +9,7 @@ import { problemBox } from "../shared/problem.js";
 import { rowOf } from "../send/draft.js";
 import { ACCEPTED_CALIBRATIONS } from "../send/files.js";
 import { Uploads } from "../send/uploads.js";
+import { boardFields, boardSpec, emptyBoard } from "./board.js";
 
 const SOURCES = [["file", "A file"], ["board", "Footage of a board"], ["people", "Footage of people"], ["session", "People of a capture"]];
 const MOST_SESSIONS = 100;
@@ -17,7 +18,7 @@ function specOf({ source, title, board, stature, units, session }) {
   return {
     method: source.value === "session" ? "people" : source.value,
     ...(title.value.trim() && { name: title.value.trim() }),
-    ...(board && { board: board.value.trim() }),
+    ...(source.value === "board" && { board: boardSpec(board) }),
     ...(stature && { stature_m: stature.value.split(",").map(Number) }),
     ...(units && { units: units.value }),
     ...(session && { session_id: session.value }),
@@ -38,6 +39,7 @@ export class AddForm {
   #problem = null;
   #text = "";
   #isBusy = false;
+  #board = emptyBoard();
   #sessions = null; // captures whose people may serve, once they are asked for
 
   constructor({ changed, draw }) {
@@ -72,11 +74,12 @@ export class AddForm {
     this.#problem = null;
     this.draw();
     try {
-      const { source, title, board, file, footage, stature, intrinsics, units, session } = form.elements;
-      const made = await this.#send({ source, title, board, file, footage, stature, intrinsics, units, session });
+      const { source, title, file, footage, stature, intrinsics, units, session } = form.elements;
+      const made = await this.#send({ source, title, board: this.#board, file, footage, stature, intrinsics, units, session });
       const isJob = made.kind === "calibration";
       if (isJob) feed.put(made);
       form.reset();
+      this.#board = emptyBoard();
       this.#source = "file";
       this.#text = isJob ? "The calibration is being made." : "Added.";
       announce(this.#text);
@@ -112,9 +115,11 @@ export class AddForm {
   }
 
   #boardFields() {
-    return html`${this.#footageField()}
-      <label class="field"><span>Board</span><input name="board" required maxlength="100" placeholder="charuco:7x5:0.06:0.045:DICT_4X4_50" spellcheck="false" autocomplete="off" aria-describedby="board-help"></label>
-      <p id="board-help" class="quiet">chessboard:COLSxROWS:SQUARE_M counts inner corners; charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY counts squares. Begin with the board flat on the floor.</p>`;
+    const change = (facts) => {
+      Object.assign(this.#board, facts);
+      this.draw();
+    };
+    return html`${this.#footageField()}${boardFields(this.#board, change)}`;
   }
 
   #statureField() {

@@ -1,8 +1,9 @@
-// View Calibrations: the stored ones to look at, download and delete; a form to add one.
+// View Calibrations: the stored ones to look at, download, rename and delete; a form to add one.
 
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
 import { persistently } from "../shared/away.js";
+import { distinct, readCalibrations } from "../shared/calibrations.js";
 import { confirm } from "../shared/dialog.js";
 import { feed } from "../shared/feed.js";
 import { moment } from "../shared/format.js";
@@ -10,7 +11,6 @@ import { html, nothing, render, repeat } from "../shared/lit.js";
 import { problemBox, warningList } from "../shared/problem.js";
 import { AddForm } from "./add.js";
 
-const MOST = 100;
 const POLL_MS = 2000;
 const FORMATS = [["multicap", "JSON"], ["anipose", "anipose TOML"], ["caliscope", "Caliscope TOML"], ["opencv", "OpenCV YAML"]];
 const STATES = {
@@ -24,6 +24,7 @@ export function open(place, route, caller) {
   let problem = null;
   let isClosed = false;
   let timer = 0;
+  let renamed = null; // id of the calibration whose name is being changed
   const problems = new Map();
   const add = caller.scopes.includes("write") ? new AddForm({ changed: () => load(), draw: () => draw() }) : null;
 
@@ -31,7 +32,7 @@ export function open(place, route, caller) {
     clearTimeout(timer);
     try {
       const away = (refused) => { problem = refused; draw(); };
-      calibrations = (await persistently(() => call(`/v1/calibrations?limit=${MOST}`), { isOver: () => isClosed, away })).calibrations;
+      calibrations = await persistently(readCalibrations, { isOver: () => isClosed, away });
       problem = null;
     } catch (refused) {
       problem = refused;
@@ -40,19 +41,57 @@ export function open(place, route, caller) {
     if (!isClosed && calibrations?.some(({ state }) => MAKING.includes(state))) timer = setTimeout(load, POLL_MS);
   }
 
-  async function remove(calibration) {
-    const text = "Captures that use it keep their copy.";
-    if (!await confirm({ title: `Delete the calibration ${calibration.name}?`, text, action: "Delete the calibration" })) return;
-    problems.delete(calibration.id);
+  // Do something with a calibration, and show its problem beside it.
+  async function act(id, action) {
+    problems.delete(id);
     try {
-      await call(calibration.links.self, { method: "DELETE" });
-      announce(`The calibration ${calibration.name} is deleted.`);
+      await action();
+    } catch (refused) {
+      problems.set(id, refused);
+    }
+    draw();
+  }
+
+  async function remove({ newest: { id, name }, all }) {
+    const copies = all.length > 1 ? `It is stored ${all.length} times; all of them are deleted. ` : "";
+    const text = `${copies}Captures that use it keep their copy.`;
+    if (!await confirm({ title: `Delete the calibration ${name}?`, text, action: "Delete the calibration" })) return;
+    await act(id, async () => {
+      for (const { links } of all) await call(links.self, { method: "DELETE" });
+      announce(`The calibration ${name} is deleted.`);
       await load();
       place.querySelector("#calibrations-title").focus();
-    } catch (refused) {
-      problems.set(calibration.id, refused);
+    });
+  }
+
+  function beginRename(id) {
+    renamed = id;
+    draw();
+    place.querySelector(".rename input").select();
+  }
+
+  function renameForm({ id, name, links }) {
+    const end = () => {
+      renamed = null;
       draw();
-    }
+      place.querySelector(`#rename-${id}`)?.focus();
+    };
+    const submit = (event) => {
+      event.preventDefault();
+      const wanted = event.target.elements.name.value.trim();
+      if (!wanted || wanted === name) return end();
+      return act(id, async () => {
+        await call(links.self, { method: "PATCH", body: { name: wanted } });
+        await load();
+        end();
+        announce(`Renamed to ${wanted}.`);
+      });
+    };
+    return html`<form class="rename" @submit=${submit} @keydown=${(event) => { if (event.key === "Escape") end(); }}>
+      <input name="name" maxlength="200" required aria-label="New name of ${name}" value=${name} autocomplete="off">
+      <button class="button small primary">Save</button>
+      <button type="button" class="button small" @click=${end}>Cancel</button>
+    </form>`;
   }
 
   function cameraTable({ name, cameras, report, source }) {
@@ -68,10 +107,14 @@ export function open(place, route, caller) {
       </table></div></details>`;
   }
 
-  function card(calibration) {
+  function card(group) {
+    const { newest: calibration, all } = group;
     const [words, tone] = STATES[calibration.state];
+    const origin = calibration.method === "file" ? `from ${calibration.source.file}` : `made from ${calibration.method === "board" ? "a board" : "people"}`;
+    const facts = [moment(calibration.created_at), origin, ...(all.length > 1 ? [`stored ${all.length} times`] : [])];
     return html`<li class="panel calibration">
-      <div class="head"><div><h2>${calibration.name}</h2><p class="quiet facts"><span>${moment(calibration.created_at)}</span><span>${calibration.method === "file" ? calibration.source.file : `made from ${calibration.method === "board" ? "a board" : "people"}`}</span></p></div>
+      <div class="head"><div>${renamed === calibration.id ? renameForm(calibration) : html`<h2>${calibration.name}</h2>`}
+        <p class="quiet facts">${facts.map((fact) => html`<span>${fact}</span>`)}</p></div>
         <span class="state" data-tone=${tone}>${words}</span></div>
       ${problemBox(calibration.error && { message: calibration.error.detail, hint: calibration.error.hint })}
       ${problemBox(problems.get(calibration.id))}
@@ -79,7 +122,8 @@ export function open(place, route, caller) {
       ${calibration.cameras.length ? cameraTable(calibration) : nothing}
       <div class="actions">
         ${calibration.links.file ? FORMATS.map(([format, label]) => html`<a class="button small" download href="${calibration.links.file}?format=${format}" aria-label="${calibration.name} as ${label}">${label}</a>`) : nothing}
-        ${add ? html`<button type="button" class="button small danger-quiet" aria-label="Delete ${calibration.name}" @click=${() => remove(calibration)}>Delete</button>` : nothing}
+        ${add ? html`<button type="button" class="button small" id="rename-${calibration.id}" aria-label="Rename ${calibration.name}" @click=${() => beginRename(calibration.id)}>Rename</button>
+          <button type="button" class="button small danger-quiet" aria-label="Delete ${calibration.name}" @click=${() => remove(group)}>Delete</button>` : nothing}
       </div></li>`;
   }
 
@@ -91,7 +135,7 @@ export function open(place, route, caller) {
           ${problemBox(problem)}
           ${calibrations === null ? html`<p class="quiet">Loading …</p>` : nothing}
           ${calibrations?.length === 0 ? html`<p class="panel empty">No calibrations are stored yet.</p>` : nothing}
-          <ul class="list">${repeat(calibrations ?? [], ({ id }) => id, card)}</ul>
+          <ul class="list">${repeat(distinct(calibrations ?? []), ({ newest }) => newest.id, card)}</ul>
         </div>
         ${add ? html`<div>${add.form()}</div>` : nothing}
       </div>`, place);

@@ -1,5 +1,6 @@
 // Part of the view Send that chooses the calibration of the cameras: a stored one, or a file.
 
+import { dated, usable } from "../shared/calibrations.js";
 import { count } from "../shared/format.js";
 import { html, live, nothing } from "../shared/lit.js";
 import { warningList } from "../shared/problem.js";
@@ -17,17 +18,17 @@ function factsOf(calibration) {
 }
 
 export function calibrationPart({ sending, stored, choose, readFile, isLocked }) {
-  const ready = stored.filter(({ state, report }) => state === "ready" && report?.has_extrinsics !== false);
+  const ready = usable(stored);
   const { rig } = sending;
   const chosen = sending.capture.calibration;
   // The list may be older than the chosen calibration.
-  const listed = rig.id && !ready.some(({ id }) => id === rig.id) ? [{ id: rig.id, name: rig.name ?? "…" }, ...ready] : ready;
+  const listed = rig.id && !ready.some(({ id }) => id === rig.id) ? [chosen ?? { id: rig.id, name: rig.name ?? "…" }, ...ready] : ready;
   return html`
     <div class="pair">
       <label class="field"><span>Stored calibration</span>
-        <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value, event.target.selectedOptions[0].label)}>
+        <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value, listed.find(({ id }) => id === event.target.value)?.name)}>
           <option value="" .selected=${live(!rig.id)}>${listed.length ? "Choose …" : "None is stored yet"}</option>
-          ${listed.map(({ id, name }) => html`<option value=${id} .selected=${live(id === rig.id)}>${name}</option>`)}
+          ${listed.map((calibration) => html`<option value=${calibration.id} .selected=${live(calibration.id === rig.id)}>${dated(calibration)}</option>`)}
         </select>
       </label>
       <label class="field"><span>Or a calibration file</span>

@@ -2,20 +2,25 @@
 
 import { shownSpec } from "./choices.js";
 
+// Start of the cameras that nobody knows: the service measures their clocks.
+export const MEASURED = "measured";
+
 // Description of a draft with its calibration and the choices that the service offers. What the page does not ask for
 // has no value here, whatever the draft keeps for the next capture.
 export function captureOf({ draft, rig, options }) {
   const files = draft.rows.filter(({ isUsed }) => isUsed);
   const has = (kind) => files.some((row) => row.kind === kind);
+  const isMeasured = draft.clock === MEASURED;
   return {
     name: draft.name,
     files,
     views: files.filter(({ kind }) => kind !== "timestamps"),
     calibration: rig.record,
-    clock: has("video") ? draft.clock : null,
+    start: draft.clock,
+    clock: has("video") ? (isMeasured ? "declared" : draft.clock) : null,
     needsFrameRate: has("keypoints") && !has("timestamps"),
     frameRate_hz: has("keypoints") && !has("timestamps") ? draft.frameRate_hz : null,
-    spec: options ? shownSpec(draft.spec, options) : null,
+    spec: options ? { ...shownSpec(draft.spec, options), sync: isMeasured ? "auto" : "declared" } : null,
   };
 }
 
@@ -32,10 +37,10 @@ export function sessionBody({ name, files, calibration, clock, frameRate_hz, spe
     calibration_id: calibration.id,
     manifest: {
       name: name.trim() || `Take of ${now}`, cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
-      ...(spec.sync && { sync: spec.sync }),
+      sync: spec.sync,
     },
   };
 }
 
 // Request that reconstructs it.
-export const jobBody = ({ spec }) => ({ sync: "declared", ...spec });
+export const jobBody = ({ spec }) => spec;

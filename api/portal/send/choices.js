@@ -39,23 +39,27 @@ export function shownSpec(spec, options) {
 export const valueOf = (choice, spec) => (choice.name in spec ? spec[choice.name] : choice.default);
 
 // The form. `id` tells two forms of a page apart; `onChange(name, value)` gets undefined for the default.
-export function choicesForm({ id, options, spec, onChange }) {
+// `hidden` names choices that stand elsewhere, and `noteOf(choice, value)` gives a further note of a value.
+export function choicesForm({ id, options, spec, onChange, hidden = [], noteOf = () => null }) {
   if (!options) return html`<p class="quiet">Loading the choices …</p>`;
   const set = (choice, value) => onChange(choice.name, value);
-  const draw = (choice) => FIELDS[choice.kind]?.({ id, choice, spec, options, set: (value) => set(choice, value) }) ?? nothing;
+  const draw = (choice) => FIELDS[choice.kind]?.({ id, choice, spec, options, noteOf, set: (value) => set(choice, value) }) ?? nothing;
   // One value of few comes before several: the application before its files.
-  const of = (group) => options.choices.filter((choice) => choice.group === group)
+  const shown = options.choices.filter(({ name }) => !hidden.includes(name));
+  const choicesOf = (group) => shown.filter((choice) => choice.group === group)
     .sort((one, other) => (one.kind === "several") - (other.kind === "several"));
-  const rest = options.choices.filter((choice) => !GROUPS.some(([group]) => group === choice.group));
+  const rest = shown.filter((choice) => !GROUPS.some(([group]) => group === choice.group));
   const numChanged = rest.filter(({ name }) => name in spec).length;
   return html`
     ${GROUPS.map(([group, title]) => html`<div class="group" data-group=${group}><h3>${title}</h3>
-      <div class="fields">${of(group).map(draw)}</div></div>`)}
+      <div class="fields">${choicesOf(group).map(draw)}</div></div>`)}
     <details class="advanced">
       <summary>More options${numChanged ? html` <span class="badge">${numChanged} changed</span>` : nothing}</summary>
       <div class="fields grid">${rest.map(draw)}</div>
     </details>`;
 }
+
+const sentences = (...notes) => notes.filter(Boolean).map((note) => note[0].toUpperCase() + note.slice(1)).map((note) => (note.endsWith(".") ? note : `${note}.`)).join(" ");
 
 function tile({ id, choice, value, label, note, isChecked, onPick, type = "radio" }) {
   return html`<label class="tile">
@@ -78,13 +82,13 @@ function numberField({ id, choice, value, onInput, isWhole, placeholder, label, 
 const numberIn = (event) => (event.target.value === "" ? undefined : event.target.valueAsNumber);
 
 const FIELDS = {
-  one({ id, choice, spec, options, set }) {
+  one({ id, choice, spec, options, noteOf, set }) {
     const values = offered(choice, spec, options);
     const chosen = valueOf(choice, spec);
     const pick = (name) => set(name === choice.default ? undefined : name);
     if (choice.group !== "advanced" && values.length <= MOST_TILES) {
       return frame(choice, values.map(({ name, label, note }) => tile({
-        id, choice, value: name, label, note, isChecked: name === chosen, onPick: () => pick(name),
+        id, choice, value: name, label, note: sentences(noteOf(choice, name), note), isChecked: name === chosen, onPick: () => pick(name),
       })));
     }
     return html`<label class="field"><span>${choice.label}</span>

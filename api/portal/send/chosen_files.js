@@ -2,6 +2,7 @@
 
 import { isSame, rowOf } from "./draft.js";
 import { kindOf } from "./files.js";
+import { numFramesOf } from "./frame_count.js";
 
 const pick = ({ camera, isUsed, offset_s, rate, url, sent, isSent }) => ({ camera, isUsed, offset_s, rate, url, sent, isSent });
 
@@ -10,6 +11,7 @@ const pick = ({ camera, isUsed, offset_s, rate, url, sent, isSent }) => ({ camer
 // `isOver()`.
 export async function addFiles(draft, files, { notes, forget, isOver }) {
   const kinds = await Promise.all([...files].map(kindOf));
+  const counts = await Promise.all([...files].map((file, index) => (kinds[index] === "video" ? numFramesOf(file) : null)));
   if (isOver()) return null;
   const filesOf = (kind) => [...files].filter((file, index) => kinds[index] === kind);
   const [calibrations, others] = [filesOf("calibration"), filesOf(null)];
@@ -18,7 +20,7 @@ export async function addFiles(draft, files, { notes, forget, isOver }) {
     const kind = kinds[index];
     if (kind === null || kind === "calibration") return;
     if (added.has(file.name)) notes.push(`Two files have the name ${file.name}. Rename one of them.`);
-    else addRow(draft, file, kind, { notes, forget });
+    else addRow(draft, file, { kind, numFrames: counts[index] }, { notes, forget });
     added.add(file.name);
   });
   if (calibrations.length > 1) {
@@ -32,8 +34,8 @@ export async function addFiles(draft, files, { notes, forget, isOver }) {
 }
 
 // A file goes on with its own upload, and takes the place of another file of its name.
-function addRow(draft, file, kind, { notes, forget }) {
-  const facts = { name: file.name, size: file.size, modified: file.lastModified, kind };
+function addRow(draft, file, known, { notes, forget }) {
+  const facts = { name: file.name, size: file.size, modified: file.lastModified, ...known };
   const at = draft.rows.findIndex(({ name }) => name === file.name);
   if (at < 0) {
     draft.rows.push(rowOf(facts, file));

@@ -2,7 +2,7 @@
 
 const KEY = "multicap.draft";
 
-export const FACTS = ["name", "size", "modified", "kind", "camera", "isUsed", "offset_s", "rate", "url", "sent", "isSent"];
+export const FACTS = ["name", "size", "modified", "kind", "numFrames", "camera", "isUsed", "offset_s", "rate", "url", "sent", "isSent"];
 
 export function emptyDraft(kept = {}) {
   return { name: "", calibrationId: null, clock: "declared", frameRate_hz: null, spec: {}, rows: [], wasSending: false, request: null, sessionId: null, ...kept };

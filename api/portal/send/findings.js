@@ -4,6 +4,8 @@ import { html, nothing } from "../shared/lit.js";
 
 const TONES = { error: "bad", warning: "warn", info: "note" };
 const WORDS = { error: "Error", warning: "Warning", info: "Note" };
+// Findings that tell of the load of the service rather than of the files.
+const OF_LOAD = ["pictures_left_out"];
 
 // Picture in the middle of a camera's time; nothing for keypoints.
 export function pictureOf(camera) {
@@ -29,7 +31,7 @@ function evidenceOf({ code, camera, evidence }, cameras) {
 export function findingList(findings, cameras = [], wrap = (list) => list) {
   if (findings.length === 0) return nothing;
   return wrap(html`<ul class="findings">${findings.map((finding) => html`<li data-tone=${TONES[finding.severity] ?? "note"}>
-    <b>${WORDS[finding.severity] ?? "Note"}</b>
+    <b>${OF_LOAD.includes(finding.code) ? "The service was busy" : WORDS[finding.severity] ?? "Note"}</b>
     <div><p>${finding.message}${finding.hint ? html` <span class="hint">${finding.hint}</span>` : nothing}</p>${evidenceOf(finding, cameras)}</div>
   </li>`)}</ul>`);
 }

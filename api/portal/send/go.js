@@ -9,7 +9,9 @@ function summary(sending) {
   const { files, calibration } = sending.capture;
   if (files.length === 0) return html`<p class="quiet">No files yet.</p>`;
   const total = files.reduce((sum, row) => sum + row.size, 0);
-  return html`<p class="quiet">${count(files.length, "file")}, ${size(total)}${calibration ? ` · ${calibration.name}` : ""}</p>`;
+  const estimate = sending.estimate();
+  return html`<p class="quiet">${count(files.length, "file")}, ${size(total)}${calibration ? ` · ${calibration.name}` : ""}</p>
+    ${estimate ? html`<p class="quiet">Takes ${estimate.text}, ${estimate.source}.</p>` : nothing}`;
 }
 
 function progressPart(sending) {

@@ -4,6 +4,7 @@
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
 import { persistently } from "../shared/away.js";
+import { cameraFramesOf, estimateOf } from "../shared/estimate.js";
 import { feed } from "../shared/feed.js";
 import { count, percent } from "../shared/format.js";
 import { readOptions } from "../shared/options.js";
@@ -79,6 +80,16 @@ class Sending extends EventTarget {
   // What Send waits for, as words.
   get unread() {
     return [...new Set([...this.#reading.values(), ...(this.rig.isReading ? [`the calibration ${this.rig.name ?? ""}`] : [])])];
+  }
+
+  // Time that the reconstruction will take, with some choices in place of those of the page; null if it can't be told.
+  estimate(choices = {}) {
+    const { spec, views } = this.capture;
+    if (!spec || views.some(({ kind }) => kind !== "video")) return null;
+    const checked = this.session?.preflight.cameras;
+    const counts = checked ? checked.map(({ num_frames: number }) => number) : views.map(({ numFrames }) => numFrames);
+    const wanted = { ...spec, ...choices };
+    return estimateOf(wanted, cameraFramesOf(counts, wanted), feed.newest(), this.options);
   }
 
   // Text about a running upload for other views; null without one.

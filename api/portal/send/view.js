@@ -1,12 +1,13 @@
 // View Send: a new capture, from dropped files to its job.
 
-import { call } from "../shared/api.js";
 import { persistently } from "../shared/away.js";
 import { feed } from "../shared/feed.js";
+import { readCalibrations } from "../shared/calibrations.js";
 import { percent } from "../shared/format.js";
 import { html, live, nothing, render, typed } from "../shared/lit.js";
 import { go } from "../shared/router.js";
 import { calibrationPart } from "./calibration.js";
+import { MEASURED } from "./capture.js";
 import { choicesForm } from "./choices.js";
 import { ACCEPTED, droppedFiles } from "./files.js";
 import { goPanel } from "./go.js";
@@ -15,10 +16,12 @@ import { fileTable } from "./rows.js";
 import { sampleButton } from "./sample.js";
 import { sending } from "./sending.js";
 
-const MOST_CALIBRATIONS = 100;
-const CLOCKS = [
-  ["declared", "together, but for their offsets"], ["timecode", "at their timecodes"], ["creation_time", "at their times of creation"],
-];
+const HIDDEN = ["sync"]; // stands with the start of the videos
+const MEASURE = [MEASURED, "I don't know: measure their clocks from people and sound"];
+const STARTS = {
+  video: [["declared", "together, but for their offsets"], ["timecode", "at their timecodes"], ["creation_time", "at their times of creation"], MEASURE],
+  keypoints: [["declared", "together, or at their timestamps"], [MEASURED, "I don't know: measure their clocks from people"]],
+};
 
 export function open(place) {
   let stored = [];
@@ -29,7 +32,7 @@ export function open(place) {
 
   const loadCalibrations = async () => {
     const isOver = () => isClosed;
-    stored = (await persistently(() => call(`/v1/calibrations?limit=${MOST_CALIBRATIONS}`), { isOver })).calibrations;
+    stored = await persistently(readCalibrations, { isOver });
     if (!isClosed) draw();
   };
 
@@ -59,6 +62,9 @@ export function open(place) {
     add(files);
   };
 
+  // Time of this take with a value of a choice.
+  const noteOf = (choice, value) => (choice.name === "profile" ? sending.estimate({ profile: value })?.text : null);
+
   function dropPart(isLocked) {
     const isEmpty = sending.rows.length === 0;
     return html`<div class="drop ${isOver ? "over" : ""} ${isEmpty ? "" : "small"}">
@@ -74,10 +80,12 @@ export function open(place) {
 
   // What the files do not say about their times.
   function timePart(isLocked) {
-    const { clock, needsFrameRate, frameRate_hz: rate } = sending.capture;
-    return html`${clock ? html`<label class="field clock"><span>The videos start</span>
+    const { start, views, needsFrameRate, frameRate_hz: rate } = sending.capture;
+    if (views.length === 0) return nothing;
+    const isVideo = views.some(({ kind }) => kind === "video");
+    return html`<label class="field clock"><span>${isVideo ? "The videos start" : "The cameras start"}</span>
         <select ?disabled=${isLocked} @change=${(event) => { sending.draft.clock = event.target.value; sending.changed(); }}>
-          ${CLOCKS.map(([name, label]) => html`<option value=${name} .selected=${live(name === clock)}>${label}</option>`)}</select></label>` : nothing}
+          ${STARTS[isVideo ? "video" : "keypoints"].map(([name, label]) => html`<option value=${name} .selected=${live(name === start)}>${label}</option>`)}</select></label>
       ${needsFrameRate ? html`<label class="field clock"><span>Frame rate of the keypoints, Hz</span>
         <input type="number" class="number" min="1" max="1000" step="any" required .value=${typed(rate)} ?disabled=${isLocked}
           @input=${(event) => { sending.draft.frameRate_hz = event.target.value === "" ? null : event.target.valueAsNumber; sending.changed(); }}>
@@ -115,7 +123,7 @@ export function open(place) {
           ${calibrationPart({ sending, stored, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (file, units) => sending.readCalibration(file, units) })}
         </section>
         <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">Choices</h2>
-          ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec })}
+          ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, noteOf })}
         </section>
       </div>
       <aside class="side">${goPanel({ sending, send, failed, change: () => place.querySelector("#choose-files").focus() })}${recentJobs(feed)}</aside>

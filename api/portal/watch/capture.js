@@ -2,6 +2,7 @@
 
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
+import { readCalibrations, usable } from "../shared/calibrations.js";
 import { confirm } from "../shared/dialog.js";
 import { feed } from "../shared/feed.js";
 import { count, length, moment, size } from "../shared/format.js";
@@ -10,7 +11,7 @@ import { html, nothing, repeat } from "../shared/lit.js";
 import { problemBox, warningList } from "../shared/problem.js";
 import { findingList, pictureOf } from "../send/findings.js";
 import { jobRow } from "./job.js";
-import { otherCalibrationForm, usableCalibrations } from "./other_calibration.js";
+import { otherCalibrationForm } from "./other_calibration.js";
 import { runAgainForm, specOf } from "./run_again.js";
 
 function factsOf(session) {
@@ -52,6 +53,14 @@ function cameraTable(view, session) {
     ${findingList(findings.filter((finding) => !cameras.some(({ name }) => name === finding.camera)), cameras)}
     ${warningList(warnings.filter((warning) => !known.has(warning)), `Warnings about the files of ${session.name}`)}
   </details>`;
+}
+
+// Picture of the first camera that has one, so that a capture is known at a glance; nothing of keypoints.
+function pictureOfCapture({ name, preflight }) {
+  const camera = preflight.cameras.find(({ thumbnails }) => thumbnails?.length);
+  if (!camera) return nothing;
+  const { link } = camera.thumbnails[Math.floor(camera.thumbnails.length / 2)];
+  return html`<img class="cover" src=${link} alt="${name}, seen by ${camera.name}" loading="lazy">`;
 }
 
 function beginRename(view, session) {
@@ -110,7 +119,7 @@ export function captureCard(view, session) {
   };
   const recalibrate = () => view.act(session.id, async () => {
     if (view.recalibrated.has(session.id)) view.recalibrated.delete(session.id);
-    else view.recalibrated.set(session.id, await usableCalibrations());
+    else view.recalibrated.set(session.id, usable(await readCalibrations()));
   });
   const toggleForm = () => {
     if (view.opened.has(session.id)) view.opened.delete(session.id);
@@ -121,6 +130,7 @@ export function captureCard(view, session) {
 
   return html`<li class="panel capture" aria-labelledby="name-${session.id}">
     <div class="head">
+      ${pictureOfCapture(session)}
       <div>
         ${view.renamed === session.id ? renameForm(view, session) : html`<h2 id="name-${session.id}">${isFootage ? "Calibration: " : ""}${session.name}</h2>`}
         <p class="quiet facts">${factsOf(session).map((fact) => html`<span>${fact}</span>`)}</p>

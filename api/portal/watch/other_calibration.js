@@ -2,15 +2,8 @@
 
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
+import { dated } from "../shared/calibrations.js";
 import { html } from "../shared/lit.js";
-
-const MOST = 100;
-
-// Calibrations that can reconstruct.
-export async function usableCalibrations() {
-  const { calibrations } = await call(`/v1/calibrations?limit=${MOST}`);
-  return calibrations.filter(({ state, report }) => state === "ready" && report?.has_extrinsics !== false);
-}
 
 export function otherCalibrationForm(view, session) {
   const calibrations = view.recalibrated.get(session.id);
@@ -34,7 +27,7 @@ export function otherCalibrationForm(view, session) {
   return html`<form class="again" aria-label="Other calibration for ${session.name}" @submit=${submit}>
     <div class="pair">
       <label class="field"><span>Calibration</span><select name="calibration" required>
-        ${calibrations.map(({ id, name }) => html`<option value=${id}>${name}</option>`)}</select></label>
+        ${calibrations.map((calibration) => html`<option value=${calibration.id}>${dated(calibration)}</option>`)}</select></label>
       <label class="field"><span>Name of the new capture</span><input name="name" maxlength="200" value=${session.name} autocomplete="off"></label>
     </div>
     ${calibrations.length ? "" : html`<p class="quiet">No calibration is stored. <a href="#/calibrations">Add one.</a></p>`}

@@ -2,6 +2,7 @@
 
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
+import { cameraFramesOf, estimateOf } from "../shared/estimate.js";
 import { feed } from "../shared/feed.js";
 import { html } from "../shared/lit.js";
 import { choicesForm } from "../send/choices.js";
@@ -33,8 +34,15 @@ export function runAgainForm(view, session) {
       announce(`Another job of ${session.name} waits.`);
     });
   };
+  const { preflight } = session;
+  const counts = preflight.cameras.map(({ num_frames: number }) => number);
+  const isVideo = session.files.some(({ kind }) => kind === "video");
+  const noteOf = (choice, value) => {
+    const wanted = { ...spec, profile: value };
+    return isVideo && choice.name === "profile" ? estimateOf(wanted, cameraFramesOf(counts, wanted), feed.newest(), view.options)?.text : null;
+  };
   return html`<form class="again" id="again-${session.id}" aria-label="Run ${session.name} again" @submit=${submit}>
-    ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change })}
+    ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change, noteOf })}
     <div class="actions"><button class="button primary">Reconstruct without uploading</button>
       <button type="button" class="button" @click=${close}>Close</button></div>
   </form>`;
