@@ -107,9 +107,11 @@ def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> Pic
     findings = [finding for one in looked for finding in one.problems]
     findings += [*check_pictures(seen), *(copy for copy in copies if copy is not None)]
     if num_left := sum(one.is_left_out for one in looked):
-        reason = "the time or the memory of the service was short"
-        message = f"Not all pictures of {num_left} of {len(looked)} cameras could be looked at: {reason}."
-        hint = "Look at the videos, or send the session again when the service is less busy."
+        message = (
+            f"The service was busy: it had no time or memory to look at all pictures of {num_left} of {len(looked)} "
+            "cameras. This says nothing about the videos."
+        )
+        hint = "Send the session again when the service is less busy to have all pictures looked at."
         findings.append(Finding("pictures_left_out", message, None, "info", hint, {"num_cameras": num_left}))
     return PicturesCheck(tuple(findings), tuple(one.thumbnails for one in looked))
 

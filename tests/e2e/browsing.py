@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import ConsoleMessage, Page, ViewportSize, sync_playwright
+from playwright.sync_api import ConsoleMessage, Locator, Page, ViewportSize, expect, sync_playwright
 
 from tests.e2e.foreign import READERS
 
@@ -72,6 +72,13 @@ def _checked(page: Page, allowed: tuple[str, ...]) -> Iterator[None]:
     page.on("pageerror", lambda error: complaints.append(str(error)))
     yield
     assert complaints == [], complaints
+
+
+def choose_option(field: Locator, text: str) -> None:
+    """Choose the first option of a field that begins with a text."""
+    expect(field.locator("option").filter(has_text=text).first).to_be_attached(timeout=60_000)
+    labels = field.locator("option").all_inner_texts()
+    field.select_option(label=next(label for label in labels if label.startswith(text)))
 
 
 def axe_findings(page: Page) -> list[str]:

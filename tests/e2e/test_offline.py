@@ -86,7 +86,7 @@ def test_a_view_says_that_it_cannot_load_and_loads_when_it_can(
         page.goto(f"{served.client.base_url}{start}")
         first = "Calibrations" if view == "Captures" else "Captures"
         role, name = LOADED[first]
-        expect(page.get_by_role(role, name=name).first).to_be_visible(timeout=60_000)  # type: ignore[arg-type]
+        expect(page.get_by_role(role, name=name).first).to_be_visible(timeout=180_000)  # type: ignore[arg-type]
         page.wait_for_load_state("networkidle")
         page.context.set_offline(True)
         open_view(page, view, job)
@@ -96,7 +96,7 @@ def test_a_view_says_that_it_cannot_load_and_loads_when_it_can(
         expect(page.get_by_role(role, name=name)).to_have_count(0)  # type: ignore[arg-type]
         page.unroute_all()
         page.context.set_offline(False)
-        expect(page.get_by_role(role, name=name).first).to_be_visible(timeout=60_000)  # type: ignore[arg-type]
+        expect(page.get_by_role(role, name=name).first).to_be_visible(timeout=180_000)  # type: ignore[arg-type]
         expect(alert).to_have_count(0)
 
 
@@ -108,7 +108,7 @@ def test_a_second_click_without_a_connection_opens_the_other_view(page: Page, jo
     open_view(page, "Calibrations", job)
     expect(page.get_by_role("heading", name="Calibrations", level=1)).to_be_visible()
     page.context.set_offline(False)
-    expect(page.get_by_role("link", name="Rig offline as JSON").first).to_be_visible(timeout=60_000)
+    expect(page.get_by_role("link", name="Rig offline as JSON").first).to_be_visible(timeout=180_000)
 
 
 def test_a_job_is_followed_again(page: Page, served: Served, job: dict[str, Any]) -> None:
@@ -123,14 +123,14 @@ def test_a_job_is_followed_again(page: Page, served: Served, job: dict[str, Any]
     try:
         waiting = served.client.post(job["jobs"], json={"frame_range": [0, 15]}).raise_for_status().json()
         row = page.locator(f"#job-{waiting['id']}")
-        expect(row.get_by_text("Waiting")).to_be_visible(timeout=60_000)
-        with page.expect_request(f"**/{waiting['id']}/events", timeout=60_000):
+        expect(row.get_by_text("Waiting")).to_be_visible(timeout=180_000)
+        with page.expect_request(f"**/{waiting['id']}/events", timeout=180_000):
             pass
         page.context.set_offline(True)
-        expect(page.get_by_role("banner").get_by_role("alert")).to_contain_text(AWAY, timeout=60_000)
+        expect(page.get_by_role("banner").get_by_role("alert")).to_contain_text(AWAY, timeout=180_000)
         num_streams = len(streams)
         page.context.set_offline(False)
-        expect(page.get_by_role("banner").get_by_role("alert")).to_have_count(0, timeout=60_000)
+        expect(page.get_by_role("banner").get_by_role("alert")).to_have_count(0, timeout=180_000)
         for _ in range(600):
             if len(streams) > num_streams:
                 break
@@ -139,4 +139,4 @@ def test_a_job_is_followed_again(page: Page, served: Served, job: dict[str, Any]
     finally:
         for process in tree:
             process.resume()
-    expect(row.get_by_role("link", name="Look at")).to_be_visible(timeout=120_000)
+    expect(row.get_by_role("link", name="Look at")).to_be_visible(timeout=240_000)

@@ -17,7 +17,7 @@ from playwright.sync_api import Locator, Page, expect
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode
 from pipeline.runtime.packages.samples import Sample
-from tests.e2e.browsing import opened
+from tests.e2e.browsing import choose_option, opened
 from tests.e2e.serving import Served, digests, serving
 
 pytestmark = pytest.mark.xdist_group("sample")
@@ -75,7 +75,7 @@ def test_a_stored_calibration_is_added_chosen_and_deleted(page: Page, served: Se
         stored.get_by_role("link", name="as Caliscope TOML").click()
     assert len(read_calibration(download.value.path().rename(download.value.path().with_suffix(".toml")))) == 4
     page.get_by_role("link", name="New capture").click()
-    page.get_by_label("Stored calibration").select_option("<i>Studio</i> B")
+    choose_option(page.get_by_label("Stored calibration"), "<i>Studio</i> B")
     choose(page, *sample.videos.values())
     with page.expect_response("**/v1/sessions/*/jobs", timeout=120_000) as answer:
         page.get_by_role("button", name="Send and reconstruct").click()

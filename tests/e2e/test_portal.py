@@ -11,7 +11,7 @@ from typing import Any, Literal
 import pytest
 from playwright.sync_api import Locator, Page, Request, expect
 
-from tests.e2e.browsing import axe_findings, opened
+from tests.e2e.browsing import axe_findings, choose_option, opened
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
@@ -348,7 +348,7 @@ def test_the_same_footage_with_another_calibration(page: Page, served: Served, k
     page.get_by_role("link", name="Captures", exact=True).click()
     page.get_by_role("button", name="Other calibration: Footage").click()
     form = page.get_by_role("form", name="Other calibration for Footage")
-    form.get_by_label("Calibration").select_option("Second")
+    choose_option(form.get_by_label("Calibration"), "Second")
     form.get_by_label("Name of the new capture").fill("Footage, second")
     form.get_by_role("button", name="Make a capture of the same footage").click()
     expect(page.get_by_role("button", name="Reconstruct: Footage, second")).to_be_focused(timeout=30_000)

@@ -57,20 +57,20 @@ def is_seen(part: Locator) -> bool:
 def test_send_is_in_reach_on_a_phone_and_opens_the_job(page: Page, videos: dict[str, Path]) -> None:
     assert is_seen(send(page))
     choose(page, *videos.values())
-    expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=60_000)
+    expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=180_000)
     expect(page.get_by_role("radio", name="Blender")).to_be_visible()
     for part in ("The videos start", "Stored calibration"):
         page.get_by_label(part).scroll_into_view_if_needed()
         assert is_seen(send(page)), part
     page.get_by_label("Name of the take").fill("From a phone")
     send(page).click()
-    expect(page).to_have_url(re.compile("#/jobs/"), timeout=60_000)
+    expect(page).to_have_url(re.compile("#/jobs/"), timeout=180_000)
     expect(page.get_by_role("heading", name="From a phone", level=1)).to_be_visible()
     assert page.evaluate("scrollY") == 0
     first = page.get_by_role("main").get_by_role("progressbar").first
     if first.count():  # until the job ends
         assert is_seen(first)
-    expect(page.get_by_text("Done: nobody was found")).to_be_visible(timeout=120_000)
+    expect(page.get_by_text("Done: nobody was found")).to_be_visible(timeout=240_000)
 
 
 def test_the_page_of_a_running_job_shows_its_progress_at_once(
@@ -82,9 +82,9 @@ def test_the_page_of_a_running_job_shows_its_progress_at_once(
         process.suspend()
     try:
         choose(page, *videos.values())
-        expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=60_000)
+        expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=180_000)
         send(page).click()
-        expect(page).to_have_url(re.compile("#/jobs/"), timeout=60_000)
+        expect(page).to_have_url(re.compile("#/jobs/"), timeout=180_000)
         expect(page.locator(".state")).to_have_text("Waiting")
         for progress in page.get_by_role("main").get_by_role("progressbar").all():
             assert is_seen(progress)
@@ -101,18 +101,18 @@ def test_a_refused_file_is_replaced_by_another_of_its_name(
     broken.write_bytes(b"no video")
     choose(page, broken, videos["right.mp4"], videos["calibration.json"])
     camera, offset = page.get_by_label("Camera of left.mp4"), page.get_by_label("Offset in seconds of left.mp4")
-    expect(camera).to_have_value("left", timeout=60_000)
+    expect(camera).to_have_value("left", timeout=180_000)
     offset.fill("0.25")
     send(page).click()
     refusal = page.get_by_role("region", name="Send").get_by_role("alert")
-    expect(refusal).to_contain_text("left.mp4", timeout=60_000)
+    expect(refusal).to_contain_text("left.mp4", timeout=180_000)
     choose(page, videos["left.mp4"])
     expect(page.get_by_text("left.mp4 takes the place of the file of this name.")).to_be_visible()
     expect(refusal).to_have_count(0)
     # What was said of the camera stays.
     expect(camera).to_have_value("left")
     expect(offset).to_have_value("0.25")
-    with page.expect_response("**/v1/sessions/*/jobs", timeout=60_000) as answer:
+    with page.expect_response("**/v1/sessions/*/jobs", timeout=180_000) as answer:
         send(page).click()
     files = served.client.get(answer.value.json()["links"]["session"]).json()["files"]
     sizes = {one["name"]: one["num_bytes"] for one in files}
@@ -133,7 +133,7 @@ def test_keypoints_without_timestamps_need_a_frame_rate(page: Page, served: Serv
     timestamps = keypoints["timestamps.csv"]
     rate = page.get_by_label("Frame rate of the keypoints, Hz")
     choose(page, *(path for path in keypoints.values() if path != timestamps))
-    expect(page.get_by_label("Camera of cam_00.zip")).to_have_value("cam_00", timeout=60_000)
+    expect(page.get_by_label("Camera of cam_00.zip")).to_have_value("cam_00", timeout=180_000)
     expect(rate).to_have_value("")
     send(page).click()
     refusal = page.get_by_role("region", name="Send").get_by_role("alert")
@@ -143,7 +143,7 @@ def test_keypoints_without_timestamps_need_a_frame_rate(page: Page, served: Serv
     expect(rate).to_have_count(0)
     page.get_by_label("Use timestamps.csv").uncheck()
     rate.fill("50")
-    with page.expect_response("**/v1/sessions", timeout=60_000) as answer:
+    with page.expect_response("**/v1/sessions", timeout=180_000) as answer:
         page.get_by_role("button", name="Send and check only").click()
     session = answer.value.json()
     assert session["preflight"]["timebase"]["frame_rate_hz"] == 50
@@ -151,7 +151,7 @@ def test_keypoints_without_timestamps_need_a_frame_rate(page: Page, served: Serv
     # Files of a capture that was checked are changed without choosing them again.
     page.get_by_role("button", name="Change the files").click()
     rate.fill("25")
-    with page.expect_response("**/v1/sessions", timeout=60_000) as answer:
+    with page.expect_response("**/v1/sessions", timeout=180_000) as answer:
         page.get_by_role("button", name="Send and check only").click()
     assert answer.value.json()["preflight"]["timebase"]["frame_rate_hz"] == 25
     assert served.client.get(session["links"]["self"]).status_code == 404

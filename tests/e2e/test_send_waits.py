@@ -14,7 +14,7 @@ import pytest
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
 from pipeline.runtime.packages.samples import Sample
-from tests.e2e.browsing import opened
+from tests.e2e.browsing import choose_option, opened
 from tests.e2e.captures import calibration_of_two_videos, keypoint_capture, two_videos
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
@@ -135,7 +135,7 @@ class Run:
         options = self.page.get_by_label("Stored calibration")
         self.wait(lambda: self.held or name in options.inner_text())
         if name in options.inner_text():
-            options.select_option(label=name)
+            choose_option(options, name)
 
     def choose(self, *paths: Path) -> None:
         self.page.get_by_label("Choose files").set_input_files(paths)

@@ -110,7 +110,7 @@ FILES = CodeGroup(
             "pictures_left_out",
             _FINDING,
             "The service had no time or memory to look at all pictures.",
-            "Look at the videos, or send the session again when the service is less busy.",
+            "Send the session again when the service is less busy to have all pictures looked at.",
         ),
         ProblemCode("session_warning", _FINDING, "A warning of a version that had sentences only.", "Read `message`."),
     ),

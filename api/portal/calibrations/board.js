@@ -32,13 +32,13 @@ export function boardPicture(board) {
   if (![across, down].every((count) => Number.isInteger(count) && count >= 2 && count <= MOST) || !(square > 0)) return nothing;
   const cells = Array.from({ length: across * down }, (_, number) => [number % across, Math.floor(number / across)]);
   const share = side > 0 && side < square ? side / square : 0;
-  const text = `${across} × ${down} squares, ${Number((across * square).toPrecision(6))} × ${Number((down * square).toPrecision(6))} mm`;
+  const text = `${across} x ${down} squares, ${Number((across * square).toPrecision(6))} x ${Number((down * square).toPrecision(6))} mm`;
   const corners = kind === "chessboard" ? cells.filter(([x, y]) => x > 0 && y > 0) : [];
   return html`<figure class="board"><svg viewBox="-0.5 -0.5 ${across + 1} ${down + 1}" role="img" aria-label=${`Picture of the board: ${text}`}>
     <rect class="paper" x="-0.5" y="-0.5" width=${across + 1} height=${down + 1} />
     ${cells.map(([x, y]) => ((x + y) % 2 === 0 ? svg`<rect class="ink" x=${x} y=${y} width="1" height="1" />` : kind === "charuco" && share ? marker(x, y, share) : nothing))}
     ${corners.map(([x, y]) => svg`<circle class="corner" cx=${x} cy=${y} r="0.13" />`)}
-  </svg><figcaption class="quiet">${text}${corners.length ? `; ${board.cols} × ${board.rows} inner corners, as marked` : ""}. Compare it with your print.</figcaption></figure>`;
+  </svg><figcaption class="quiet">${text}${corners.length ? `; ${board.cols} x ${board.rows} inner corners, as marked` : ""}. Compare it with your print.</figcaption></figure>`;
 }
 
 // `change(facts)` gets the fields that somebody changes.

@@ -24,6 +24,9 @@ function paceOf(job, options) {
   return frameS && (new Date(job.finished_at) - new Date(job.started_at)) / 1000 / (detection.total * frameS);
 }
 
+// An estimate needs no seconds.
+const minutes = (seconds) => (seconds < 50 ? "less than a minute" : `about ${seconds < 90 ? "1 min" : roughly(seconds)}`);
+
 // Estimate of a job with a spec on so many frames of all cameras, as `{ text, source }`; null without one.
 export function estimateOf(spec, numCameraFrames, jobs, options) {
   const frameS = options && numCameraFrames && cameraFrameS(spec, options);
@@ -31,7 +34,7 @@ export function estimateOf(spec, numCameraFrames, jobs, options) {
   const paces = jobs.map((job) => paceOf(job, options)).filter((pace) => pace > 0).slice(0, MOST_JOBS).sort((one, other) => one - other);
   const pace = paces.length ? paces[Math.floor(paces.length / 2)] : 1;
   return {
-    text: `about ${roughly(numCameraFrames * frameS * pace)}`,
+    text: minutes(numCameraFrames * frameS * pace),
     source: paces.length ? "estimated from the last jobs of this service" : "estimated from measurements on one core; this service may be faster or slower",
   };
 }
