@@ -102,7 +102,7 @@ def test_a_refused_file_is_replaced_by_another_of_its_name(
     choose(page, broken, videos["right.mp4"], videos["calibration.json"])
     camera, offset = page.get_by_label("Camera of left.mp4"), page.get_by_label("Offset in seconds of left.mp4")
     expect(camera).to_have_value("left", timeout=180_000)
-    offset.fill("0.25")
+    offset.fill("0.02")
     send(page).click()
     refusal = page.get_by_role("region", name="Send").get_by_role("alert")
     expect(refusal).to_contain_text("left.mp4", timeout=180_000)
@@ -111,7 +111,7 @@ def test_a_refused_file_is_replaced_by_another_of_its_name(
     expect(refusal).to_have_count(0)
     # What was said of the camera stays.
     expect(camera).to_have_value("left")
-    expect(offset).to_have_value("0.25")
+    expect(offset).to_have_value("0.02")
     with page.expect_response("**/v1/sessions/*/jobs", timeout=180_000) as answer:
         send(page).click()
     files = served.client.get(answer.value.json()["links"]["session"]).json()["files"]

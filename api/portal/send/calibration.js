@@ -3,7 +3,7 @@
 import { dated, usable } from "../shared/calibrations.js";
 import { count } from "../shared/format.js";
 import { html, live, nothing } from "../shared/lit.js";
-import { warningList } from "../shared/problem.js";
+import { problemBox, warningList } from "../shared/problem.js";
 import { ACCEPTED_CALIBRATIONS } from "./files.js";
 
 const UNITS = [["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
@@ -17,8 +17,8 @@ function factsOf(calibration) {
   return facts.join(" · ");
 }
 
-export function calibrationPart({ sending, stored, choose, readFile, isLocked }) {
-  const ready = usable(stored);
+export function calibrationPart({ sending, stored, away, choose, readFile, isLocked }) {
+  const ready = usable(stored ?? []);
   const { rig } = sending;
   const chosen = sending.capture.calibration;
   // The list may be older than the chosen calibration.
@@ -27,7 +27,7 @@ export function calibrationPart({ sending, stored, choose, readFile, isLocked })
     <div class="pair">
       <label class="field"><span>Stored calibration</span>
         <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value, listed.find(({ id }) => id === event.target.value)?.name)}>
-          <option value="" .selected=${live(!rig.id)}>${listed.length ? "Choose …" : "None is stored yet"}</option>
+          <option value="" .selected=${live(!rig.id)}>${stored === null ? "Loading …" : listed.length ? "Choose …" : "None is stored yet"}</option>
           ${listed.map((calibration) => html`<option value=${calibration.id} .selected=${live(calibration.id === rig.id)}>${dated(calibration)}</option>`)}
         </select>
       </label>
@@ -36,6 +36,7 @@ export function calibrationPart({ sending, stored, choose, readFile, isLocked })
           @change=${(event) => { if (event.target.files.length) readFile(event.target.files[0]); event.target.value = ""; }}>
       </label>
     </div>
+    ${problemBox(away && { message: `The stored calibrations can't be loaded. ${away.message}` })}
     ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">Checking the calibration …</span></p>` : nothing}
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${factsOf(chosen)}</span></p>
       ${warningList(chosen.warnings, "Warnings about the calibration")}` : nothing}

@@ -24,7 +24,8 @@ const STARTS = {
 };
 
 export function open(place) {
-  let stored = [];
+  let stored = null; // calibrations, once they are loaded
+  let away = null; // why they are not
   let isClosed = false;
   let isOver = false; // whether files are held over the page
   const draw = () => render(page(), place);
@@ -32,7 +33,8 @@ export function open(place) {
 
   const loadCalibrations = async () => {
     const isOver = () => isClosed;
-    stored = await persistently(readCalibrations, { isOver });
+    stored = await persistently(readCalibrations, { isOver, away: (problem) => { away = problem; draw(); } });
+    away = null;
     if (!isClosed) draw();
   };
 
@@ -120,7 +122,7 @@ export function open(place) {
       <div class="steps">
         ${filesPart(isLocked)}
         <section class="panel" aria-labelledby="calibration-title"><h2 id="calibration-title">Calibration</h2>
-          ${calibrationPart({ sending, stored, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (file, units) => sending.readCalibration(file, units) })}
+          ${calibrationPart({ sending, stored, away, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (file, units) => sending.readCalibration(file, units) })}
         </section>
         <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">Choices</h2>
           ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, noteOf })}
