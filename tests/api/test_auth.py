@@ -68,7 +68,7 @@ class Guarded:
         address = re.sub(r"\{(\w+)\}", lambda found: self.ids[found[1]], path)
         if (method, path) in {("POST", "/v1/calibrations"), ("POST", "/v1/sessions"), ("POST", "/v1/jobs")}:
             options.setdefault("files", form())
-        if (method, path) == ("PATCH", "/v1/sessions/{session_id}"):
+        if (method, path) in {("PATCH", "/v1/sessions/{session_id}"), ("PATCH", "/v1/calibrations/{calibration_id}")}:
             options.setdefault("json", {"name": "walk"})
         if (method, path) == ("PATCH", "/v1/jobs/{job_id}/people"):
             options.setdefault("json", {"edits": []})

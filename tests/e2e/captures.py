@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.calibration.write import encode
+from pipeline.data import Camera
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import picture, write_pictures, write_video
@@ -36,12 +37,12 @@ def two_videos(folder: Path) -> dict[str, Path]:
         sign = 1 if name == "left" else -1
         pictures = [picture(3 * number, (64, 48))[::sign, ::sign] for number in range(5)]
         write_pictures(folder / f"{name}.mp4", [image if sign > 0 else 255 - image for image in pictures])
-    (folder / "calibration.json").write_bytes(calibration_of_two_videos())
+    (folder / "calibration.json").write_bytes(encode(cameras_of_two_videos()))
     return {name: folder / name for name in ("left.mp4", "right.mp4", "calibration.json")}
 
 
-def calibration_of_two_videos(turn_rad: float = 0.3) -> bytes:
-    """Calibration of the cameras of ``two_videos``; the left one stands at an angle."""
+def cameras_of_two_videos(turn_rad: float = 0.3) -> list[Camera]:
+    """Cameras of ``two_videos``; the left one stands at an angle."""
     matrix = np.array([[40.0, 0.0, 31.5], [0.0, 40.0, 23.5], [0.0, 0.0, 1.0]])
     cameras = [ring_camera("left", turn_rad), ring_camera("right", 1.9)]
-    return encode([replace(camera, size_px=(64, 48), matrix=matrix) for camera in cameras])
+    return [replace(camera, size_px=(64, 48), matrix=matrix) for camera in cameras]
