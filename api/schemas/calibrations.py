@@ -204,7 +204,7 @@ class CalibrationOut(ResponseModel):
             source={name: value for name, value in calibration.source.items() if name != "notes"},
             warnings=(*notes, *(warning["message"] for warning in found)),
             cameras=() if calibration.files is None else _cameras(calibration.files["multicap"]),
-            sha256=calibration.files and hashlib.sha256(calibration.files["multicap"].encode()).hexdigest(),
+            sha256=None if calibration.files is None else _digest(calibration.files["multicap"]),
             report=None if calibration.report is None else dict(calibration.report),
             error=JobError.of(calibration.problem) if calibration.problem else None,
             links=CalibrationLinks(
@@ -221,6 +221,10 @@ class CalibrationPage(ResponseModel):
 
     calibrations: tuple[CalibrationOut, ...]
     next_cursor: NextCursor
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _cameras(text: str) -> tuple[CalibratedCamera, ...]:
