@@ -49,8 +49,8 @@ SHOWN = """() => {
 }"""  # noqa: E501
 
 SESSIONS, JOBS = "POST /v1/sessions", "POST /v1/sessions/ID/jobs"
-# The refusal of a file, and the icon of the address that clears the browser's memory.
-ALLOWED = ("422 (Unprocessable", "404 (Not Found")
+# The refusal of a file, the icon of the address that clears the browser's memory, and too many requests in a minute.
+ALLOWED = ("422 (Unprocessable", "404 (Not Found", "429 (Too Many")
 # Requests of the frame of the page, which have nothing to do with the form.
 OF_FRAME = {"GET /v1/caller", "GET /v1/jobs", "GET /v1/jobs/ID/events"}
 
