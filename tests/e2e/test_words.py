@@ -139,7 +139,7 @@ def test_the_time_of_a_take_is_estimated_from_its_frames(page: Page, served: Ser
           const job = {
             kind: "reconstruction", state: "succeeded", revision: 0, attempt: 1, spec: { profile: "fast" },
             started_at: "2026-03-01T09:00:00Z", finished_at: "2026-03-01T09:01:00Z",
-            stages: [{ name: "detect", total: 600, reused: false }],
+            stages: [{ unit: "frames", total: 600, reused: false }, { unit: "frames", total: 150, reused: false }],
           };
           const frameS = Object.fromEntries(options.profiles.map(({ name, joints, default_joints: usual }) =>
             [name, joints.find((one) => one.joints === usual).camera_frame_s]));

@@ -17,7 +17,8 @@ function cameraFrameS(spec, options) {
 
 // Ratio of the time of a job here to that of the measurements; null of a job that tells nothing.
 function paceOf(job, options) {
-  const detection = job.stages.find(({ name }) => name === "detect");
+  // The stage of most frames looks at those of all cameras.
+  const [detection] = job.stages.filter(({ unit }) => unit === "frames").sort((one, other) => other.total - one.total);
   const isWhole = job.kind === "reconstruction" && job.state === "succeeded" && job.revision === 0 && job.attempt === 1;
   if (!hasEnded(job) || !isWhole || !detection || detection.reused || detection.total < FEWEST_FRAMES) return null;
   const frameS = cameraFrameS(job.spec, options);
