@@ -19,7 +19,7 @@ from worker.jobs.pauses import Pauses
 Json = Mapping[str, Any]
 
 _POLL_S = 0.25
-# Tries of a download that breaks off, and the pauses between them: about a minute.
+# Tries of a request that the service does not answer, and the pauses between them: about a minute.
 _MAX_TRIES, _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 8, 1.0, 20.0
 _ENDS = {"succeeded": "succeeded", "failed": "failed", "canceled": "was canceled", "expired": "expired"}
 
@@ -84,6 +84,10 @@ class ServiceError(PipelineError):
     """The service refused a request, failed, did not start or did not respond; the text states the reason."""
 
     code = "service_error"
+
+
+class UnavailableError(ServiceError):
+    """The service, or a part of it, does not respond now."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +240,7 @@ class Client:
         Raises
         ------
         ServiceError
-            If the job fails, is canceled, or does not end in time.
+            If the job fails, is canceled, or does not end in time, or the service does not respond for a minute.
         """
         deadline_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
         now = _job(job)
@@ -246,7 +250,7 @@ class Client:
                     f"The job {now['id']} did not end within {timeout_s:g} s; it is {now['state']} and continues."
                 )
             time.sleep(_POLL_S)
-            now = _job(self.get(now["links"]["self"]))
+            now = _job(self._get_patiently(now["links"]["self"]))
             on_job(now)
         if now["state"] != "succeeded":
             raise ServiceError(f"The job {_ENDS[now['state']]}. {_sentences(now['error'] or {})}".strip())
@@ -261,7 +265,7 @@ class Client:
             If a file is damaged, or its download breaks off again and again; else it continues where it broke.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        return [self._save(result, folder) for result in self._call("GET", job["links"]["results"])["results"]]
+        return [self._save(result, folder) for result in self._get_patiently(job["links"]["results"])["results"]]
 
     def _save(self, result: Json, folder: Path) -> Path:
         path = folder / result["name"]
@@ -303,11 +307,20 @@ class Client:
             return False
         return True
 
+    def _get_patiently(self, path: str) -> Json:
+        """Read a path; try again for about a minute while the service does not respond."""
+        pauses = Pauses(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
+        for _ in range(_MAX_TRIES - 1):
+            with contextlib.suppress(UnavailableError):
+                return self.get(path)
+            time.sleep(pauses.next_s())
+        return self.get(path)
+
     def _call(self, method: str, path: str, **options: Any) -> Json:
         try:
             answer = self.http.request(method, path, **options)
         except httpx2.TransportError as error:
-            raise ServiceError(f"The service at {self.url} does not answer.") from error
+            raise UnavailableError(f"The service at {self.url} does not answer.") from error
         if answer.is_error:
             raise _refusal(answer)
         document = _object(answer) if answer.content else {}
@@ -332,7 +345,8 @@ def _object(answer: httpx2.Response) -> Json | None:
 def _refusal(answer: httpx2.Response) -> ServiceError:
     """Error with the sentences of the service; a proxy may answer without any."""
     sentences = _sentences(_object(answer) or {})
-    return ServiceError(sentences or f"The service at {answer.url.host} answered {answer.status_code}.")
+    kind = UnavailableError if answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE else ServiceError
+    return kind(sentences or f"The service at {answer.url.host} answered {answer.status_code}.")
 
 
 def _sentences(problem: Json) -> str:

@@ -95,6 +95,27 @@ def test_our_own_client_continues_a_download_where_it_broke(
     assert 0 < starts[0] < starts[1] < len(LARGE)
 
 
+def test_our_own_client_follows_a_job_through_an_outage(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(own_client, "_FIRST_PAUSE_S", 0.1)
+    job_id = live.job_id()
+    job = live.client.get(f"/v1/jobs/{job_id}").json()
+    with unreliable(live.address[1]) as line:
+        seen: list[Mode] = []
+        outage: list[Mode] = ["unavailable", "reset", "refuse"]
+
+        def note(request: Any) -> None:
+            seen.append(line.mode)
+            if outage:
+                line.set(outage.pop(0))
+            else:
+                line.set("forward")
+                live.finish(job_id)
+
+        with httpx2.Client(base_url=line.endpoint, event_hooks={"request": [note]}, trust_env=False) as http:
+            assert Client(http).follow(job)["state"] == "succeeded"
+    assert len(seen) >= 4
+
+
 def test_a_database_that_does_not_respond_is_503(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     def away(self: object) -> Any:
         raise OperationalError("BEGIN", {}, Exception(), connection_invalidated=True)
