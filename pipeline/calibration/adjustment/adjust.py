@@ -6,7 +6,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.calibration.adjustment.normal import State, build, cost, residuals_px
-from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, Parameters, move_camera
+from pipeline.calibration.adjustment.parameters import (
+    EXTRINSICS,
+    NUM_PARAMETERS,
+    Parameters,
+    move_camera,
+    world_moves,
+)
 from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.calibration.adjustment.structure import Structure
 from pipeline.data import Camera, read_only
@@ -17,6 +23,8 @@ _MAX_DAMPING, _MIN_DAMPING = 1e10, 1e-12
 _SMALL_DECREASE, _SMALL_CHANGE = 1e-9, 1e-3
 # Directions with less information than this share of a parameter's own are undetermined.
 _UNDETERMINED = 1e-11
+# Least information on an extrinsic parameter of a camera that holds the world, in units of the prior's.
+_MIN_INFORMATION = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +58,7 @@ def adjust(
     start: tuple[Camera, ...] | None = None,
     sigma_px: float | None = None,
     max_steps: int = _MAX_STEPS,
+    small_step: Parameters | None = None,
 ) -> Adjustment:
     """Fit cameras and structure to observations.
 
@@ -63,11 +72,13 @@ def adjust(
         Standard deviation of an observation's coordinate; by default estimated from the residuals, robustly.
     max_steps
         Limit on the steps of a search.
+    small_step
+        Steps of the cameras' parameters that end a search: what is left to gain is the structure's.
     """
     state = State(start or problem.cameras, structure, problem.lengths_m)
     noise_px = sigma_px or _noise_px(problem, state)
     for _ in range(_NUM_SCALES):
-        state = _search(problem, state, noise_px, max_steps)
+        state = _search(problem, state, noise_px, max_steps, small_step)
         found_px = sigma_px or _noise_px(problem, state)
         is_settled = abs(np.log(found_px / noise_px)) < _SMALL_CHANGE
         noise_px = found_px
@@ -93,6 +104,32 @@ def camera_sigma(problem: AdjustmentProblem, state: State, sigma_px: float) -> P
     return read_only(sigma)
 
 
+def sigma_in_held_world(problem: AdjustmentProblem, adjusted: Adjustment) -> Parameters:
+    """Compute standard deviations of the cameras' parameters with the world's position, orientation and scale held.
+
+    For a problem in which all extrinsics are free and only priors hold the world: the seven directions in which the
+    world may move are left out, in the metric of the priors (inner constraints; Triggs et al. 2000, section 9). With
+    other free parameters these are the standard deviations of the adjustment. All free parameters need priors.
+    """
+    free, cameras = problem.free, adjusted.cameras
+    if not free[:, EXTRINSICS].all():
+        return adjusted.sigma
+    state = State(cameras, adjusted.structure, adjusted.lengths_m)
+    scale = problem.prior_sigma[free]
+    normal = scale[:, None] * build(problem, state, adjusted.sigma_px).reduced() * scale
+    information = np.zeros(free.shape)
+    information[free] = np.diag(normal)
+    # Cameras that see hardly anything do not hold the world.
+    holds_world = information[:, EXTRINSICS].min(-1) > _MIN_INFORMATION
+    moves = (world_moves(cameras) * holds_world[:, None, None])[free] / scale[:, None]
+    left, values, _ = np.linalg.svd(moves)
+    basis = left[:, int((values > 1e-9 * values.max(initial=1e-9)).sum()) :]
+    covariance = basis @ np.linalg.inv(basis.T @ normal @ basis) @ basis.T
+    sigma = np.zeros(free.shape)
+    sigma[free] = scale * np.sqrt(np.diag(covariance))
+    return read_only(sigma)
+
+
 def block_covariance(
     problem: AdjustmentProblem, adjusted: Adjustment, blocks: Int[np.ndarray, " blocks"]
 ) -> Float[np.ndarray, "unknowns unknowns"]:
@@ -112,20 +149,24 @@ def _noise_px(problem: AdjustmentProblem, state: State) -> float:
     return max(_MIN_SIGMA_PX, float(np.median(distance_px)) / np.sqrt(2 * np.log(2)) / np.sqrt(left))
 
 
-def _search(problem: AdjustmentProblem, state: State, sigma_px: float, max_steps: int) -> State:
+def _search(
+    problem: AdjustmentProblem, state: State, sigma_px: float, max_steps: int, small_step: Parameters | None
+) -> State:
     """Run Levenberg-Marquardt from a state with a fixed noise."""
     damping, lowest = 1e-4, cost(problem, state, sigma_px)
     for _ in range(max_steps):
         normal = build(problem, state, sigma_px)
         before = lowest
         while damping < _MAX_DAMPING:
-            changed = _moved(problem, state, *normal.step(damping))
+            step, of_blocks = normal.step(damping)
+            changed = _moved(problem, state, step, of_blocks)
             if (found := cost(problem, changed, sigma_px)) < lowest:
                 state, lowest = changed, found
                 break
             damping *= 10.0
         damping = max(_MIN_DAMPING, damping / 10.0)
-        if before - lowest <= _SMALL_DECREASE * before:
+        is_small = small_step is not None and (np.abs(step[: problem.free.sum()]) <= small_step[problem.free]).all()
+        if is_small or before - lowest <= _SMALL_DECREASE * before:
             break
     return state
 

@@ -34,10 +34,17 @@ def no_prior(num_cameras: int) -> Parameters:
     return np.full((num_cameras, NUM_PARAMETERS), np.inf)
 
 
-def move_camera(camera: Camera, step: Float[np.ndarray, " 22"]) -> Camera:
-    """Change a camera by a step of its parameters; coefficients beyond those that the camera has must stay zero."""
+def move_camera(camera: Camera, step: Float[np.ndarray, " parameters"]) -> Camera:
+    """Change a camera by a step of its parameters.
+
+    Parameters
+    ----------
+    step
+        Steps of all parameters, or of the first ones; those of coefficients that the camera does not have must be zero.
+    """
     if not step.any():
         return camera
+    step = np.pad(step, (0, NUM_PARAMETERS - len(step)))
     rotation = Rotation.from_rotvec(step[ROTATION]).as_matrix() @ camera.cam_from_world.rotation
     center_m = center_in_world(camera) + step[POSITION]
     matrix = camera.matrix.copy()
@@ -69,3 +76,16 @@ def _offset(then: Camera, now: Camera) -> Float[np.ndarray, " 22"]:
             twelve_coefficients(now.distortion) - twelve_coefficients(then.distortion),
         ]
     )
+
+
+def world_moves(cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras 22 7"]:
+    """Derivatives of the cameras' parameters by a shift of the world (metres), a turn (radians) and a growth of it."""
+    centers_m = np.array([center_in_world(camera) for camera in cameras])
+    arms_m = centers_m - centers_m.mean(0)
+    moves = np.zeros((len(cameras), NUM_PARAMETERS, 7))
+    moves[:, POSITION, 0:3] = np.eye(3)
+    for axis in range(3):
+        moves[:, POSITION, 3 + axis] = np.cross(np.eye(3)[axis], arms_m)
+        moves[:, ROTATION, 3 + axis] = [-camera.cam_from_world.rotation[:, axis] for camera in cameras]
+    moves[:, POSITION, 6] = arms_m
+    return moves

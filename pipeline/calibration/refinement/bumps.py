@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.calibration.refinement.adjust import linearise, triangulate_sightings
+from pipeline.calibration.adjustment.projection import linearise
+from pipeline.calibration.refinement.adjust import triangulate_sightings
 from pipeline.calibration.refinement.sightings import Sightings
 from pipeline.data import Camera
 

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.refinement.adjust import (
+from pipeline.calibration.adjustment.parameters import (
+    EXTRINSICS,
     FOCAL,
-    NUM_PARAMETERS,
     POSITION,
     ROTATION,
     Free,
-    adjust,
-    camera_offsets,
     move_camera,
-    triangulate_sightings,
+    none_free,
+    offsets,
 )
+from pipeline.calibration.refinement.adjust import adjust_to_sightings, triangulate_sightings
 from pipeline.calibration.refinement.bumps import Step, find_steps
 from pipeline.calibration.refinement.gauge import align_world
 from pipeline.calibration.refinement.sightings import Sightings
@@ -94,11 +94,11 @@ def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: Sighting
         return RefinedCameras(tuple(given), False, error_before_px, error_px, steps, len(sightings))
     for step in steps:
         sightings = sightings.without(step.hidden(sightings))
-    cameras = adjust(given, fitted, sightings, best).cameras
-    if best[:, : FOCAL.start].all():
+    cameras = adjust_to_sightings(given, fitted, sightings, best).cameras
+    if best[:, EXTRINSICS].all():
         cameras = align_world(given, cameras)
     # The last digits depend on the number of threads of the linear algebra.
-    steps_of_cameras = np.round(camera_offsets(given, cameras), _DECIMALS)
+    steps_of_cameras = np.round(offsets(given, cameras), _DECIMALS)
     cameras = tuple(move_camera(camera, step) for camera, step in zip(given, steps_of_cameras, strict=True))
     return RefinedCameras(cameras, True, error_before_px, error_px, steps, len(sightings))
 
@@ -112,7 +112,7 @@ def _without_steps(
     part the cameras fit the rest of the take best.
     """
     free = _free(len(given), (ROTATION, POSITION))
-    cameras = adjust(given, start, sightings, free).cameras
+    cameras = adjust_to_sightings(given, start, sightings, free).cameras
     steps: list[Step] = []
     while True:
         best = None
@@ -122,7 +122,7 @@ def _without_steps(
             if step.camera in {other.camera for other in steps}:
                 continue
             kept = sightings.without(step.hidden(sightings))
-            fitted = adjust(given, cameras, kept, free).cameras
+            fitted = adjust_to_sightings(given, cameras, kept, free).cameras
             before_px, after_px = (
                 float(np.minimum(_errors_px(some, kept), limit_px).mean()) for some in (cameras, fitted)
             )
@@ -155,7 +155,7 @@ def _choose_level(
 
 
 def _free(num_cameras: int, level: Sequence[slice]) -> Free:
-    free = np.zeros((num_cameras, NUM_PARAMETERS), bool)
+    free = none_free(num_cameras)
     for parameters in level:
         free[:, parameters] = True
     return free
@@ -163,7 +163,7 @@ def _free(num_cameras: int, level: Sequence[slice]) -> Free:
 
 def _determined(given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free) -> Free:
     """Parameters of each camera that the sightings determine, in groups: all three of a rotation, or none."""
-    sigma = adjust(given, start, sightings, free).sigma * _repetition(sightings)
+    sigma = adjust_to_sightings(given, start, sightings, free).sigma * _repetition(sightings)
     determined = free.copy()
     for parameters, largest in _MAX_SIGMA:
         determined[:, parameters] &= (sigma[:, parameters].max(-1) <= largest)[:, None]
@@ -187,7 +187,7 @@ def _cross_validated_px(
     is_odd = np.floor((sightings.time_s - begin_s) / block_s) % 2 == 1
     errors_px = []
     for half in (is_odd, ~is_odd):
-        fitted = adjust(given, start, sightings.subset(half), free).cameras
+        fitted = adjust_to_sightings(given, start, sightings.subset(half), free).cameras
         errors_px.append(_errors_px(fitted, sightings.subset(~half)))
     return np.concatenate(errors_px)
 

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.calibration.refinement.adjust import move_camera
+from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encode, encode_opencv
 from pipeline.data import Camera

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.refinement.adjust import move_camera
+from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.refinement.sightings import Sightings
 from pipeline.data import Camera
 from pipeline.geometry.camera import project

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.calibration.refinement.adjust import move_camera
+from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.refinement.bumps import find_steps
 from pipeline.calibration.refinement.refine import refine
 from pipeline.calibration.refinement.sightings import Sightings

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.refinement.adjust import camera_offsets, move_camera
+from pipeline.calibration.adjustment.parameters import move_camera, offsets
 from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
 from pipeline.data import Camera
 from pipeline.geometry.camera import center_in_world
@@ -34,7 +34,7 @@ def moved_world(turn: np.ndarray, growth: float, shift: np.ndarray) -> list[Came
 )
 def test_a_similarity_is_undone(turn: tuple[float, ...], growth: float, shift: tuple[float, ...]) -> None:
     aligned = align_world(CAMERAS, moved_world(np.array(turn), growth, np.array(shift)))
-    np.testing.assert_allclose(camera_offsets(CAMERAS, aligned), 0.0, atol=1e-5)
+    np.testing.assert_allclose(offsets(CAMERAS, aligned), 0.0, atol=1e-5)
 
 
 def test_a_camera_that_moved_far_does_not_move_the_world() -> None:

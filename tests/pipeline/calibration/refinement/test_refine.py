@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration.refinement.adjust import FOCAL, move_camera
+from pipeline.calibration.adjustment.parameters import FOCAL, move_camera
 from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
 from pipeline.calibration.refinement.refine import refine
 from pipeline.data import Camera

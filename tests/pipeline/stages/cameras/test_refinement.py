@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.refinement.adjust import move_camera
+from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
 from pipeline.calibration.registry import read_calibration
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
