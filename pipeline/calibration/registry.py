@@ -10,9 +10,9 @@ from pipeline.calibration.contents import UNITS_M, Contents, Units, scaled
 from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
-from pipeline.capture.parsing import UnreadableError, parse
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import UnreadableError, parse
 
 Reader = Callable[[bytes, str], Contents]
 

@@ -8,19 +8,20 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.capture.parsing import UnreadableError, read_numbers
-from pipeline.capture.quantities import (
+from pipeline.data import Camera, LensModel, read_only
+from pipeline.errors import InputError, Problem
+from pipeline.geometry.lenses.fisheye import NUM_COEFFICIENTS
+from pipeline.geometry.rigid import Rigid3
+from pipeline.parsing import (
     DISTORTION,
     FOCAL_LENGTH_PX,
     PRINCIPAL_POINT_PX,
     SIDE_PX,
     SKEW_PX,
     TRANSLATION,
+    UnreadableError,
+    read_numbers,
 )
-from pipeline.data import Camera, LensModel, read_only
-from pipeline.errors import InputError, Problem
-from pipeline.geometry.lenses.fisheye import NUM_COEFFICIENTS
-from pipeline.geometry.rigid import Rigid3
 
 MAX_CAMERAS = 128
 _MAX_NAME_LENGTH = 64

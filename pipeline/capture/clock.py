@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from pipeline.capture.quantities import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
 from pipeline.config import MAX_OUTPUT_FRAMES
 from pipeline.data import FrameTimes
 from pipeline.errors import Problem
+from pipeline.parsing import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
 from pipeline.video.frame_rate import measured_rate_hz
 
 

@@ -15,11 +15,11 @@ from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
 from pipeline.capture.preflight_record import Clock
-from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
+from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 from pipeline.video.images.files import ENDINGS, SEQUENCE
 from pipeline.video.images.probe import at_rate

@@ -11,8 +11,8 @@ from pipeline.calibration.readers import colmap, opencv
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.capture.parsing import UnreadableError, parse
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import UnreadableError, parse
 
 _MAX_ENTRIES = 2 * MAX_CAMERAS
 _MAX_UNPACKED_BYTES = 16 * 2**20

@@ -14,8 +14,8 @@ import numpy as np
 from pipeline.calibration.contents import Contents
 from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.capture.parsing import UnreadableError
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import UnreadableError
 
 CAMERAS_HEAD = "CAMERA_ID, MODEL, WIDTH, HEIGHT"
 IMAGES_HEAD = "IMAGE_ID, QW, QX, QY, QZ"

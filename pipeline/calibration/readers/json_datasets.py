@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Contents, in_metres
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.capture.parsing import UnreadableError, read_numbers
+from pipeline.parsing import UnreadableError, read_numbers
 
 _PANOPTIC = frozenset({"K", "R", "t", "distCoef", "resolution"})
 _VOXELPOSE = frozenset({"R", "T", "fx", "fy", "cx", "cy", "k", "p"})

@@ -14,8 +14,8 @@ import numpy as np
 from pipeline.calibration.contents import UNKNOWN_SIZE, Contents
 from pipeline.calibration.readers.rotations import rotation_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.capture.parsing import UnreadableError, read_numbers
 from pipeline.errors import Problem
+from pipeline.parsing import UnreadableError, read_numbers
 
 _MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "intrinsics", "mtx", "matrix", "K")
 _DISTORTION = (

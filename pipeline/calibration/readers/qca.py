@@ -14,9 +14,8 @@ from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.contents import Contents, in_metres
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.capture.parsing import UnreadableError, parse
-from pipeline.capture.quantities import Quantity
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import Quantity, UnreadableError, parse
 
 _SUBPIXELS = 64.0
 # Range of every number in the file, so that the arithmetic of this module does not overflow.

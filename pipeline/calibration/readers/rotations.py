@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.capture.parsing import UnreadableError, read_numbers
-from pipeline.capture.quantities import ROTATION_VECTOR_RAD
+from pipeline.parsing import ROTATION_VECTOR_RAD, UnreadableError, read_numbers
 
 _MIN_NORM, _MAX_NORM = 1e-3, 1e3
 

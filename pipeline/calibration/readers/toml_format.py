@@ -16,9 +16,8 @@ import numpy as np
 from pipeline.calibration.contents import Contents, in_metres
 from pipeline.calibration.readers.rotations import rodrigues_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
-from pipeline.capture.parsing import UnreadableError, parse
-from pipeline.capture.quantities import ROTATION_VECTOR_RAD
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import ROTATION_VECTOR_RAD, UnreadableError, parse
 
 _KNOWN = frozenset({"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"})
 # Fields of newer FreeMoCap: the same extrinsics once more.

@@ -15,9 +15,8 @@ from defusedxml.ElementTree import fromstring
 from pipeline.calibration.contents import Contents, in_metres
 from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.capture.parsing import UnreadableError, parse
-from pipeline.capture.quantities import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError, parse
 
 ROOT = "Cameras"
 

@@ -24,8 +24,8 @@ from pipeline.capture.keypoint_files.people import (
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import arranged
-from pipeline.capture.parsing import UnreadableError
 from pipeline.layouts import Layout
+from pipeline.parsing import UnreadableError
 
 _MAX_LINE = 4 * 2**20
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 from pipeline.capture.keypoint_files.forms import Form, form_of
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.pairing import MIN_CAMERAS
-from pipeline.capture.parsing import UnreadableError, read_json
 from pipeline.errors import Problem
 from pipeline.findings import Finding
+from pipeline.parsing import UnreadableError, read_json
 
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _NUMBERED = re.compile(r"(?:.*\D)?(\d{1,15})\.json", re.ASCII)

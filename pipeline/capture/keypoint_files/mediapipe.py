@@ -27,10 +27,9 @@ from pipeline.capture.keypoint_files.people import (
     points_of,
     with_detected_joints,
 )
-from pipeline.capture.parsing import read_numbers
-from pipeline.capture.quantities import SIDE_PX
 from pipeline.joints import BODY_FEET, SIDES
 from pipeline.layouts import LAYOUTS
+from pipeline.parsing import SIDE_PX, read_numbers
 
 _POSE, _SIZE = "pose_landmarks", "image_size"
 RESULTS = (_POSE, "poseLandmarks", "landmarks")

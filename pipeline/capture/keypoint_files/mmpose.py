@@ -21,8 +21,8 @@ from pipeline.capture.keypoint_files.people import (
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import arranged, layout_of, layout_of_names
-from pipeline.capture.parsing import read_numbers
 from pipeline.layouts import Layout
+from pipeline.parsing import read_numbers
 
 _POINTS, _SCORES, _NAMES = "keypoints", "keypoint_scores", "keypoint_id2name"
 

@@ -16,8 +16,8 @@ from pipeline.capture.keypoint_files.people import (
     nobody,
     with_detected_joints,
 )
-from pipeline.capture.parsing import read_numbers
 from pipeline.joints import BODY_25, COCO_17, COCO_18
+from pipeline.parsing import read_numbers
 
 _BODY = "pose_keypoints_2d"
 _LENGTHS = frozenset(3 * len(joints.names) for joints in (BODY_25, COCO_18, COCO_17))

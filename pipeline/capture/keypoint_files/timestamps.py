@@ -9,10 +9,10 @@ import numpy as np
 
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoint_files.people import People
-from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
 from pipeline.data import FrameTimes, Timebase
 from pipeline.errors import Problem
 from pipeline.findings import Finding
+from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
 from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 
 DEFAULT_FRAME_RATE_HZ = float(DEFAULT_RATE)

@@ -8,7 +8,7 @@ import pytest
 
 from api.errors import MEANINGS
 from api.schemas.captures import CameraManifest, Manifest
-from pipeline.capture.quantities import FRAME_RATE_HZ, OFFSET_S
+from pipeline.parsing import FRAME_RATE_HZ, OFFSET_S
 from tests.api.conftest import Live, form, problem_of
 from worker.jobs.spec import JobSpec
 

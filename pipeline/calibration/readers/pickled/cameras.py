@@ -13,8 +13,8 @@ import numpy as np
 from pipeline.calibration.contents import UNKNOWN_SIZE, Contents, in_metres
 from pipeline.calibration.readers.pickled.interpreter import read_values
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.capture.parsing import UnreadableError, read_numbers
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import UnreadableError, read_numbers
 
 _OPENCAP = frozenset({"intrinsicMat", "distortion", "rotation", "translation", "imageSize"})
 _MVPOSE = frozenset({"K", "RT"})

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.capture.parsing import UnreadableError
+from pipeline.parsing import UnreadableError
 
 # OpenCap's files have about 130 operations and 2 kB.
 _MAX_OPERATIONS = 20_000
