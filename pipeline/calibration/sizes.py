@@ -1,4 +1,4 @@
-"""Calibrations of another picture size: padding of codecs, scales, quarter turns, pixels that are not square."""
+"""Cameras for a size of picture: guessed, or fitted by padding, scales, quarter turns and the shape of pixels."""
 
 from dataclasses import replace
 
@@ -16,6 +16,19 @@ _BLOCKS_PX = (8, 16)
 _SIDES = {0: ("right", "bottom"), 90: ("right", "top"), 180: ("left", "top"), 270: ("left", "bottom")}
 # From the axes of a camera to the axes of the camera turned with the picture, a quarter counterclockwise.
 _QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def guessed_camera(name: str, size_px: tuple[int, int]) -> Camera:
+    """Guess the intrinsics of a camera from the size of its picture; its pose is the identity.
+
+    The focal length is the longer side, a horizontal field of view of 53 degrees, between those of phones and of action
+    cameras without a wide lens.
+    """
+    width, height = size_px
+    focal_px = float(max(size_px))
+    matrix = [[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]]
+    pose = Rigid3(read_only(np.eye(3)), read_only(np.zeros(3)))
+    return Camera(name, size_px, read_only(np.array(matrix)), read_only(np.zeros(0)), pose)
 
 
 def fit_to_video(

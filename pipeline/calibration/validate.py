@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data import Camera, LensModel, read_only
 from pipeline.errors import InputError, Problem
-from pipeline.geometry.lenses.fisheye import NUM_COEFFICIENTS
+from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 from pipeline.geometry.rigid import Rigid3
 from pipeline.parsing import (
     DISTORTION,

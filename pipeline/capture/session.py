@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
-from pipeline.calibration.guess import guessed_camera
 from pipeline.calibration.registry import read_contents
-from pipeline.calibration.sizes import fit_to_video
+from pipeline.calibration.sizes import fit_to_video, guessed_camera
 from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Source, Timebase, Track3D
-from pipeline.geometry.camera import image_from_world
+from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.tracking.parameters import TrackingParameters
 
@@ -79,7 +79,7 @@ def locate_incrementally(
     age_s
         Mean age of the observations at the output instants, 0 without observations.
     """
-    projections = np.array([image_from_world(camera) for camera in cameras])
+    projections = projection_matrices(cameras)
     views = []
     for camera in cameras:
         of_camera = detections[camera.name]

@@ -1,19 +1,26 @@
 """Distortion, projection and rays of one camera (OpenCV's pinhole model).
 
 The standard distortion model is documented in OpenCV's ``calib3d``: radial k1..k6 (rational), tangential p1, p2 and
-thin prism s1..s4. That of fisheye lenses is in ``lenses/fisheye.py``.
+thin prism s1..s4. That of fisheye lenses is in ``fisheye.py``.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import Camera
-from pipeline.geometry.lenses.fisheye import distort_fisheye
+from pipeline.geometry.fisheye import distort_fisheye
 
 
 def image_from_world(camera: Camera) -> Float[np.ndarray, "3 4"]:
     """Projection matrix ``K [R | t]`` from world coordinates in metres to undistorted pixels."""
     return camera.matrix @ camera.cam_from_world.matrix
+
+
+def projection_matrices(cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras 3 4"]:
+    """Matrices of ``image_from_world`` of some cameras."""
+    return np.array([image_from_world(camera) for camera in cameras])
 
 
 def center_in_world(camera: Camera) -> Float[np.ndarray, " 3"]:

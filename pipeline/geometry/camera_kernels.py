@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
+from pipeline.geometry.fisheye import angle_limit_rad
 from pipeline.geometry.kernels import point_dtype, view_dtype
-from pipeline.geometry.lenses.fisheye import angle_limit_rad
 from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
 
 
@@ -76,7 +76,7 @@ def _add_errors(here, view, p, m, d):
 @kernel
 @no_type_check
 def _add_fisheye_errors(here, view, p, m, d, limit_rad):
-    """Project the joints into a camera with a fisheye lens (``lenses/fisheye.py``), and add their errors."""
+    """Project the joints into a camera with a fisheye lens (``fisheye.py``), and add their errors."""
     for k in range(view.weight.shape[0]):
         x, y, z = here.xyz_m[0, k], here.xyz_m[1, k], here.xyz_m[2, k]
         depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]

@@ -1,8 +1,8 @@
-"""Triangulation of whole tracks as compiled loops.
+"""Triangulation of whole tracks, and interpolation of their gaps, as compiled loops.
 
-``triangulation.py`` is the same in plain NumPy; read it first. Tests compare both. Intermediate values are stored in
-records whose arrays have the joints last, with a length that is known at compile time, so that loops over joints are
-vectorised.
+``triangulation.py`` is the triangulation in plain NumPy; read it first. Tests compare both. Intermediate values are
+stored in records whose arrays have the joints last, with a length that is known at compile time, so that loops over
+joints are vectorised.
 """
 
 from functools import cache
@@ -10,6 +10,7 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
+from pipeline.data import Source
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
 from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
 
@@ -17,6 +18,7 @@ _NUM_NORMAL = 9
 # The guess for a joint is its median over so many frames on each side.
 _REACH = 2
 _MIN_DETERMINANT = 1e-5
+_ABSENT, _MEASURED, _INTERPOLATED = int(Source.ABSENT), int(Source.MEASURED), int(Source.INTERPOLATED)
 
 
 @cache
@@ -394,3 +396,33 @@ def triangulate_all(solver, flat_px, weights, xyz_m, disputed, guess_m):
     for frame in range(len(flat_px)):
         if np.any(disputed[frame]):
             settle_frame(solver, flat_px[frame], weights[frame], disputed[frame], guess_m[frame], xyz_m[frame])
+
+
+@kernel
+@no_type_check
+def fill_gaps(xyz_m, max_gap, last_known, source):
+    """Interpolate linearly, in place, over gaps of at most ``max_gap`` frames between two known positions.
+
+    Parameters
+    ----------
+    xyz_m
+        World coordinates in metres, (frames, joints, 3), NaN where a joint is unknown; changed in place.
+    last_known
+        Workspace, (joints,) of -1.
+    source
+        Output: source of each joint, (frames, joints) of ``data.Source``.
+    """
+    for frame in range(xyz_m.shape[0]):
+        for k in range(xyz_m.shape[1]):
+            if xyz_m[frame, k, 0] != xyz_m[frame, k, 0]:
+                source[frame, k] = _ABSENT
+                continue
+            source[frame, k] = _MEASURED
+            left = last_known[k]
+            if left >= 0 and 1 < frame - left <= max_gap + 1:
+                for missed in range(left + 1, frame):
+                    share = (missed - left) / (frame - left)
+                    source[missed, k] = _INTERPOLATED
+                    for axis in range(3):
+                        xyz_m[missed, k, axis] = (1 - share) * xyz_m[left, k, axis] + share * xyz_m[frame, k, axis]
+            last_known[k] = frame

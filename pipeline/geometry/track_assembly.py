@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Observations, Timebase, Track3D, no_detections, read_only
-from pipeline.geometry.gap_kernels import fill_gaps
+from pipeline.geometry.kernels import fill_gaps
 from pipeline.geometry.tracks import reproject
 
 # Longest gap of a joint that is interpolated.

@@ -1,4 +1,4 @@
-"""Triangulation and reprojection of many frames at once; ``triangulation`` and ``camera`` define the computation."""
+"""Triangulation and reprojection of many instants at once; ``triangulation`` and ``camera`` define the computation."""
 
 from collections.abc import Sequence
 
@@ -6,8 +6,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Camera
+from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.camera_kernels import make_lenses, reproject_all
 from pipeline.geometry.kernels import make_solver, triangulate_all
+from pipeline.geometry.triangulation import triangulate_robust
+from pipeline.geometry.undistortion import undistort_views
 
 
 def triangulate_frames(
@@ -43,6 +46,24 @@ def triangulate_frames(
     flat_px = points_px.reshape(num_frames, num_cameras, 2 * num_joints)
     triangulate_all(solver, flat_px, weights, xyz_m, disputed, guess_m)
     return xyz_m
+
+
+def triangulate_instants(
+    cameras: Sequence[Camera], points_px: Float[np.ndarray, "instants cameras joints 2"]
+) -> Float[np.ndarray, "instants joints 3"]:
+    """Triangulate robustly what cameras see at unrelated instants, all views with the same weight.
+
+    Parameters
+    ----------
+    points_px
+        Distorted pixels of the full image, NaN where unseen.
+
+    Returns
+    -------
+        World coordinates in metres, NaN where fewer than two cameras see the point, or all rays are parallel.
+    """
+    ideal_px = undistort_views(cameras, points_px)
+    return triangulate_robust(projection_matrices(cameras), ideal_px, np.isfinite(ideal_px).all(-1).astype(float))
 
 
 def reproject(

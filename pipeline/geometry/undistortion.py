@@ -1,12 +1,14 @@
 """Undistortion: from image pixels to the pixels of an ideal pinhole camera."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.camera_kernels import block_dtype, undistort
-from pipeline.geometry.lenses.fisheye import undistort_fisheye
+from pipeline.geometry.fisheye import undistort_fisheye
 from pipeline.runtime.jit import zero_records
 
 # Newton's method converges quadratically; lenses in use need 3-6 steps to reach machine precision.
@@ -39,3 +41,10 @@ def undistort_px(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Fl
         blocks = zero_records(1, block_dtype(_BLOCK))
         undistort(normalised, twelve_coefficients(camera.distortion), _MAX_STEPS, _TOLERANCE, blocks)
     return (normalised @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]).reshape(points_px.shape)
+
+
+def undistort_views(
+    cameras: Sequence[Camera], points_px: Float[np.ndarray, "n cameras *batch 2"]
+) -> Float[np.ndarray, "n cameras *batch 2"]:
+    """Undistort what several cameras see, as ``undistort_px`` does for one."""
+    return np.stack([undistort_px(camera, points_px[:, number]) for number, camera in enumerate(cameras)], axis=1)

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Observations, People, Timebase, Track3D, read_only
-from pipeline.geometry.camera import center_in_world, image_from_world, rays_in_world
+from pipeline.geometry.camera import center_in_world, projection_matrices, rays_in_world
 from pipeline.geometry.track_assembly import close_gaps
 from pipeline.geometry.tracks import reproject, triangulate_frames
-from pipeline.geometry.undistortion import undistort_px
+from pipeline.geometry.undistortion import undistort_views
 from pipeline.hands.agreement_kernels import Agreement, choose_hands
 from pipeline.hands.ownership import owners
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, without_hands
@@ -91,13 +91,13 @@ def attach_hands(
     owner = owners(people, of_bodies, timebase)
     rows_of = {int(owner[rows[0]]): rows for rows in rows_by_person(of_bodies, owner)}
     del of_bodies
-    projections = np.array([image_from_world(camera) for camera in cameras])
+    projections = projection_matrices(cameras)
     tracks: list[Track3D] = []
     observations: list[Observations] = []
     for number, (track, seen) in enumerate(zip(people.tracks, people.observations, strict=True)):
         rows = rows_of.get(number, np.empty(0, np.int64))
         points_px, score = _sampled(track, fingers, rows, len(cameras), timebase, lambda_t_hz)
-        ideal_px = np.stack([undistort_px(camera, points_px[:, k]) for k, camera in enumerate(cameras)], axis=1)
+        ideal_px = undistort_views(cameras, points_px)
         wrist_m = track.xyz_m[:, wrists]
         chosen = _agreed_hands(ideal_px, score, wrist_m, cameras, min_score)
         for values, missing in ((points_px, np.nan), (ideal_px, np.nan), (score, 0.0)):

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.data import Camera, Source, Timebase
-from pipeline.geometry.camera import image_from_world
+from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.track_assembly import Person, record_life
 from pipeline.geometry.tracks import triangulate_frames
-from pipeline.geometry.undistortion import undistort_px
+from pipeline.geometry.undistortion import undistort_views
 
 # Frames around an overlap that help to settle disputes between views; see ``triangulate_frames``.
 _REACH = 2
@@ -106,9 +106,8 @@ def _triangulate(
 ) -> Float[np.ndarray, "rows joints 3"]:
     first = max(0, rows.start - _REACH)
     around = slice(first, rows.stop + _REACH)
-    ideal_px = np.stack([undistort_px(camera, points_px[around, k]) for k, camera in enumerate(cameras)], axis=1)
-    projections = np.array([image_from_world(camera) for camera in cameras])
-    xyz_m = triangulate_frames(projections, ideal_px, score[around], min_score)
+    ideal_px = undistort_views(cameras, points_px[around])
+    xyz_m = triangulate_frames(projection_matrices(cameras), ideal_px, score[around], min_score)
     return xyz_m[rows.start - first : rows.stop - first]
 
 

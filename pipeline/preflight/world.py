@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from pipeline.data import Camera, Source, Track3D
 from pipeline.findings import Finding
-from pipeline.geometry.camera import center_in_world, image_from_world
+from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.joints import JointSet
@@ -46,7 +46,7 @@ def locate(
         Joints in metres, NaN where not both cameras see a joint.
     """
     fundamentals = fundamental_matrices(cameras)
-    matrices = np.array([image_from_world(camera) for camera in cameras])
+    matrices = projection_matrices(cameras)
     ideal = [ideal_px(camera, of_camera) for camera, of_camera in zip(cameras, sightings.points_px, strict=True)]
     poses = []
     for first, second in pairs:

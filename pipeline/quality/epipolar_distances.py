@@ -9,7 +9,7 @@ from jaxtyping import Float
 from pipeline.data import Camera, Observations, Track3D
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.epipolar import epipolar_distance_px, fundamental_matrices
-from pipeline.geometry.undistortion import undistort_px
+from pipeline.geometry.undistortion import undistort_views
 
 # Frames of a track that are compared, and least number of joints of a pair.
 _MAX_FRAMES, _MIN_JOINTS = 200, 100
@@ -58,7 +58,7 @@ class CameraPairs:
 
     def _undistorted(self, observed: Observations, rows: slice) -> Float[np.ndarray, "frames cameras joints 2"]:
         points_px = np.where(observed.score[rows][..., None] >= _MIN_SCORE, observed.points_px[rows], np.nan)
-        return np.stack([undistort_px(camera, points_px[:, c]) for c, camera in enumerate(self._cameras)], axis=1)
+        return undistort_views(self._cameras, points_px)
 
     def _metres_per_px(self, located: Track3D, rows: slice) -> Float[np.ndarray, "frames cameras joints"]:
         distance_m = [np.linalg.norm(located.xyz_m[rows] - center_m, axis=-1) for center_m in self._centers_m]

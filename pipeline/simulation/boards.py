@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.board.detection.pattern import draw_pattern
-from pipeline.calibration.board.spec import Board
+from pipeline.calibration.board.spec import Board, draw_pattern
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Leftovers, Observations, People, Timebase, Track3D
-from pipeline.geometry.camera import image_from_world
+from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.camera_kernels import make_lenses
 from pipeline.geometry.kernels import make_solver
 from pipeline.geometry.track_assembly import close_gaps, find_life, make_person, number_people
@@ -148,7 +148,7 @@ def _triangulate(
 ) -> list[Float[np.ndarray, "_ joints 3"]]:
     """Triangulate each person at the output instants, robustly."""
     num_joints = bodies.score.shape[1]
-    solver = make_solver(np.array([image_from_world(camera) for camera in cameras]), num_joints, parameters.min_score)
+    solver = make_solver(projection_matrices(cameras), num_joints, parameters.min_score)
     flat_px = ideal_px.reshape(len(ideal_px), 2 * num_joints)
     room = np.empty((len(cameras), 2 * num_joints)), np.empty((len(cameras), num_joints))
 

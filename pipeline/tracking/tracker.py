@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pipeline.data import Camera, FrameTimes
-from pipeline.geometry.camera import center_in_world, image_from_world
+from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.progress import OnShare, ignore
@@ -34,7 +34,7 @@ _FRAMES_AT_ONCE = 64
 
 def make_rig(cameras: Sequence[Camera]) -> Rig:
     """Gather the geometry of all cameras in arrays."""
-    projections = np.array([image_from_world(camera) for camera in cameras])
+    projections = projection_matrices(cameras)
     return Rig(
         image_from_world=projections,
         world_ray_from_image=np.linalg.inv(projections[:, :, :3]),

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from pipeline.data import Camera
 from pipeline.geometry.camera import bend, twelve_coefficients
-from pipeline.geometry.lenses.fisheye import fisheye_by_coefficients, fisheye_by_ideal
+from pipeline.geometry.fisheye import fisheye_by_coefficients, fisheye_by_ideal
 
 
 class Projection(NamedTuple):

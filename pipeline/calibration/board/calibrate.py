@@ -24,11 +24,10 @@ from pipeline.calibration.board.checks import (
     view_warnings,
 )
 from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
-from pipeline.calibration.board.pictures import coverage_svg
 from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.rig import Rig, all_pairs, match_times, relate, spanning_tree
 from pipeline.calibration.board.spec import Board
-from pipeline.calibration.board.views import BoardViews, choose_views
+from pipeline.calibration.board.views import BoardViews, choose_views, coverage_svg
 from pipeline.calibration.board.world import Places, World, chosen_instants, find_places, find_world
 from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points

@@ -5,10 +5,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pipeline.calibration.board.intrinsics import MIN_VIEWS
-from pipeline.calibration.board.pictures import covered_share
 from pipeline.calibration.board.rig import Pair, Rig, match_times, relate, spanning_tree
 from pipeline.calibration.board.spec import Board
-from pipeline.calibration.board.views import BoardViews
+from pipeline.calibration.board.views import BoardViews, covered_share
 from pipeline.calibration.board.world import Places
 from pipeline.errors import InputError, Problem
 

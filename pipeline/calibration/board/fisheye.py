@@ -8,10 +8,10 @@ from pipeline.calibration.board.bundle import Placed, adjust_all, place_board, r
 from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
-from pipeline.calibration.guess import guessed_camera
+from pipeline.calibration.sizes import guessed_camera
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import project
-from pipeline.geometry.lenses.fisheye import NUM_COEFFICIENTS
+from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 
 FISHEYE_COEFFICIENTS = tuple(range(NUM_COEFFICIENTS))
 """Numbers of the coefficients of a fisheye lens."""

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from pipeline.calibration.board.fisheye import FISHEYE_COEFFICIENTS, fisheye_errors2_px2, fit_fisheye
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views
-from pipeline.calibration.guess import guessed_camera
+from pipeline.calibration.sizes import guessed_camera
 from pipeline.data import Camera, LensModel, read_only
-from pipeline.geometry.lenses.fisheye import NUM_COEFFICIENTS
+from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 from pipeline.geometry.undistortion import undistort_px
 
 MIN_VIEWS = 4

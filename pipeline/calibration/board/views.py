@@ -1,4 +1,4 @@
-"""Views of a board: its corners in the pictures of a camera, as arrays, and the choice among them."""
+"""Views of a board: its corners in the pictures of a camera, as arrays, their choice, and their coverage."""
 
 import json
 from collections.abc import Sequence
@@ -12,6 +12,10 @@ from pipeline.runtime.npz import decode_arrays, encode_arrays
 
 # Views with edges wider than this multiple of the median are blurred by motion or out of focus.
 _MAX_BLUR = 1.5
+# Cells of the picture across and down, and the drawing of them.
+_CELLS = (8, 6)
+_WIDTH = 480
+_MAX_DOTS = 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,3 +126,40 @@ def _shapes(views: BoardViews) -> Float[np.ndarray, "views 5"]:
     centred = corners - mean[:, None]
     correlation = np.nanmean(centred[..., 0] * centred[..., 1], axis=1) / np.maximum(deviation.prod(-1), 1e-9)
     return np.column_stack([mean, 2 * deviation, 0.25 * correlation])
+
+
+def covered_share(views: BoardViews) -> float:
+    """Share of the cells of the picture, 8 x 6, in which a corner was seen."""
+    return float((_counts(views) > 0).mean())
+
+
+def coverage_svg(views: BoardViews) -> str:
+    """Draw the corners that were seen; cells without any are red."""
+    width, height = views.size_px
+    scale = _WIDTH / width
+    counts = _counts(views)
+    across, down = _WIDTH / _CELLS[0], height * scale / _CELLS[1]
+    cells = "".join(
+        f'<rect x="{column * across:.1f}" y="{row * down:.1f}" width="{across:.1f}" height="{down:.1f}"/>'
+        for row, column in np.argwhere(counts == 0)
+    )
+    corners = views.corners_px.reshape(-1, 2)
+    corners = corners[np.isfinite(corners).all(-1)] * scale
+    corners = corners[:: max(1, len(corners) // _MAX_DOTS)]
+    dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.5"/>' for x, y in corners)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height * scale:.0f}" role="img">'
+        f"<title>Corners of the board in {len(views)} views</title>"
+        f'<rect width="100%" height="100%" fill="#f4f4f4"/>'
+        f'<g fill="#d62728" fill-opacity="0.25">{cells}</g><g fill="#1f4e79">{dots}</g></svg>\n'
+    )
+
+
+def _counts(views: BoardViews) -> np.ndarray:
+    corners = views.corners_px.reshape(-1, 2)
+    corners = corners[np.isfinite(corners).all(-1)]
+    width, height = views.size_px
+    counts, _, _ = np.histogram2d(
+        corners[:, 1], corners[:, 0], bins=_CELLS[::-1], range=[[-0.5, height - 0.5], [-0.5, width - 0.5]]
+    )
+    return counts

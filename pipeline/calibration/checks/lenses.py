@@ -9,7 +9,7 @@ from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data import Camera
 from pipeline.findings import Finding
 from pipeline.geometry.camera import twelve_coefficients
-from pipeline.geometry.lenses.fisheye import MAX_ANGLE_RAD, angle_limit_rad, radius
+from pipeline.geometry.fisheye import MAX_ANGLE_RAD, angle_limit_rad, radius
 
 # Angle of view along the longer side of the picture.
 _ANGLE_RANGE_DEG = (3.0, 140.0)

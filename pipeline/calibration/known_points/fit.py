@@ -13,10 +13,10 @@ from pipeline.calibration.known_points.checks import MIN_POINTS, point_problems
 from pipeline.calibration_choices import KnownPoint
 from pipeline.data import Camera, read_only
 from pipeline.errors import InputError, Problem
-from pipeline.geometry.camera import center_in_world, image_from_world, project
+from pipeline.geometry.camera import center_in_world, project, projection_matrices
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.triangulation import triangulate
-from pipeline.geometry.undistortion import undistort_px
+from pipeline.geometry.undistortion import undistort_views
 
 # Distances of the points from where cameras see them, as metres and as a share of the points' extent: above the first
 # limit a warning, above the second one an error.
@@ -151,9 +151,8 @@ def _seen_px(cameras: Sequence[Camera], points: Sequence[KnownPoint]) -> Float[n
 def _triangulated(
     cameras: Sequence[Camera], seen_px: Float[np.ndarray, "cameras points 2"]
 ) -> Float[np.ndarray, "points 3"]:
-    ideal_px = np.stack([undistort_px(camera, one) for camera, one in zip(cameras, seen_px, strict=True)])
-    matrices = np.array([image_from_world(camera) for camera in cameras])
-    return triangulate(matrices, ideal_px, np.ones(ideal_px.shape[:2]))
+    ideal_px = undistort_views(cameras, seen_px[None])[0]
+    return triangulate(projection_matrices(cameras), ideal_px, np.ones(ideal_px.shape[:2]))
 
 
 def _limit_m(goal_m: Float[np.ndarray, "points 3"], limit: tuple[float, float]) -> float:

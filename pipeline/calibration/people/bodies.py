@@ -10,9 +10,7 @@ from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.pairs import Relative
 from pipeline.calibration.people.tracklets import Tracklet
 from pipeline.data import Camera, read_only
-from pipeline.geometry.camera import image_from_world
-from pipeline.geometry.triangulation import triangulate_robust
-from pipeline.geometry.undistortion import undistort_px
+from pipeline.geometry.tracks import triangulate_instants
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +52,7 @@ class Bodies:
 
     def triangulated(self, cameras: Sequence[Camera]) -> Float[np.ndarray, "n joints 3"]:
         """World coordinates of the joints; NaN where fewer than two cameras see one."""
-        ideal_px = np.stack([undistort_px(camera, self.points_px[:, c]) for c, camera in enumerate(cameras)], axis=1)
-        matrices = np.array([image_from_world(camera) for camera in cameras])
-        return triangulate_robust(matrices, ideal_px, np.isfinite(ideal_px).all(-1).astype(float))
+        return triangulate_instants(cameras, self.points_px)
 
 
 def gather_bodies(tracklets: Sequence[Tracklet], relatives: Sequence[Relative], num_cameras: int) -> Bodies:

@@ -5,22 +5,18 @@ its orientation R from the camera to the world, with y up and z backwards: ``x_c
 Motive's world has y up.
 """
 
-import math
 from itertools import islice
 from typing import Any
 
 import numpy as np
-from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.readers.xml_files import read_number, read_root
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import Quantity, UnreadableError, parse
+from pipeline.errors import Problem
 
 ROOT = "calibrationProfile"
 
-# Range of every number in the file, so that the arithmetic of this module does not overflow.
-_NUMBER = Quantity(-1e9, 1e9, "")
 _CV_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 # From a world with z up to Motive's, whose y points up.
 _MOTIVE_FROM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -30,12 +26,7 @@ _COLOUR = "30"
 
 def read(content: bytes, file: str) -> Contents:
     """Read the colour cameras of a file, or all cameras if none films in colour; ``InputError`` lists all problems."""
-    try:
-        root = parse(fromstring, content)
-    except UnreadableError as error:
-        raise InputError(
-            [Problem("calibration_unreadable", "The file is not valid XML.", file=file, hint="Export it again.")]
-        ) from error
+    root = read_root(content, file)
     elements = list(root.iterfind("./Calibration/Cameras/Camera"))
     colour = [element for element in elements if _attributes(element, "Properties").get("ImagerIndex") == _COLOUR]
     notes = (
@@ -59,17 +50,7 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
     name = element.get("Serial")
 
     def number(tag: str, attribute: str) -> float:
-        try:
-            value = float(_attributes(element, tag).get(attribute, ""))
-            message = f"The attribute {attribute} of {tag} must be {_NUMBER}."
-        except ValueError:
-            value = math.nan
-            message = f"The attribute {attribute} of {tag} is missing or not a number."
-        if _NUMBER.holds(value):
-            return value
-        problems.append(Problem("invalid_number", message, file=file, camera=name, field=attribute))
-        # A finite number, so that a missing number is reported only once.
-        return 0.0
+        return read_number(element, tag, attribute, file, name, problems)
 
     def lens(attribute: str) -> float:
         return number("IntrinsicStandardCameraModel", attribute)

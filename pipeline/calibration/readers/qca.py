@@ -10,27 +10,19 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.readers.xml_files import read_number, read_root
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import Quantity, UnreadableError, parse
+from pipeline.errors import Problem
 
 _SUBPIXELS = 64.0
-# Range of every number in the file, so that the arithmetic of this module does not overflow.
-_NUMBER = Quantity(-1e9, 1e9, "")
 _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 
 
 def read(content: bytes, file: str) -> Contents:
     """Read the cameras of a QCA file; ``InputError`` lists all its problems."""
-    try:
-        root = parse(fromstring, content)
-    except UnreadableError as error:
-        raise InputError(
-            [Problem("calibration_unreadable", "The file is not valid XML.", file=file, hint="Export it again.")]
-        ) from error
+    root = read_root(content, file)
     problems: list[Problem] = []
     # One camera above the limit suffices to report that there are too many.
     elements = islice(root.iterfind("./cameras/camera"), MAX_CAMERAS + 1)
@@ -42,18 +34,7 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
     name = element.get("serial")
 
     def number(tag: str, attribute: str) -> float:
-        part = element.find(tag)
-        try:
-            value = float("" if part is None else part.get(attribute, ""))
-            message = f"The attribute {attribute} of {tag} must be {_NUMBER}."
-        except ValueError:
-            value = math.nan
-            message = f"The attribute {attribute} of {tag} is missing or not a number."
-        if _NUMBER.holds(value):
-            return value
-        problems.append(Problem("invalid_number", message, file=file, camera=name, field=attribute))
-        # A finite number, so that a missing number is reported only once.
-        return 0.0
+        return read_number(element, tag, attribute, file, name, problems)
 
     def intrinsic(attribute: str) -> float:
         return number("intrinsic", attribute)

@@ -10,17 +10,16 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.contents import Contents, in_metres
 from pipeline.calibration.readers.rotations import quaternion_matrix
+from pipeline.calibration.readers.xml_files import NUMBER, read_root
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError, parse
+from pipeline.errors import Problem
+from pipeline.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError
 
 ROOT = "Cameras"
 
-_NUMBER = Quantity(-1e9, 1e9, "")
 _ASPECT = Quantity(0.01, 100, "")
 # Coefficients in pixels are about 1e-8, 1e-15 and 1e-22.
 _RADIAL = Quantity(-1e-4, 1e-4, "")
@@ -32,12 +31,7 @@ _MAX_SHARE = 0.5
 
 def read(content: bytes, file: str) -> Contents:
     """Read the video cameras of an XCP file, or all cameras if none is one; ``InputError`` lists all problems."""
-    try:
-        root = parse(fromstring, content)
-    except UnreadableError as error:
-        raise InputError(
-            [Problem("calibration_unreadable", "The file is not valid XML.", file=file, hint="Export it again.")]
-        ) from error
+    root = read_root(content, file)
     elements = [element for element in root.iterfind("./Camera") if element.find("./KeyFrames/KeyFrame") is not None]
     videos = [element for element in elements if "video" in element.get("TYPE", "").lower()]
     problems: list[Problem] = []
@@ -49,7 +43,7 @@ def read(content: bytes, file: str) -> Contents:
 def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
     name, frame = element.get("DEVICEID"), element.find("./KeyFrames/KeyFrame")
 
-    def numbers(source: Any, attribute: str, count: int, allowed: Quantity = _NUMBER) -> np.ndarray:
+    def numbers(source: Any, attribute: str, count: int, allowed: Quantity = NUMBER) -> np.ndarray:
         values = _floats(source.get(attribute, ""))
         if values.shape == (count,) and allowed.holds(values):
             return values

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from pipeline.calibration.adjustment.adjust import adjust, sigma_in_held_world
 from pipeline.calibration.adjustment.parameters import (
@@ -21,9 +20,7 @@ from pipeline.calibration.adjustment.problem import AdjustmentProblem, observati
 from pipeline.calibration.adjustment.structure import Points
 from pipeline.calibration.refinement.sightings import Sightings
 from pipeline.data import Camera, read_only
-from pipeline.geometry.camera import image_from_world, project
-from pipeline.geometry.triangulation import triangulate_robust
-from pipeline.geometry.undistortion import undistort_px
+from pipeline.geometry.camera import project
 
 PRIOR_SIGMA = ((ROTATION, np.radians(5.0)), (POSITION, 0.3), (FOCAL, 0.1))
 """Standard deviations of the parameters before anything is seen: a calibration is off by degrees at most."""
@@ -48,15 +45,6 @@ class AdjustedCameras(NamedTuple):
     sigma: Parameters
 
 
-def triangulate_sightings(
-    cameras: Sequence[Camera], points_px: Float[np.ndarray, "points cameras 2"]
-) -> Float[np.ndarray, "points 3"]:
-    """Triangulate points robustly; NaN where fewer than two cameras see one, or all rays are parallel."""
-    ideal_px = np.stack([undistort_px(camera, points_px[:, c]) for c, camera in enumerate(cameras)])
-    matrices = np.array([image_from_world(camera) for camera in cameras])
-    return triangulate_robust(matrices, ideal_px, np.isfinite(ideal_px).all(-1).astype(float))
-
-
 def adjust_to_sightings(
     given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free
 ) -> AdjustedCameras:
@@ -73,7 +61,7 @@ def adjust_to_sightings(
     """
     steps = offsets(given, start) * free
     start = tuple(move_camera(camera, step) for camera, step in zip(given, steps, strict=True))
-    xyz_m = triangulate_sightings(start, sightings.points_px)
+    xyz_m = sightings.triangulated(start)
     # A view whose point is behind its camera is a mistake.
     is_behind = np.isnan(np.stack([project(camera, xyz_m) for camera in start], axis=1))
     points_px = np.where(is_behind, np.nan, sightings.points_px)

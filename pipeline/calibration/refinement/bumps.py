@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.calibration.adjustment.projection import linearise
-from pipeline.calibration.refinement.adjust import triangulate_sightings
 from pipeline.calibration.refinement.sightings import Sightings
 from pipeline.data import Camera
 
@@ -72,9 +71,9 @@ def find_steps(cameras: Sequence[Camera], sightings: Sightings) -> list[Step]:
 
 def _step_of(number: int, cameras: Sequence[Camera], sightings: Sightings) -> Step | None:
     """Step of one camera."""
-    by_others_px = sightings.points_px.copy()
-    by_others_px[:, number] = np.nan
-    xyz_m = triangulate_sightings(cameras, by_others_px)
+    others_px = sightings.points_px.copy()
+    others_px[:, number] = np.nan
+    xyz_m = Sightings(sightings.time_s, others_px).triangulated(cameras)
     projected_px, by_camera, _ = linearise(cameras[number], xyz_m)
     residual_px = sightings.points_px[:, number] - projected_px
     used = np.isfinite(residual_px).all(-1)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.refinement.adjust import triangulate_sightings
 from pipeline.calibration.vertical import turn_upright, upright_direction
 from pipeline.data import Camera, Floor, Poses3D, read_only
 from pipeline.geometry.rigid import Rigid3
+from pipeline.geometry.tracks import triangulate_instants
 from pipeline.joints import JointSet
 from pipeline.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG, fit_floor
 
@@ -114,7 +114,7 @@ def _located_m(
         for some in poses
     ]
     points_px = np.concatenate(parts)
-    return triangulate_sightings(cameras, points_px.reshape(-1, len(cameras), 2)).reshape(-1, len(index), 3)
+    return triangulate_instants(cameras, points_px.swapaxes(1, 2))
 
 
 def _rotation(up: Float[np.ndarray, " 3"], ankles_m: Float[np.ndarray, "poses 2 3"]) -> Float[np.ndarray, "3 3"]:

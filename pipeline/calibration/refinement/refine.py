@@ -16,7 +16,7 @@ from pipeline.calibration.adjustment.parameters import (
     none_free,
     offsets,
 )
-from pipeline.calibration.refinement.adjust import adjust_to_sightings, triangulate_sightings
+from pipeline.calibration.refinement.adjust import adjust_to_sightings
 from pipeline.calibration.refinement.bumps import Step, find_steps
 from pipeline.calibration.refinement.gauge import align_world
 from pipeline.calibration.refinement.sightings import Sightings
@@ -194,7 +194,7 @@ def _cross_validated_px(
 
 def _errors_px(cameras: Sequence[Camera], sightings: Sightings) -> Float[np.ndarray, " views"]:
     """Distance of each view from the projection of its triangulated point; infinite where there is no projection."""
-    xyz_m = triangulate_sightings(cameras, sightings.points_px)
+    xyz_m = sightings.triangulated(cameras)
     projected_px = np.stack([project(camera, xyz_m) for camera in cameras], axis=1)
     error_px = np.linalg.norm(projected_px - sightings.points_px, axis=-1)
     error_px[np.isnan(error_px)] = np.inf

@@ -1,12 +1,13 @@
 """Sightings: joints of people in several cameras, chosen all over the take and the volume."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import People, Poses3D, Timebase, read_only
+from pipeline.data import Camera, People, Poses3D, Timebase, read_only
+from pipeline.geometry.tracks import triangulate_instants
 from pipeline.joints import FINGER_JOINTS, JointSet
 
 MAX_POINTS = 8000
@@ -38,6 +39,10 @@ class Sightings:
     def subset(self, chosen: Bool[np.ndarray, " points"]) -> "Sightings":
         """Select points."""
         return Sightings(self.time_s[chosen], self.points_px[chosen])
+
+    def triangulated(self, cameras: Sequence[Camera]) -> Float[np.ndarray, "points 3"]:
+        """World coordinates; NaN where fewer than two cameras see the point, or all rays are parallel."""
+        return triangulate_instants(cameras, self.points_px[:, :, None])[:, 0]
 
     def thinned(self, max_points: int) -> "Sightings":
         """Select every n-th point, so that at most so many are left."""

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.calibration.board.detection.pattern import pattern_levels
-from pipeline.calibration.board.spec import Board
+from pipeline.calibration.board.spec import Board, pattern_levels
 
 # Half of the side of the window around a corner, in squares, and its limits in pixels.
 _WINDOW_SQUARES, _WINDOW_PX = 0.5, (4, 40)

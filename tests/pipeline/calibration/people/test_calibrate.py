@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration.guess import guessed_camera
 from pipeline.calibration.people.calibrate import calibrate_people
+from pipeline.calibration.sizes import guessed_camera
 from pipeline.calibration_choices import KnownPoint
 from pipeline.data import FrameTimes
 from pipeline.errors import InputError

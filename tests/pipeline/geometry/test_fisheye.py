@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import project
-from pipeline.geometry.lenses.fisheye import (
+from pipeline.geometry.fisheye import (
     MAX_ANGLE_RAD,
     angle_limit_rad,
     distort_fisheye,

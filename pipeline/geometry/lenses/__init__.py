@@ -1,1 +1,0 @@
-"""Distortion models beside the standard one, which is in ``geometry/camera.py``."""
