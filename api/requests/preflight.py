@@ -63,7 +63,7 @@ class CalibrationContents(BaseModel):
     Parameters
     ----------
     format, units, axes, notes
-        See ``pipeline.calibration.contents.Contents``.
+        See ``pipeline.calibration.contents.CameraFile``.
     files
         The calibration in metres: text by format.
     """

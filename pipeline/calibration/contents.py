@@ -16,7 +16,7 @@ UNKNOWN_SIZE = (0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contents:
+class CameraFile:
     """Cameras of a file.
 
     Parameters
@@ -46,6 +46,6 @@ def scaled(camera: Camera, factor: float) -> Camera:
     return replace(camera, cam_from_world=Rigid3(pose.rotation, read_only(pose.translation_m * factor)))
 
 
-def in_metres(format_name: str, cameras: Sequence[Camera], unit: Units, **statements: Any) -> Contents:
+def in_metres(format_name: str, cameras: Sequence[Camera], unit: Units, **statements: Any) -> CameraFile:
     """Build the contents of a format that determines its unit, from cameras in this unit."""
-    return Contents(format_name, tuple(scaled(camera, UNITS_M[unit]) for camera in cameras), unit, **statements)
+    return CameraFile(format_name, tuple(scaled(camera, UNITS_M[unit]) for camera in cameras), unit, **statements)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from defusedxml.ElementTree import fromstring
 
-from pipeline.calibration.contents import UNITS_M, Contents, Units, scaled
+from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
 from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
@@ -14,7 +14,7 @@ from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, parse
 
-Reader = Callable[[bytes, str], Contents]
+Reader = Callable[[bytes, str], CameraFile]
 
 # 128 cameras take about 200 kB in the most verbose format.
 MAX_BYTES = 4 * 2**20
@@ -25,11 +25,11 @@ SUPPORTED = (
 )
 
 
-def _read_yaml(content: bytes, file: str) -> Contents:
+def _read_yaml(content: bytes, file: str) -> CameraFile:
     return _read_file_storage(read_yaml, content, file)
 
 
-def _read_xml(content: bytes, file: str) -> Contents:
+def _read_xml(content: bytes, file: str) -> CameraFile:
     """Read XML by its root element; Qualisys QCA if the file is not XML, so that its reader reports the problem."""
     try:
         root = parse(fromstring, content).tag
@@ -41,18 +41,18 @@ def _read_xml(content: bytes, file: str) -> Contents:
     return readers.get(root, qca.read)(content, file)
 
 
-def _read_file_storage(parser: Callable[[bytes], Mapping[str, object]], content: bytes, file: str) -> Contents:
+def _read_file_storage(parser: Callable[[bytes], Mapping[str, object]], content: bytes, file: str) -> CameraFile:
     try:
-        found = opencv.read_fields(parser(content), file)
+        contents = opencv.read_fields(parser(content), file)
     except UnreadableError as error:
         message = "The file is damaged, or not as OpenCV writes it."
         raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
-    if found is None:
+    if contents is None:
         message = "The file has no camera: a camera matrix, with a rotation and a translation."
         raise InputError(
             [Problem("calibration_empty", message, file=file, hint="Send a zip of the files of all cameras.")]
         )
-    return found
+    return contents
 
 
 _BY_ENDING: Mapping[str, Reader] = {
@@ -92,7 +92,7 @@ def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
     return read_contents(path, units).cameras
 
 
-def read_contents(path: Path, units: Units = "m") -> Contents:
+def read_contents(path: Path, units: Units = "m") -> CameraFile:
     """Read a file in any supported format.
 
     Parameters

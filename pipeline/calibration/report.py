@@ -2,9 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isfinite, nan
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
 from pipeline.data import Camera
 from pipeline.errors import Problem, listed
 
@@ -37,8 +41,31 @@ class CameraReport:
     rotation_sigma_deg: float
 
 
+def report_camera(
+    camera: Camera, error_px: float, num_views: int, sigma: Float[np.ndarray, " 22"], growth: float = 1.0
+) -> CameraReport:
+    """Report a camera of an adjustment.
+
+    Parameters
+    ----------
+    sigma
+        Standard deviations of the camera's parameters (``adjustment.parameters``), 0 where they were given.
+    growth
+        Factor by which the world grew after the adjustment.
+    """
+    return CameraReport(
+        camera.name,
+        float(error_px),
+        float(camera.matrix.diagonal()[:2].mean()),
+        num_views,
+        float(100 * sigma[FOCAL][0]) or nan,
+        float(1000 * growth * np.linalg.norm(sigma[POSITION])),
+        float(np.degrees(np.linalg.norm(sigma[ROTATION]))),
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class MadeCalibration:
+class CalibrationResult:
     """A calibration and its report.
 
     Parameters
@@ -68,7 +95,7 @@ class MadeCalibration:
     pictures: Mapping[str, str] = field(default_factory=dict)
 
 
-def report_document(made: MadeCalibration) -> dict[str, Any]:
+def report_document(calibration: CalibrationResult) -> dict[str, Any]:
     """Report of a calibration as JSON: numbers that are not finite are ``None``."""
     return {
         "schema_version": 1,
@@ -82,14 +109,14 @@ def report_document(made: MadeCalibration) -> dict[str, Any]:
                 "position_sigma_mm": _number(camera.position_sigma_mm),
                 "rotation_sigma_deg": _number(camera.rotation_sigma_deg),
             }
-            for camera in made.by_camera
+            for camera in calibration.by_camera
         ],
-        "reprojection_error_px": _number(made.reprojection_error_px),
-        "has_extrinsics": made.has_extrinsics,
-        "world": made.world,
+        "reprojection_error_px": _number(calibration.reprojection_error_px),
+        "has_extrinsics": calibration.has_extrinsics,
+        "world": calibration.world,
         "warnings": [
-            {"code": one.code, "message": one.message, "camera": one.camera, "hint": one.hint}
-            for one in listed(made.warnings)
+            {"code": warning.code, "message": warning.message, "camera": warning.camera, "hint": warning.hint}
+            for warning in listed(calibration.warnings)
         ],
     }
 

@@ -59,14 +59,14 @@ def fit_to_video(
         return camera, ""
     is_stored = camera.size_px == unstretched_px
     if is_square or (not is_stored and camera.size_px != UNKNOWN_SIZE):
-        found = fit_to_picture(camera, size_px, rotation_deg)
-        if is_square or found is not None:
-            return found
-    found = (camera, "") if is_stored else fit_to_picture(camera, unstretched_px, rotation_deg)
-    if found is None:
+        fitted = fit_to_picture(camera, size_px, rotation_deg)
+        if is_square or fitted is not None:
+            return fitted
+    fitted = (camera, "") if is_stored else fit_to_picture(camera, unstretched_px, rotation_deg)
+    if fitted is None:
         return None
     done = "the calibration is stretched as the pixels are, which are not square"
-    return scaled(found[0], size_px), f"{found[1]}, and {done}" if found[1] else done
+    return scaled(fitted[0], size_px), f"{fitted[1]}, and {done}" if fitted[1] else done
 
 
 def fit_to_picture(camera: Camera, size_px: tuple[int, int], rotation_deg: int) -> tuple[Camera, str] | None:

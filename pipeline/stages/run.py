@@ -17,7 +17,7 @@ from pipeline.calibration.board.source import frames_to_look_at, look_in_video, 
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.board.views import decode_views, encode_views
 from pipeline.calibration.people.calibrate import calibrate_people
-from pipeline.calibration.report import MadeCalibration, report_document
+from pipeline.calibration.report import CalibrationResult, report_document
 from pipeline.calibration.write import encodings
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.keypoints import KeypointSession
@@ -227,7 +227,7 @@ def calibrate(task: Task, context: Context) -> Output:
     return _calibrated(made, context)
 
 
-def _calibrated(made: MadeCalibration, context: Context) -> Output:
+def _calibrated(made: CalibrationResult, context: Context) -> Output:
     """Write the calibration, its report and its pictures."""
     report, texts = report_document(made), encodings(made.cameras)
     written = {

@@ -51,6 +51,20 @@ class Adjustment:
     residuals_px: Float[np.ndarray, "n 2"]
     sigma_px: float
 
+    def error_px(self, camera: Int[np.ndarray, " n"]) -> Float[np.ndarray, " cameras"]:
+        """Median distance of each camera's projections from its observations; NaN without any.
+
+        Parameters
+        ----------
+        camera
+            Number of the camera of each observation.
+        """
+        distance_px = np.linalg.norm(self.residuals_px, axis=-1)
+        medians = [
+            np.nanmedian(own) if len(own := distance_px[camera == k]) else np.nan for k in range(len(self.cameras))
+        ]
+        return read_only(np.array(medians))
+
 
 def adjust(
     problem: AdjustmentProblem,
@@ -79,9 +93,9 @@ def adjust(
     noise_px = sigma_px or _noise_px(problem, state)
     for _ in range(_NUM_SCALES):
         state = _search(problem, state, noise_px, max_steps, small_step)
-        found_px = sigma_px or _noise_px(problem, state)
-        is_settled = abs(np.log(found_px / noise_px)) < _SMALL_CHANGE
-        noise_px = found_px
+        estimated_px = sigma_px or _noise_px(problem, state)
+        is_settled = abs(np.log(estimated_px / noise_px)) < _SMALL_CHANGE
+        noise_px = estimated_px
         if is_settled:
             break
     sigma = camera_sigma(problem, state, noise_px)
@@ -160,8 +174,8 @@ def _search(
         while damping < _MAX_DAMPING:
             step, of_blocks = normal.step(damping)
             changed = _moved(problem, state, step, of_blocks)
-            if (found := cost(problem, changed, sigma_px)) < lowest:
-                state, lowest = changed, found
+            if (changed_cost := cost(problem, changed, sigma_px)) < lowest:
+                state, lowest = changed, changed_cost
                 break
             damping *= 10.0
         damping = max(_MIN_DAMPING, damping / 10.0)
@@ -180,5 +194,5 @@ def _moved(
     num_free = int(problem.free.sum())
     of_cameras = np.zeros(problem.free.shape)
     of_cameras[problem.free] = step[:num_free]
-    cameras = tuple(move_camera(camera, one) for camera, one in zip(state.cameras, of_cameras, strict=True))
+    cameras = tuple(move_camera(camera, step) for camera, step in zip(state.cameras, of_cameras, strict=True))
     return State(cameras, state.structure.moved(of_blocks), read_only(state.lengths_m + step[num_free:]))

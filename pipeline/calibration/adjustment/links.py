@@ -28,7 +28,7 @@ class LinkRows(NamedTuple):
 
 
 @runtime_checkable
-class Link(Protocol):
+class PointLink(Protocol):
     """Links of one kind."""
 
     def linearise(self, xyz_m: Float[np.ndarray, "points 3"], lengths_m: Float[np.ndarray, " lengths"]) -> LinkRows:
@@ -37,7 +37,7 @@ class Link(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Distances:
+class DistanceLinks:
     """Distances of pairs of points that are equal to lengths, which the adjustment estimates too.
 
     Parameters
@@ -64,7 +64,7 @@ class Distances:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shifts:
+class ShiftLinks:
     """Pairs of points that are close to each other: a joint at two instants.
 
     Parameters

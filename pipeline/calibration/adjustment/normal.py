@@ -15,7 +15,7 @@ from pipeline.calibration.adjustment.links import LinkRows
 from pipeline.calibration.adjustment.parameters import offsets
 from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.calibration.adjustment.projection import linearise
-from pipeline.calibration.adjustment.structure import Points, Structure
+from pipeline.calibration.adjustment.structure import FreePoints, Structure
 from pipeline.data import Camera
 from pipeline.geometry.camera import project
 
@@ -205,7 +205,7 @@ def residuals_px(problem: AdjustmentProblem, state: State) -> Float[np.ndarray, 
 
 def _xyz_m(structure: Structure) -> Float[np.ndarray, "points 3"]:
     """Coordinates of free points; links are between free points only."""
-    if not isinstance(structure, Points):
+    if not isinstance(structure, FreePoints):
         raise TypeError("Links need free points.")
     return structure.xyz_m
 

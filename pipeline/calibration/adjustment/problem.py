@@ -6,7 +6,7 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.calibration.adjustment.links import Link
+from pipeline.calibration.adjustment.links import PointLink
 from pipeline.calibration.adjustment.parameters import Free, Parameters
 from pipeline.data import Camera, read_only
 
@@ -40,7 +40,7 @@ _HUBER, _CAUCHY = 1.345, 2.385
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observations:
+class PointObservations:
     """Observations of points of the structure's blocks, in any order.
 
     Parameters
@@ -59,10 +59,10 @@ class Observations:
     points_px: Float[np.ndarray, "n 2"]
 
 
-def observations_of_points(points_px: Float[np.ndarray, "points cameras 2"]) -> Observations:
+def observations_of_points(points_px: Float[np.ndarray, "points cameras 2"]) -> PointObservations:
     """List the observations of free points; NaN where a camera sees nothing."""
     block, camera = np.nonzero(np.isfinite(points_px).all(-1))
-    return Observations(camera, block, np.zeros((len(block), 3)), points_px[block, camera])
+    return PointObservations(camera, block, np.zeros((len(block), 3)), points_px[block, camera])
 
 
 def _no_lengths() -> Float[np.ndarray, " 0"]:
@@ -97,8 +97,8 @@ class AdjustmentProblem:
     cameras: tuple[Camera, ...]
     free: Free
     prior_sigma: Parameters
-    observations: Observations
+    observations: PointObservations
     loss: Loss = Loss.CAUCHY
-    links: tuple[Link, ...] = ()
+    links: tuple[PointLink, ...] = ()
     lengths_m: Float[np.ndarray, " lengths"] = field(default_factory=_no_lengths)
     length_sigma_m: Float[np.ndarray, " lengths"] = field(default_factory=_no_lengths)

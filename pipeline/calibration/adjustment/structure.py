@@ -39,7 +39,7 @@ class Structure(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class FreePoints:
     """Free points; a point's place in the model has no meaning and is ignored."""
 
     xyz_m: Float[np.ndarray, "points 3"]
@@ -60,13 +60,13 @@ class Points:
         """World coordinates, and identities."""
         return self.xyz_m[block], np.broadcast_to(np.eye(3), (len(model_m), 3, 3))
 
-    def moved(self, steps: Float[np.ndarray, "points 3"]) -> "Points":
+    def moved(self, steps: Float[np.ndarray, "points 3"]) -> "FreePoints":
         """Points after a shift of each, metres."""
-        return Points(read_only(self.xyz_m + steps))
+        return FreePoints(read_only(self.xyz_m + steps))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bodies:
+class RigidBodies:
     """Rigid bodies: ``x_in_world = rotation @ x_in_model + translation_m``.
 
     A step is a rotation in world axes about the body's origin (radians), and a shift (metres).
@@ -99,7 +99,7 @@ class Bodies:
         derivatives[:, :, 3:] = np.eye(3)
         return arm_m + self.translation_m[block], derivatives
 
-    def moved(self, steps: Float[np.ndarray, "bodies 6"]) -> "Bodies":
+    def moved(self, steps: Float[np.ndarray, "bodies 6"]) -> "RigidBodies":
         """Bodies after a step of each."""
         turn = Rotation.from_rotvec(steps[:, :3]).as_matrix()
-        return Bodies(read_only(turn @ self.rotation), read_only(self.translation_m + steps[:, 3:]))
+        return RigidBodies(read_only(turn @ self.rotation), read_only(self.translation_m + steps[:, 3:]))

@@ -17,9 +17,9 @@ from pipeline.calibration.adjustment.parameters import (
     no_prior,
     none_free,
 )
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Observations
-from pipeline.calibration.adjustment.structure import Bodies
-from pipeline.calibration.board.poses import Pose
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations
+from pipeline.calibration.adjustment.structure import RigidBodies
+from pipeline.calibration.board.poses import BoardPose
 from pipeline.calibration.board.spec import Board
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import project
@@ -30,7 +30,7 @@ _MAX_ERROR_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class PlacedBoard:
     """Board at an instant.
 
     Parameters
@@ -51,9 +51,9 @@ class Placed:
 def place_board(
     cameras: Mapping[int, Camera],
     corners_px: Mapping[int, Float[np.ndarray, "corners 2"]],
-    poses: Mapping[int, Sequence[Pose]],
+    poses: Mapping[int, Sequence[BoardPose]],
     board: Board,
-) -> Placed | None:
+) -> PlacedBoard | None:
     """Find the pose and the numberings that explain an instant's views best; ``None`` if none explains them.
 
     Parameters
@@ -63,7 +63,7 @@ def place_board(
     corners_px, poses
         Corners and possible poses of the board in the cameras that see it.
     """
-    best: Placed | None = None
+    best: PlacedBoard | None = None
     for number, possible in poses.items():
         root_from_cam = cameras[number].cam_from_world.inverse()
         for pose in possible:
@@ -82,17 +82,17 @@ def _numbered(
     corners_px: Mapping[int, Float[np.ndarray, "corners 2"]],
     root_from_board: Rigid3,
     board: Board,
-) -> Placed:
+) -> PlacedBoard:
     """Number the corners of each view so that they fit a pose of the board."""
     xyz_m = root_from_board.apply(board.corners_m)
     chosen, errors_px = {}, []
     for number, seen_px in corners_px.items():
         projected = project(cameras[number], xyz_m)
         numberings = (seen_px, seen_px[::-1]) if board.is_ambiguous else (seen_px,)
-        found = [_median_px(numbered, projected) for numbered in numberings]
-        chosen[number] = numberings[int(np.argmin(found))]
-        errors_px.append(min(found))
-    return Placed(root_from_board, chosen, float(np.mean(errors_px)))
+        medians_px = [_median_px(numbered, projected) for numbered in numberings]
+        chosen[number] = numberings[int(np.argmin(medians_px))]
+        errors_px.append(min(medians_px))
+    return PlacedBoard(root_from_board, chosen, float(np.mean(errors_px)))
 
 
 def _median_px(seen_px: np.ndarray, projected_px: np.ndarray) -> float:
@@ -101,27 +101,29 @@ def _median_px(seen_px: np.ndarray, projected_px: np.ndarray) -> float:
     return float(np.median(np.nan_to_num(distance, nan=np.inf)))
 
 
-def refine_boards(cameras: Sequence[Camera], placed: Sequence[Placed], board: Board) -> list[Placed]:
+def refine_boards(cameras: Sequence[Camera], placed: Sequence[PlacedBoard], board: Board) -> list[PlacedBoard]:
     """Fit the poses of the board to the views of all cameras, which stay."""
-    fitted = _fit(cameras, none_free(len(cameras)), [[one] for one in placed], board)
-    return [replace(one, root_from_board=pose) for one, pose in zip(placed, fitted.root_from_boards, strict=True)]
+    fitted = _fit(cameras, none_free(len(cameras)), [[instant] for instant in placed], board)
+    return [
+        replace(instant, root_from_board=pose) for instant, pose in zip(placed, fitted.root_from_boards, strict=True)
+    ]
 
 
-def alike_numbered(placed: Sequence[Placed], board: Board) -> list[Placed]:
+def alike_numbered(placed: Sequence[PlacedBoard], board: Board) -> list[PlacedBoard]:
     """Number an ambiguous board at each instant as at the instant before, as far as it turned less than a quarter."""
     if not board.is_ambiguous:
         return list(placed)
     half_turn = Rigid3(read_only(np.diag([-1.0, -1.0, 1.0])), read_only(board.corners_m[-1]))
     alike = list(placed[:1])
-    for one in placed[1:]:
+    for current in placed[1:]:
         # The trace of a rotation by more than a quarter about the board's normal is below 1.
-        trace = np.trace(alike[-1].root_from_board.rotation.T @ one.root_from_board.rotation)
-        turned = one.root_from_board @ half_turn
+        trace = np.trace(alike[-1].root_from_board.rotation.T @ current.root_from_board.rotation)
+        turned = current.root_from_board @ half_turn
         if np.trace(alike[-1].root_from_board.rotation.T @ turned.rotation) > trace:
-            corners_px = {number: seen_px[::-1] for number, seen_px in one.corners_px.items()}
-            alike.append(replace(one, root_from_board=turned, corners_px=corners_px))
+            corners_px = {number: seen_px[::-1] for number, seen_px in current.corners_px.items()}
+            alike.append(replace(current, root_from_board=turned, corners_px=corners_px))
         else:
-            alike.append(one)
+            alike.append(current)
     return alike
 
 
@@ -140,7 +142,7 @@ class BoardFit:
     @property
     def root_from_boards(self) -> list[Rigid3]:
         """Pose of each board."""
-        bodies = cast("Bodies", self.adjustment.structure)
+        bodies = cast("RigidBodies", self.adjustment.structure)
         return [
             Rigid3(read_only(turn), read_only(m)) for turn, m in zip(bodies.rotation, bodies.translation_m, strict=True)
         ]
@@ -151,10 +153,10 @@ class BoardFit:
         return block_covariance(self.problem, self.adjustment, np.arange(num_blocks - number, num_blocks))
 
 
-def adjust_all(
+def adjust_board_rig(
     cameras: Sequence[Camera],
     root: int,
-    boards: Sequence[Sequence[Placed]],
+    boards: Sequence[Sequence[PlacedBoard]],
     board: Board,
     coefficients: Sequence[Sequence[int]] | None,
 ) -> BoardFit:
@@ -179,8 +181,8 @@ def adjust_all(
     return _fit(cameras, free, boards, board)
 
 
-def _fit(cameras: Sequence[Camera], free: Free, boards: Sequence[Sequence[Placed]], board: Board) -> BoardFit:
-    bodies = Bodies(
+def _fit(cameras: Sequence[Camera], free: Free, boards: Sequence[Sequence[PlacedBoard]], board: Board) -> BoardFit:
+    bodies = RigidBodies(
         read_only(np.array([instants[0].root_from_board.rotation for instants in boards])),
         read_only(np.array([instants[0].root_from_board.translation_m for instants in boards])),
     )
@@ -189,11 +191,14 @@ def _fit(cameras: Sequence[Camera], free: Free, boards: Sequence[Sequence[Placed
     return BoardFit(problem, adjust(problem, bodies))
 
 
-def _observations(boards: Sequence[Sequence[Placed]], board: Board) -> Observations:
+def _observations(boards: Sequence[Sequence[PlacedBoard]], board: Board) -> PointObservations:
     camera: list[Int[np.ndarray, " n"]] = []
     block, model_m, points_px = [], [], []
     views = [
-        (number, *view) for number, instants in enumerate(boards) for one in instants for view in one.corners_px.items()
+        (number, *view)
+        for number, instants in enumerate(boards)
+        for instant in instants
+        for view in instant.corners_px.items()
     ]
     for number, of_camera, corners_px in views:
         seen = np.isfinite(corners_px).all(-1)
@@ -201,7 +206,7 @@ def _observations(boards: Sequence[Sequence[Placed]], board: Board) -> Observati
         block.append(np.full(seen.sum(), number))
         model_m.append(board.corners_m[seen])
         points_px.append(corners_px[seen])
-    return Observations(
+    return PointObservations(
         np.concatenate(camera), np.concatenate(block), np.concatenate(model_m), np.concatenate(points_px)
     )
 

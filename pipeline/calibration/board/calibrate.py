@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
+from pipeline.calibration.adjustment.parameters import FOCAL, NUM_PARAMETERS
 from pipeline.calibration.board.bundle import (
     BoardFit,
-    Placed,
-    adjust_all,
+    PlacedBoard,
+    adjust_board_rig,
     alike_numbered,
     place_board,
     refine_boards,
@@ -19,19 +19,19 @@ from pipeline.calibration.board.bundle import (
 from pipeline.calibration.board.checks import (
     floor_warnings,
     link_warnings,
-    linked_or_refused,
+    require_linked_by_board,
     require_views,
     view_warnings,
 )
 from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
 from pipeline.calibration.board.poses import possible_poses
-from pipeline.calibration.board.rig import Rig, all_pairs, match_times, relate, spanning_tree
+from pipeline.calibration.board.rig import BoardRig, all_pairs, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views, coverage_svg
-from pipeline.calibration.board.world import Places, World, chosen_instants, find_places, find_world
+from pipeline.calibration.board.world import BoardWorld, Places, chosen_instants, find_board_world, find_places
 from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
-from pipeline.calibration.report import CameraReport, MadeCalibration
+from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration_choices import KnownPoint
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
@@ -54,7 +54,7 @@ def calibrate_board(
     floor_time_s: float | None = None,
     on_share: OnShare = ignore,
     known_points: Sequence[KnownPoint] = (),
-) -> MadeCalibration:
+) -> CalibrationResult:
     """Calibrate cameras from views of a board.
 
     Intrinsics are calibrated camera by camera. Poses of pairs of cameras, found from the instants at which both see the
@@ -81,36 +81,37 @@ def calibrate_board(
         If a camera has too few views, if cameras share too few, or if they or the known points disagree.
     """
     require_views(views, board, needs_intrinsics=given is None)
-    has_times = all(np.isfinite(one.time_s).all() for one in views)
+    has_times = all(np.isfinite(camera_views.time_s).all() for camera_views in views)
     if known_points and (problems := _point_problems(views, known_points, has_times)):
         raise InputError(problems)
-    found = [None if given is not None else calibrate_intrinsics(one, board) for one in views]
+    intrinsics = [None if given is not None else calibrate_intrinsics(camera_views, board) for camera_views in views]
     on_share(0.3)
     cameras = tuple(
-        one.camera if one is not None else _unposed(given, of.camera) for one, of in zip(found, views, strict=True)
+        calibrated.camera if calibrated is not None else _unposed(given, camera_views.camera)
+        for calibrated, camera_views in zip(intrinsics, views, strict=True)
     )
     if len(views) == 1 or not has_times:
-        return _intrinsics_only(views, found, cameras)
-    rig = Rig(
+        return _intrinsics_only(views, intrinsics, cameras)
+    rig = BoardRig(
         tuple(views),
         cameras,
         tuple(
-            tuple(possible_poses(camera, corners, board) for corners in one.corners_px)
-            for camera, one in zip(cameras, views, strict=True)
+            tuple(possible_poses(camera, corners, board) for corners in camera_views.corners_px)
+            for camera, camera_views in zip(cameras, views, strict=True)
         ),
-        match_times([one.time_s for one in views], 0.5 / frame_rate_hz if frame_rate_hz else 0.0),
+        match_times([camera_views.time_s for camera_views in views], 0.5 / frame_rate_hz if frame_rate_hz else 0.0),
     )
     on_share(0.5)
-    pairs = [pair for k, m in all_pairs(len(views)) if (pair := relate(k, m, rig.shared(k, m))) is not None]
-    usable = linked_or_refused(rig, pairs, frame_rate_hz)
+    pairs = [pair for k, m in all_pairs(len(views)) if (pair := relate_by_board(k, m, rig.shared(k, m))) is not None]
+    usable = require_linked_by_board(rig, pairs, frame_rate_hz)
     root_poses = spanning_tree(len(views), usable)
     root = next(number for number, pose in root_poses.items() if not pose.translation_m.any())
     posed = {number: with_pose(cameras[number], pose) for number, pose in root_poses.items()}
     on_share(0.6)
     placed = _place_all(rig, posed, board, _chosen_instants(rig, board))
-    coefficients = None if given is not None else [one.model.free for one in found if one is not None]
-    boards = [[one] for _, one in placed]
-    fitted = adjust_all([posed[k] for k in range(len(views))], root, boards, board, coefficients)
+    coefficients = None if given is not None else [lens.model.free for lens in intrinsics if lens is not None]
+    boards = [[placed_board] for _, placed_board in placed]
+    fitted = adjust_board_rig([posed[k] for k in range(len(views))], root, boards, board, coefficients)
     on_share(0.8)
     doubts = (*view_warnings(views), *link_warnings(views, usable))
     if known_points:
@@ -119,12 +120,13 @@ def calibrate_board(
     times_s, lying, places = _places(rig, fitted.adjustment.cameras, board, floor_time_s)
     # The board's poses on the floor are adjusted with everything else: each of them has many instants.
     boards = [
-        [replace(one, root_from_board=pose)] for (one,), pose in zip(boards, fitted.root_from_boards, strict=True)
+        [replace(board_once, root_from_board=pose)]
+        for (board_once,), pose in zip(boards, fitted.root_from_boards, strict=True)
     ]
     on_floor = [[lying[k] for k in chosen_instants(stretch)] for stretch in places.stretches]
-    fitted = adjust_all(fitted.adjustment.cameras, root, [*boards, *on_floor], board, coefficients)
+    fitted = adjust_board_rig(fitted.adjustment.cameras, root, [*boards, *on_floor], board, coefficients)
     on_share(0.95)
-    world = find_world(
+    world = find_board_world(
         fitted.root_from_boards[-len(on_floor) :], fitted.last_covariance(len(on_floor)), board.corners_m.mean(0)
     )
     begins_s = [float(times_s[stretch.start]) for stretch in places.stretches]
@@ -139,7 +141,7 @@ def _point_problems(views: Sequence[BoardViews], known_points: Sequence[KnownPoi
     if len(views) == 1 or not has_times:
         message = "Photographs and single cameras give intrinsics only: there is no world for known points."
         return [Problem("known_points_invalid", message, field="known_points", hint="Give videos of all cameras.")]
-    return point_problems(known_points, {one.camera: one.size_px for one in views})
+    return point_problems(known_points, {camera_views.camera: camera_views.size_px for camera_views in views})
 
 
 def _unposed(given: Mapping[str, Camera] | None, name: str) -> Camera:
@@ -150,32 +152,26 @@ def _unposed(given: Mapping[str, Camera] | None, name: str) -> Camera:
 
 
 def _intrinsics_only(
-    views: Sequence[BoardViews], found: Sequence[Intrinsics | None], cameras: tuple[Camera, ...]
-) -> MadeCalibration:
-    reports = tuple(
-        CameraReport(
-            camera.name,
-            np.nan if one is None else one.error_px,
-            float(camera.matrix.diagonal()[:2].mean()),
-            len(of),
-            np.nan if one is None else 100 * one.focal_sigma,
-            np.nan,
-            np.nan,
-        )
-        for camera, one, of in zip(cameras, found, views, strict=True)
-    )
-    return MadeCalibration(
+    views: Sequence[BoardViews], intrinsics: Sequence[Intrinsics | None], cameras: tuple[Camera, ...]
+) -> CalibrationResult:
+    reports = []
+    for camera, calibrated, camera_views in zip(cameras, intrinsics, views, strict=True):
+        sigma, error_px = np.full(NUM_PARAMETERS, np.nan), np.nan
+        if calibrated is not None:
+            sigma[FOCAL], error_px = calibrated.focal_sigma, calibrated.error_px
+        reports.append(report_camera(camera, error_px, len(camera_views), sigma))
+    return CalibrationResult(
         cameras,
         has_extrinsics=False,
-        by_camera=reports,
-        reprojection_error_px=float(np.median([one.reprojection_error_px for one in reports])),
+        by_camera=tuple(reports),
+        reprojection_error_px=float(np.median([report.reprojection_error_px for report in reports])),
         warnings=tuple(view_warnings(views)),
         world=_INTRINSICS_ONLY,
         pictures=_pictures(views),
     )
 
 
-def _chosen_instants(rig: Rig, board: Board) -> list[int]:
+def _chosen_instants(rig: BoardRig, board: Board) -> list[int]:
     """Instants for the adjustment: for each camera, views that cover its picture, those with more cameras first."""
     num_seeing = (rig.instants >= 0).sum(1)
     chosen: set[int] = set()
@@ -189,33 +185,33 @@ def _chosen_instants(rig: Rig, board: Board) -> list[int]:
 
 
 def _place_all(
-    rig: Rig, posed: Mapping[int, Camera], board: Board, instants: Sequence[int]
-) -> list[tuple[int, Placed]]:
+    rig: BoardRig, posed: Mapping[int, Camera], board: Board, instants: Sequence[int]
+) -> list[tuple[int, PlacedBoard]]:
     """Board at some instants, where it can be placed."""
-    found = []
+    boards = []
     for instant in instants:
         seeing = {number: int(view) for number, view in enumerate(rig.instants[instant]) if view >= 0}
         corners = {number: rig.views[number].corners_px[view] for number, view in seeing.items()}
         poses = {number: rig.poses[number][view] for number, view in seeing.items()}
         if (placed := place_board(posed, corners, poses, board)) is not None:
-            found.append((instant, placed))
-    return found
+            boards.append((instant, placed))
+    return boards
 
 
 def _places(
-    rig: Rig, cameras: Sequence[Camera], board: Board, floor_time_s: float | None
-) -> tuple[Float[np.ndarray, " instants"], list[Placed], Places]:
+    rig: BoardRig, cameras: Sequence[Camera], board: Board, floor_time_s: float | None
+) -> tuple[Float[np.ndarray, " instants"], list[PlacedBoard], Places]:
     """Times and the board at all instants at which it can be placed, and the places at which it lies on the floor."""
     times_s = np.array([min(rig.views[k].time_s[v] for k, v in enumerate(row) if v >= 0) for row in rig.instants])
     looked_at = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), _FLOOR_INSTANTS)).round().astype(int))
     placed = _place_all(rig, dict(enumerate(cameras)), board, looked_at.tolist())
-    found_s = times_s[[k for k, _ in placed]]
-    boards = alike_numbered(refine_boards(cameras, [one for _, one in placed], board), board)
+    placed_s = times_s[[k for k, _ in placed]]
+    boards = alike_numbered(refine_boards(cameras, [placed_board for _, placed_board in placed], board), board)
     centers_m = np.array([center_in_world(camera) for camera in cameras])
-    return found_s, boards, find_places(found_s, boards, centers_m, floor_time_s, board.corners_m.mean(0))
+    return placed_s, boards, find_places(placed_s, boards, centers_m, floor_time_s, board.corners_m.mean(0))
 
 
-def _world_sentence(world: World, begins_s: Sequence[float], board: Board) -> str:
+def _world_sentence(world: BoardWorld, begins_s: Sequence[float], board: Board) -> str:
     corner = "the first or the last corner" if board.is_ambiguous else "the first corner"
     tilt_deg = np.degrees(world.tilt_sigma_rad)
     others = "".join(f", {begin_s:.2f} s" for begin_s in begins_s[1:])
@@ -232,33 +228,16 @@ def _made(
     cameras: tuple[Camera, ...],
     world: str,
     warnings: tuple[Problem, ...],
-) -> MadeCalibration:
+) -> CalibrationResult:
     """Report cameras that are in the world."""
-    reports, median_px = _reports(views, fitted, cameras)
-    return MadeCalibration(cameras, True, reports, median_px, warnings, world, _pictures(views))
-
-
-def _reports(
-    views: Sequence[BoardViews], fitted: BoardFit, cameras: Sequence[Camera]
-) -> tuple[tuple[CameraReport, ...], float]:
-    distance_px = np.linalg.norm(fitted.adjustment.residuals_px, axis=-1)
-    reports = []
-    for number, camera in enumerate(cameras):
-        sigma = fitted.adjustment.sigma[number]
-        own = distance_px[fitted.owner == number]
-        reports.append(
-            CameraReport(
-                camera.name,
-                float(np.nanmedian(own)) if len(own) else np.nan,
-                float(camera.matrix.diagonal()[:2].mean()),
-                len(views[number]),
-                float(100 * sigma[FOCAL][0]) or np.nan,
-                float(1000 * np.linalg.norm(sigma[POSITION])),
-                float(np.degrees(np.linalg.norm(sigma[ROTATION]))),
-            )
-        )
-    return tuple(reports), float(np.nanmedian(distance_px))
+    error_px = fitted.adjustment.error_px(fitted.owner)
+    reports = tuple(
+        report_camera(camera, error_px[number], len(views[number]), fitted.adjustment.sigma[number])
+        for number, camera in enumerate(cameras)
+    )
+    median_px = float(np.nanmedian(np.linalg.norm(fitted.adjustment.residuals_px, axis=-1)))
+    return CalibrationResult(cameras, True, reports, median_px, warnings, world, _pictures(views))
 
 
 def _pictures(views: Sequence[BoardViews]) -> dict[str, str]:
-    return {f"coverage_{one.camera}.svg": coverage_svg(one) for one in views}
+    return {f"coverage_{camera_views.camera}.svg": coverage_svg(camera_views) for camera_views in views}

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pipeline.calibration.board.intrinsics import MIN_VIEWS
-from pipeline.calibration.board.rig import Pair, Rig, match_times, relate, spanning_tree
+from pipeline.calibration.board.rig import BoardPair, BoardRig, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, covered_share
 from pipeline.calibration.board.world import Places
@@ -24,7 +24,7 @@ _CERTAIN_SHARE = 0.7
 def require_views(views: Sequence[BoardViews], board: Board, needs_intrinsics: bool) -> None:
     """Raise ``InputError`` with all cameras in which the board was found too rarely."""
     least = MIN_VIEWS if needs_intrinsics else 1
-    problems = [_too_few(one, board, least) for one in views if len(one) < least]
+    problems = [_too_few(camera_views, board, least) for camera_views in views if len(camera_views) < least]
     if problems:
         raise InputError(problems)
 
@@ -46,7 +46,7 @@ def _too_few(views: BoardViews, board: Board, least: int) -> Problem:
     return Problem("board_not_found", message, camera=views.camera, hint=hint)
 
 
-def linked_or_refused(rig: Rig, pairs: Sequence[Pair], frame_rate_hz: float) -> list[Pair]:
+def require_linked_by_board(rig: BoardRig, pairs: Sequence[BoardPair], frame_rate_hz: float) -> list[BoardPair]:
     """Pairs that link all cameras.
 
     Raises
@@ -64,11 +64,11 @@ def linked_or_refused(rig: Rig, pairs: Sequence[Pair], frame_rate_hz: float) -> 
     return usable
 
 
-def _is_usable(pair: Pair) -> bool:
+def _is_usable(pair: BoardPair) -> bool:
     return pair.num_agreeing >= _MIN_AGREEING and pair.num_agreeing >= _MIN_AGREEING_SHARE * pair.num_shared
 
 
-def _unlinked(rig: Rig, number: int, pairs: Sequence[Pair], frame_rate_hz: float) -> Problem:
+def _unlinked(rig: BoardRig, number: int, pairs: Sequence[BoardPair], frame_rate_hz: float) -> Problem:
     name = rig.views[number].camera
     own = [pair for pair in pairs if number in (pair.first, pair.second)]
     best = max(own, key=lambda pair: pair.num_shared, default=None)
@@ -89,7 +89,7 @@ def _unlinked(rig: Rig, number: int, pairs: Sequence[Pair], frame_rate_hz: float
     return Problem("board_unsynchronised", message, camera=name, hint=hint)
 
 
-def _offset_s(rig: Rig, number: int, other: int, frame_rate_hz: float) -> float | None:
+def _offset_s(rig: BoardRig, number: int, other: int, frame_rate_hz: float) -> float | None:
     """Offset of a camera with which its views agree with those of another one; ``None`` if none is found."""
     if frame_rate_hz <= 0:
         return None
@@ -102,7 +102,7 @@ def _offset_s(rig: Rig, number: int, other: int, frame_rate_hz: float) -> float 
         if len(both) < _MIN_SHARED_FOR_OFFSET:
             continue
         chosen = both[np.unique(np.linspace(0, len(both) - 1, 40).astype(int))]
-        pair = relate(0, 1, [(rig.poses[number][a], rig.poses[other][b]) for a, b in chosen])
+        pair = relate_by_board(0, 1, [(rig.poses[number][a], rig.poses[other][b]) for a, b in chosen])
         share = 0.0 if pair is None else pair.num_agreeing / pair.num_shared
         if share > _CERTAIN_SHARE and share * len(both) > most:
             most, best_s = share * len(both), offset_s
@@ -111,29 +111,29 @@ def _offset_s(rig: Rig, number: int, other: int, frame_rate_hz: float) -> float 
 
 def view_warnings(views: Sequence[BoardViews]) -> Iterator[Problem]:
     """Cameras whose views are few, cover little of the picture, or are partly mirrored."""
-    for one in views:
-        if len(one) < _FEW_VIEWS:
-            message = f"The board was found in {len(one)} of {one.num_pictures} pictures."
+    for camera_views in views:
+        if len(camera_views) < _FEW_VIEWS:
+            message = f"The board was found in {len(camera_views)} of {camera_views.num_pictures} pictures."
             hint = "Film it longer, at several distances and tilts."
-            yield Problem("board_few_views", message, camera=one.camera, hint=hint)
-        if (share := covered_share(one)) < _POOR_COVERAGE:
+            yield Problem("board_few_views", message, camera=camera_views.camera, hint=hint)
+        if (share := covered_share(camera_views)) < _POOR_COVERAGE:
             message = f"The board covers {share:.0%} of the picture."
             hint = "Film it near the edges and the corners of the picture too, as the coverage picture shows."
-            yield Problem("board_poor_coverage", message, camera=one.camera, hint=hint)
-        if one.num_mirrored:
-            message = f"The board is mirrored in {one.num_mirrored} pictures."
+            yield Problem("board_poor_coverage", message, camera=camera_views.camera, hint=hint)
+        if camera_views.num_mirrored:
+            message = f"The board is mirrored in {camera_views.num_mirrored} pictures."
             hint = "Turn off the mirroring of the camera: its videos would be mirrored too."
-            yield Problem("board_mirrored", message, camera=one.camera, hint=hint)
+            yield Problem("board_mirrored", message, camera=camera_views.camera, hint=hint)
 
 
-def link_warnings(views: Sequence[BoardViews], pairs: Sequence[Pair]) -> Iterator[Problem]:
+def link_warnings(views: Sequence[BoardViews], pairs: Sequence[BoardPair]) -> Iterator[Problem]:
     """Doubts about the links between cameras."""
-    for number, one in enumerate(views):
+    for number, camera_views in enumerate(views):
         most = max((pair.num_agreeing for pair in pairs if number in (pair.first, pair.second)), default=0)
         if most < _FEW_SHARED:
             message = f"The camera is linked by {most} views of the board that another camera shares."
             hint = "Film the board where this camera and a neighbour both see it."
-            yield Problem("board_few_shared", message, camera=one.camera, hint=hint)
+            yield Problem("board_few_shared", message, camera=camera_views.camera, hint=hint)
 
 
 def floor_warnings(places: Places, time_s: float, board: Board) -> Iterator[Problem]:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.adjustment.parameters import FOCAL
-from pipeline.calibration.board.bundle import Placed, adjust_all, place_board, refine_boards
+from pipeline.calibration.board.bundle import PlacedBoard, adjust_board_rig, place_board, refine_boards
 from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
@@ -31,11 +31,11 @@ def fit_fisheye(views: BoardViews, board: Board) -> tuple[Camera, float] | None:
     starts = [_equidistant(views, angle_deg) for angle_deg in _ANGLES_DEG]
     placed = [_placed(start, views, board) for start in starts]
     # Of the lenses that explain the most views, the one with the least error.
-    best = min(range(len(starts)), key=lambda k: (-len(placed[k]), sum(one.error_px for one in placed[k])))
+    best = min(range(len(starts)), key=lambda k: (-len(placed[k]), sum(board.error_px for board in placed[k])))
     if 2 * len(placed[best]) <= len(views):
         return None
-    boards = [[one] for one in placed[best]]
-    fitted = adjust_all([starts[best]], 0, boards, board, [FISHEYE_COEFFICIENTS]).adjustment
+    boards = [[placed_board] for placed_board in placed[best]]
+    fitted = adjust_board_rig([starts[best]], 0, boards, board, [FISHEYE_COEFFICIENTS]).adjustment
     return fitted.cameras[0], float(fitted.sigma[0, FOCAL][0])
 
 
@@ -44,8 +44,10 @@ def fisheye_errors2_px2(camera: Camera, views: BoardViews, board: Board) -> Floa
     placed = refine_boards([camera], _placed(camera, views, board), board)
     if len(placed) < len(views):
         return np.full(1, np.inf)
-    projected = np.concatenate([project(camera, one.root_from_board.apply(board.corners_m)) for one in placed])
-    seen_px = np.concatenate([one.corners_px[0] for one in placed])
+    projected = np.concatenate(
+        [project(camera, placed_board.root_from_board.apply(board.corners_m)) for placed_board in placed]
+    )
+    seen_px = np.concatenate([view.corners_px[0] for view in placed])
     squares = ((projected - seen_px) ** 2).sum(-1)[np.isfinite(seen_px).all(-1)]
     return np.nan_to_num(squares, nan=np.inf)
 
@@ -65,10 +67,10 @@ def _equidistant(views: BoardViews, angle_deg: float) -> Camera:
     )
 
 
-def _placed(camera: Camera, views: BoardViews, board: Board) -> list[Placed]:
+def _placed(camera: Camera, views: BoardViews, board: Board) -> list[PlacedBoard]:
     """Board in each view that has a pose."""
-    found = (
+    placed = (
         place_board({0: camera}, {0: corners_px}, {0: possible_poses(camera, corners_px, board)}, board)
         for corners_px in views.corners_px
     )
-    return [one for one in found if one is not None]
+    return [placed_board for placed_board in placed if placed_board is not None]

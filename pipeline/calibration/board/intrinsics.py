@@ -145,9 +145,11 @@ def _errors2_px2(camera: Camera, views: BoardViews, board: Board) -> Float[np.nd
 
 def _points(views: BoardViews, board: Board) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Corners of each view that were found: on the board, metres, and in the picture, pixels."""
-    seen = [np.isfinite(one).all(-1) for one in views.corners_px]
+    seen = [np.isfinite(corners_px).all(-1) for corners_px in views.corners_px]
     points_m = [board.corners_m[mask].astype(np.float32) for mask in seen]
-    return points_m, [one[mask].astype(np.float32) for one, mask in zip(views.corners_px, seen, strict=True)]
+    return points_m, [
+        corners_px[mask].astype(np.float32) for corners_px, mask in zip(views.corners_px, seen, strict=True)
+    ]
 
 
 def _fit_standard(views: BoardViews, board: Board, model: DistortionModel) -> tuple[Camera, float]:

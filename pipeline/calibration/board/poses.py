@@ -18,7 +18,7 @@ _AMBIGUOUS_RATIO, _AMBIGUOUS_PX = 4.0, 1.0
 _MIN_CORNERS = 4
 
 
-class Pose(NamedTuple):
+class BoardPose(NamedTuple):
     """Possible pose of a board in a camera.
 
     Parameters
@@ -33,19 +33,19 @@ class Pose(NamedTuple):
     is_turned: bool
 
 
-def possible_poses(camera: Camera, corners_px: Float[np.ndarray, "corners 2"], board: Board) -> list[Pose]:
+def possible_poses(camera: Camera, corners_px: Float[np.ndarray, "corners 2"], board: Board) -> list[BoardPose]:
     """Poses that explain a view, the best first (infinitesimal plane-based pose estimation, Collins and Bartoli 2014).
 
     A plane that is seen from far away has two poses of nearly equal error.
     """
-    found = []
+    candidates = []
     for is_turned in (False, True) if board.is_ambiguous else (False,):
         numbered = corners_px[::-1] if is_turned else corners_px
-        found += [(error_px, Pose(pose, is_turned)) for error_px, pose in _solutions(camera, numbered, board)]
-    found.sort(key=lambda one: one[0])
-    best_px = found[0][0] if found else 0.0
+        candidates += [(error_px, BoardPose(pose, is_turned)) for error_px, pose in _solutions(camera, numbered, board)]
+    candidates.sort(key=lambda candidate: candidate[0])
+    best_px = candidates[0][0] if candidates else 0.0
     limit_px = max(_AMBIGUOUS_RATIO * best_px, _AMBIGUOUS_PX)
-    return [pose for error_px, pose in found if error_px <= limit_px]
+    return [pose for error_px, pose in candidates if error_px <= limit_px]
 
 
 def _solutions(camera: Camera, corners_px: np.ndarray, board: Board) -> list[tuple[float, Rigid3]]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.board.poses import Pose
+from pipeline.calibration.board.poses import BoardPose
 from pipeline.calibration.board.views import BoardViews
 from pipeline.data import Camera, read_only
 from pipeline.geometry.rigid import Rigid3
@@ -20,7 +20,7 @@ _NUM_TRIED = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rig:
+class BoardRig:
     """Views of all cameras, their cameras, and the instants that they share.
 
     Parameters
@@ -33,17 +33,17 @@ class Rig:
 
     views: tuple[BoardViews, ...]
     cameras: tuple[Camera, ...]
-    poses: tuple[tuple[Sequence[Pose], ...], ...]
+    poses: tuple[tuple[Sequence[BoardPose], ...], ...]
     instants: np.ndarray
 
-    def shared(self, first: int, second: int) -> list[tuple[Sequence[Pose], Sequence[Pose]]]:
+    def shared(self, first: int, second: int) -> list[tuple[Sequence[BoardPose], Sequence[BoardPose]]]:
         """Possible poses in two cameras at the instants at which both see the board."""
         both = self.instants[(self.instants[:, [first, second]] >= 0).all(1)]
         return [(self.poses[first][row[first]], self.poses[second][row[second]]) for row in both]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class BoardPair:
     """Relative pose of two cameras.
 
     Parameters
@@ -63,7 +63,9 @@ class Pair:
     num_shared: int
 
 
-def relate(first: int, second: int, poses: Sequence[tuple[Sequence[Pose], Sequence[Pose]]]) -> Pair | None:
+def relate_by_board(
+    first: int, second: int, poses: Sequence[tuple[Sequence[BoardPose], Sequence[BoardPose]]]
+) -> BoardPair | None:
     """Find the relative pose of two cameras that most instants agree with; ``None`` if they share no view.
 
     Parameters
@@ -84,26 +86,26 @@ def relate(first: int, second: int, poses: Sequence[tuple[Sequence[Pose], Sequen
             best = cost, _mean(candidate, rotations, shifts_m, agreeing), int(np.count_nonzero(agreeing >= 0))
     if best is None:
         return None
-    return Pair(first, second, best[1], best[2], len(poses))
+    return BoardPair(first, second, best[1], best[2], len(poses))
 
 
 def _stacked(
-    poses: Sequence[tuple[Sequence[Pose], Sequence[Pose]]],
+    poses: Sequence[tuple[Sequence[BoardPose], Sequence[BoardPose]]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rotations, shifts, instants and distances to the board of all combinations of poses in both cameras.
 
     Equal half turns in both cameras give equal relative poses.
     """
-    found = [
-        (two.cam_from_board @ one.cam_from_board.inverse(), number, two.cam_from_board.translation_m)
+    relatives = [
+        (second.cam_from_board @ first.cam_from_board.inverse(), number, second.cam_from_board.translation_m)
         for number, (in_first, in_second) in enumerate(poses)
-        for one in in_first
-        for two in in_second
+        for first in in_first
+        for second in in_second
     ]
-    rotations = np.array([relative.rotation for relative, _, _ in found])
-    shifts_m = np.array([relative.translation_m for relative, _, _ in found])
-    owner = np.array([number for _, number, _ in found])
-    depth_m = np.array([np.linalg.norm(place_m) for _, _, place_m in found])
+    rotations = np.array([relative.rotation for relative, _, _ in relatives])
+    shifts_m = np.array([relative.translation_m for relative, _, _ in relatives])
+    owner = np.array([number for _, number, _ in relatives])
+    depth_m = np.array([np.linalg.norm(place_m) for _, _, place_m in relatives])
     return rotations, shifts_m, owner, depth_m
 
 
@@ -137,7 +139,7 @@ def _mean(candidate: Rigid3, rotations: np.ndarray, shifts_m: np.ndarray, agreei
     return Rigid3(read_only(rotation), read_only(np.median(shifts_m[chosen], axis=0)))
 
 
-def spanning_tree(num_cameras: int, pairs: Sequence[Pair]) -> Mapping[int, Rigid3]:
+def spanning_tree(num_cameras: int, pairs: Sequence[BoardPair]) -> Mapping[int, Rigid3]:
     """Poses of the cameras that are linked to the best linked one, as transforms from this one.
 
     Pairs with more agreeing instants come first (Prim's maximum spanning tree).
@@ -167,9 +169,9 @@ def match_times(times_s: Sequence[Float[np.ndarray, " _"]], tolerance_s: float) 
 
     Views within the tolerance of the first one of an instant belong to it, at most one a camera.
     """
-    camera = np.concatenate([np.full(len(one), k) for k, one in enumerate(times_s)])
-    view = np.concatenate([np.arange(len(one)) for one in times_s])
-    time_s = np.concatenate([np.asarray(one, float) for one in times_s])
+    camera = np.concatenate([np.full(len(camera_s), k) for k, camera_s in enumerate(times_s)])
+    view = np.concatenate([np.arange(len(camera_s)) for camera_s in times_s])
+    time_s = np.concatenate([np.asarray(camera_s, float) for camera_s in times_s])
     order = np.lexsort((camera, time_s))
     instants: list[list[int]] = []
     begin_s = -np.inf

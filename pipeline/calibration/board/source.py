@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.calibration.board.detection.detect import Found, find_board, is_exchanged
+from pipeline.calibration.board.detection.detect import DetectedBoard, find_board, is_exchanged
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration_choices import BOARD_FRAMES
@@ -107,18 +107,18 @@ def find_photographs(folder: Path) -> Mapping[str, Sequence[Path]]:
     InputError
         If there are no photographs.
     """
-    found = {}
+    photographs = {}
     if folder.is_dir():
         for place in (folder, *sorted(path for path in folder.iterdir() if path.is_dir())):
             paths = sorted(path for path in place.iterdir() if path.suffix.lower() in _ENDINGS)
             if paths:
                 match = _POSE2SIM.fullmatch(place.name)
-                found[match[1] if match else place.name] = paths
-    if not found:
+                photographs[match[1] if match else place.name] = paths
+    if not photographs:
         hint = "Name a folder with photographs, or with a folder of photographs for each camera."
         message = "There are no photographs in the folder."
         raise InputError([Problem("images_missing", message, file=folder.name, hint=hint)])
-    return found
+    return photographs
 
 
 def look_in_photographs(
@@ -162,26 +162,26 @@ def _views(
     board: Board,
 ) -> BoardViews:
     times_s: list[float] = []
-    found: list[Found] = []
+    boards: list[DetectedBoard] = []
     num_pictures = num_mirrored = num_exchanged = num_tried = 0
     for time_s, image_rgb in pictures:
         num_pictures += 1
-        if (one := find_board(image_rgb, board)) is None:
-            if not found and num_tried < _TRIED_EXCHANGED:
+        if (detected := find_board(image_rgb, board)) is None:
+            if not boards and num_tried < _TRIED_EXCHANGED:
                 num_tried += 1
                 num_exchanged += is_exchanged(image_rgb, board)
             continue
-        if one.is_mirrored:
+        if detected.is_mirrored:
             num_mirrored += 1
         else:
             times_s.append(time_s)
-            found.append(one)
+            boards.append(detected)
     return BoardViews(
         camera,
         size_px,
         read_only(np.array(times_s)),
-        read_only(np.array([one.corners_px for one in found]).reshape(-1, board.num_corners, 2)),
-        read_only(np.array([one.sharpness_px for one in found])),
+        read_only(np.array([detected.corners_px for detected in boards]).reshape(-1, board.num_corners, 2)),
+        read_only(np.array([detected.sharpness_px for detected in boards])),
         num_pictures,
         num_mirrored,
         num_exchanged,

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.board.bundle import Placed
+from pipeline.calibration.board.bundle import PlacedBoard
 from pipeline.data import read_only
 from pipeline.geometry.rigid import Rigid3
 
@@ -39,7 +39,7 @@ class Places:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class World:
+class BoardWorld:
     """World of a rig.
 
     Parameters
@@ -56,7 +56,7 @@ class World:
 
 def find_places(
     times_s: Float[np.ndarray, " instants"],
-    placed: Sequence[Placed],
+    placed: Sequence[PlacedBoard],
     centers_m: Float[np.ndarray, "cameras 3"],
     floor_time_s: float | None,
     middle_m: Float[np.ndarray, " 3"],
@@ -75,39 +75,40 @@ def find_places(
     middle_m
         Middle of the board, in its frame.
     """
-    above = np.array([_above_m(one.root_from_board, centers_m).min() > _CLEARANCE_M for one in placed])
+    above = np.array([_above_m(board.root_from_board, centers_m).min() > _CLEARANCE_M for board in placed])
     stretches = still_stretches(times_s, placed)
     if floor_time_s is not None:
         k = int(np.argmin(np.abs(times_s - floor_time_s)))
-        first = next((one for one in stretches if k in one), range(k, k + 1))
+        first = next((stretch for stretch in stretches if k in stretch), range(k, k + 1))
         return Places(_in_plane(first, stretches, placed, middle_m), is_certain=True)
-    planes = [_in_plane(one, stretches, placed, middle_m) for one in stretches if above[one.start : one.stop].all()]
+    still = [stretch for stretch in stretches if above[stretch.start : stretch.stop].all()]
+    planes = [_in_plane(stretch, stretches, placed, middle_m) for stretch in still]
     if planes:
         # Of the places in a plane, the longest one is the origin.
         longest = max(planes, key=lambda plane: (_total_s(times_s, plane), _total_s(times_s, plane[:1])))
         return Places(longest, is_certain=True)
     # The highest share of cameras above the board, then the most cameras that see it.
-    shares = [(_above_m(one.root_from_board, centers_m) > _CLEARANCE_M).mean() for one in placed]
+    shares = [(_above_m(board.root_from_board, centers_m) > _CLEARANCE_M).mean() for board in placed]
     k = max(range(len(placed)), key=lambda k: (shares[k], len(placed[k].corners_px)))
     return Places((range(k, k + 1),), is_certain=False)
 
 
 def _total_s(times_s: Float[np.ndarray, " instants"], stretches: Sequence[range]) -> float:
-    return float(sum(times_s[one.stop - 1] - times_s[one.start] for one in stretches))
+    return float(sum(times_s[stretch.stop - 1] - times_s[stretch.start] for stretch in stretches))
 
 
 def _in_plane(
-    first: range, stretches: Sequence[range], placed: Sequence[Placed], middle_m: Float[np.ndarray, " 3"]
+    first: range, stretches: Sequence[range], placed: Sequence[PlacedBoard], middle_m: Float[np.ndarray, " 3"]
 ) -> tuple[range, ...]:
     """Stretches in which the board lies in the plane of the first one, this one first."""
     plane = placed[first.start].root_from_board
-    found = [first]
-    for other in stretches:
-        board = plane.inverse() @ placed[other.start].root_from_board
+    coplanar = [first]
+    for stretch in stretches:
+        board = plane.inverse() @ placed[stretch.start].root_from_board
         is_level = board.rotation[2, 2] > np.cos(_PLANE_RAD)
-        if other != first and is_level and abs(board.apply(middle_m)[2]) < _PLANE_M:
-            found.append(other)
-    return tuple(found)
+        if stretch != first and is_level and abs(board.apply(middle_m)[2]) < _PLANE_M:
+            coplanar.append(stretch)
+    return tuple(coplanar)
 
 
 def chosen_instants(stretch: range) -> list[int]:
@@ -118,11 +119,11 @@ def chosen_instants(stretch: range) -> list[int]:
     ]
 
 
-def find_world(
+def find_board_world(
     root_from_boards: Sequence[Rigid3],
     covariance: Float[np.ndarray, "unknowns unknowns"],
     middle_m: Float[np.ndarray, " 3"],
-) -> World:
+) -> BoardWorld:
     """Fit the floor's plane to the board at each of its places (generalised least squares).
 
     Directions of the boards' normals and heights of their middles, relative to the first board, are the observations:
@@ -163,7 +164,7 @@ def find_world(
     # A board that lies on the floor has its z down, so y and z are turned.
     turned = Rigid3(read_only(np.diag([1.0, -1.0, -1.0])), read_only(np.zeros(3)))
     world_from_root = turned @ Rigid3(read_only(rotation), read_only(corner_m)).inverse()
-    return World(world_from_root, float(np.sqrt(np.linalg.eigvalsh(of_plane[:2, :2]).max())))
+    return BoardWorld(world_from_root, float(np.sqrt(np.linalg.eigvalsh(of_plane[:2, :2]).max())))
 
 
 def _cross(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
@@ -172,7 +173,7 @@ def _cross(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def still_stretches(times_s: Float[np.ndarray, " instants"], placed: Sequence[Placed]) -> list[range]:
+def still_stretches(times_s: Float[np.ndarray, " instants"], placed: Sequence[PlacedBoard]) -> list[range]:
     """Ranges of instants during which the board lies still."""
     stretches, begin = [], 0
     for k in range(1, len(placed) + 1):
@@ -183,9 +184,9 @@ def still_stretches(times_s: Float[np.ndarray, " instants"], placed: Sequence[Pl
     return stretches
 
 
-def _is_still(one: Rigid3, other: Rigid3) -> bool:
-    turn = Rotation.from_matrix(other.rotation @ one.rotation.T).magnitude()
-    return bool(np.linalg.norm(one.translation_m - other.translation_m) < _STILL_M and turn < _STILL_RAD)
+def _is_still(first: Rigid3, second: Rigid3) -> bool:
+    turn = Rotation.from_matrix(second.rotation @ first.rotation.T).magnitude()
+    return bool(np.linalg.norm(first.translation_m - second.translation_m) < _STILL_M and turn < _STILL_RAD)
 
 
 def _above_m(root_from_board: Rigid3, centers_m: Float[np.ndarray, "cameras 3"]) -> Float[np.ndarray, " cameras"]:

@@ -28,7 +28,7 @@ def check_cameras(cameras: Sequence[Camera]) -> list[Finding]:
     for camera in cameras:
         findings += check_lens(camera)
     # Cameras of another unit, or without poses, see no common place because of that.
-    is_placed = not any(one.code in {"calibration_unposed", "world_unit"} for one in findings)
+    is_placed = not any(finding.code in {"calibration_unposed", "world_unit"} for finding in findings)
     if is_placed and all(camera.size_px != UNKNOWN_SIZE for camera in cameras):
         findings += check_views(cameras)
     return findings

@@ -18,10 +18,10 @@ Size = tuple[int, int]
 def point_problems(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size]) -> list[Problem]:
     """Find everything that is wrong with known points, given the size of each camera's pictures."""
     problems = [*_repeated(points), *_misplaced(points, sizes_px)]
-    seen = [one for one in points if sum(camera in sizes_px for camera, _, _ in one.seen_px) > 1]
+    seen = [point for point in points if sum(camera in sizes_px for camera, _, _ in point.seen_px) > 1]
     if len(seen) < MIN_POINTS:
         message = f"{len(seen)} points are seen by two cameras; at least {MIN_POINTS} are required."
-        alone = sorted(one.name for one in points if one not in seen)
+        alone = sorted(point.name for point in points if point not in seen)
         hint = "Mark each point in the pictures of two cameras or more, under the same name."
         if alone:
             hint = f"{hint} Seen by one camera: {', '.join(alone[:10])}."
@@ -33,17 +33,19 @@ def point_problems(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size]) -
 
 
 def _repeated(points: Sequence[KnownPoint]) -> Iterator[Problem]:
-    for name, times in Counter(one.name for one in points).items():
+    for name, times in Counter(point.name for point in points).items():
         if times > 1:
             yield _invalid(f"{times} points are named {name}.", "Give each point a name of its own.")
-    for one in points:
-        for camera, times in Counter(camera for camera, _, _ in one.seen_px).items():
+    for point in points:
+        for camera, times in Counter(camera for camera, _, _ in point.seen_px).items():
             if times > 1:
-                yield _invalid(f"The point {one.name} has {times} places in the picture.", "State one.", camera)
+                yield _invalid(f"The point {point.name} has {times} places in the picture.", "State one.", camera)
 
 
 def _misplaced(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size]) -> Iterator[Problem]:
-    unknown = {camera: one.name for one in reversed(points) for camera, _, _ in one.seen_px if camera not in sizes_px}
+    unknown = {
+        camera: point.name for point in reversed(points) for camera, _, _ in point.seen_px if camera not in sizes_px
+    }
     for camera, name in unknown.items():
         hint = f"The cameras are {', '.join(sizes_px)}."
         yield Problem(
@@ -53,20 +55,20 @@ def _misplaced(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size]) -> It
             field="known_points",
             hint=hint,
         )
-    for one in points:
-        for camera, x_px, y_px in one.seen_px:
+    for point in points:
+        for camera, x_px, y_px in point.seen_px:
             width, height = sizes_px.get(camera, (0, 0))
             if camera in sizes_px and not (-0.5 <= x_px <= width - 0.5 and -0.5 <= y_px <= height - 0.5):
                 message = (
-                    f"The point {one.name} at {x_px:g}, {y_px:g} is not in the picture of {width} x {height} pixels."
+                    f"The point {point.name} at {x_px:g}, {y_px:g} is not in the picture of {width} x {height} pixels."
                 )
                 yield _invalid(message, "State pixels of the full picture, from its top left corner.", camera)
 
 
 def _are_on_a_line(points: Sequence[KnownPoint]) -> bool:
     longest_m, first, second = max(
-        ((dist(one.xyz_m, other.xyz_m), one, other) for one, other in combinations(points, 2)),
-        key=lambda found: found[0],
+        ((dist(start.xyz_m, end.xyz_m), start, end) for start, end in combinations(points, 2)),
+        key=lambda pair: pair[0],
     )
     if longest_m == 0.0:
         return True

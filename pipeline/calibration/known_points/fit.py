@@ -120,8 +120,8 @@ def place_by_points(cameras: Sequence[Camera], points: Sequence[KnownPoint], kee
         message = f"{is_found.sum()} of the points have a place in space: the rays of the others are parallel."
         hint = "Mark the points in cameras that see them from different sides."
         raise InputError([Problem("known_points_few", message, field="known_points", hint=hint)])
-    goal_m = np.array([one.xyz_m for one in points])
-    names = [one.name for one, is_one in zip(points, is_found, strict=True) if is_one]
+    goal_m = np.array([point.xyz_m for point in points])
+    names = [point.name for point, is_located in zip(points, is_found, strict=True) if is_located]
     problems = _misfits(found_m[is_found], goal_m[is_found], names, keeps_scale)
     if problems:
         raise InputError(problems)

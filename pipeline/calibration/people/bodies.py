@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pipeline.calibration.people.following import JOINTS
-from pipeline.calibration.people.pairs import Relative
-from pipeline.calibration.people.tracklets import Tracklet
+from pipeline.calibration.people.pairs import RelativePose
+from pipeline.calibration.people.tracklets import ViewTracklet
 from pipeline.data import Camera, read_only
 from pipeline.geometry.tracks import triangulate_instants
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bodies:
+class MatchedBodies:
     """Bodies of groups of tracklets, sorted by group and instant.
 
     Parameters
@@ -34,49 +34,51 @@ class Bodies:
     def __len__(self) -> int:
         return len(self.group)
 
-    def subset(self, chosen: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> "Bodies":
+    def subset(self, chosen: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> "MatchedBodies":
         """Select bodies."""
-        return Bodies(self.group[chosen], self.instant[chosen], self.points_px[chosen])
+        return MatchedBodies(self.group[chosen], self.instant[chosen], self.points_px[chosen])
 
-    def without(self, hidden: Bool[np.ndarray, "n cameras joints"]) -> "Bodies":
+    def without(self, hidden: Bool[np.ndarray, "n cameras joints"]) -> "MatchedBodies":
         """Leave out some views of joints."""
-        return Bodies(self.group, self.instant, read_only(np.where(hidden[..., None], np.nan, self.points_px)))
+        return MatchedBodies(self.group, self.instant, read_only(np.where(hidden[..., None], np.nan, self.points_px)))
 
     def seen(self) -> Bool[np.ndarray, "n cameras joints"]:
         """Joints that each camera sees."""
         return np.isfinite(self.points_px).all(-1)
 
-    def of_cameras(self, numbers: Sequence[int]) -> "Bodies":
+    def of_cameras(self, numbers: Sequence[int]) -> "MatchedBodies":
         """Bodies as some cameras see them."""
-        return Bodies(self.group, self.instant, self.points_px[:, list(numbers)])
+        return MatchedBodies(self.group, self.instant, self.points_px[:, list(numbers)])
 
     def triangulated(self, cameras: Sequence[Camera]) -> Float[np.ndarray, "n joints 3"]:
         """World coordinates of the joints; NaN where fewer than two cameras see one."""
         return triangulate_instants(cameras, self.points_px)
 
 
-def gather_bodies(tracklets: Sequence[Tracklet], relatives: Sequence[Relative], num_cameras: int) -> Bodies:
+def gather_bodies(
+    tracklets: Sequence[ViewTracklet], relatives: Sequence[RelativePose], num_cameras: int
+) -> MatchedBodies:
     """Put matched tracklets together, the best matches first; one camera sees a person once at an instant."""
     group = np.arange(len(tracklets))
-    matches = sorted((match for one in relatives for match in one.matches), key=lambda match: -match.support)
+    matches = sorted((match for kept in relatives for match in kept.matches), key=lambda match: -match.support)
     members: dict[int, list[int]] = {number: [number] for number in range(len(tracklets))}
     for match in matches:
-        one, other = int(group[match.first]), int(group[match.second])
-        if one != other and not _overlap(members[one], members[other], tracklets):
-            group[members[other]] = one
-            members[one] += members.pop(other)
+        kept, added = int(group[match.first]), int(group[match.second])
+        if kept != added and not _overlap(members[kept], members[added], tracklets):
+            group[members[added]] = kept
+            members[kept] += members.pop(added)
     parts = [_bodies_of(number, [tracklets[k] for k in own], num_cameras) for number, own in members.items()
              if len({tracklets[k].camera for k in own}) > 1]  # fmt: skip
     if not parts:
-        return Bodies(np.empty(0, int), np.empty(0, int), np.empty((0, num_cameras, len(JOINTS), 2)))
-    return Bodies(
+        return MatchedBodies(np.empty(0, int), np.empty(0, int), np.empty((0, num_cameras, len(JOINTS), 2)))
+    return MatchedBodies(
         np.concatenate([part.group for part in parts]),
         np.concatenate([part.instant for part in parts]),
         np.concatenate([part.points_px for part in parts]),
     )
 
 
-def _overlap(some: Sequence[int], others: Sequence[int], tracklets: Sequence[Tracklet]) -> bool:
+def _overlap(some: Sequence[int], others: Sequence[int], tracklets: Sequence[ViewTracklet]) -> bool:
     """Whether a camera would see the person twice at an instant."""
     return any(
         tracklets[k].camera == tracklets[m].camera and len(tracklets[k].shared(tracklets[m])) > 0
@@ -85,11 +87,11 @@ def _overlap(some: Sequence[int], others: Sequence[int], tracklets: Sequence[Tra
     )
 
 
-def _bodies_of(number: int, own: Sequence[Tracklet], num_cameras: int) -> Bodies:
-    first, stop = min(one.first for one in own), max(one.instants.stop for one in own)
+def _bodies_of(number: int, own: Sequence[ViewTracklet], num_cameras: int) -> MatchedBodies:
+    first, stop = min(tracklet.first for tracklet in own), max(tracklet.instants.stop for tracklet in own)
     points_px = np.full((stop - first, num_cameras, len(JOINTS), 2), np.nan)
-    for one in own:
-        points_px[one.first - first : one.instants.stop - first, one.camera] = one.points_px
+    for tracklet in own:
+        points_px[tracklet.first - first : tracklet.instants.stop - first, tracklet.camera] = tracklet.points_px
     is_shared = (np.isfinite(points_px).all(-1).any(-1)).sum(-1) >= 2
     instant = np.arange(first, stop)[is_shared]
-    return Bodies(np.full(len(instant), number), instant, points_px[is_shared])
+    return MatchedBodies(np.full(len(instant), number), instant, points_px[is_shared])

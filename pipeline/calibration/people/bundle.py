@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.calibration.adjustment.adjust import Adjustment, adjust
-from pipeline.calibration.adjustment.links import Distances, Link, Shifts
+from pipeline.calibration.adjustment.links import DistanceLinks, PointLink, ShiftLinks
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,
     EXTRINSICS,
@@ -17,17 +17,17 @@ from pipeline.calibration.adjustment.parameters import (
     no_prior,
     none_free,
 )
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Observations
-from pipeline.calibration.adjustment.structure import Points
-from pipeline.calibration.people.bodies import Bodies
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations
+from pipeline.calibration.adjustment.structure import FreePoints
+from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.following import JOINTS
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import center_in_world, project
 
 _BONES = tuple(
-    (JOINTS.index(one), JOINTS.index(other))
+    (JOINTS.index(begin), JOINTS.index(end))
     for side in ("left", "right")
-    for one, other in (
+    for begin, end in (
         (f"{side}_shoulder", f"{side}_elbow"),
         (f"{side}_elbow", f"{side}_wrist"),
         (f"{side}_hip", f"{side}_knee"),
@@ -46,7 +46,7 @@ _FOCAL_SIGMA, _K1_SIGMA = 0.25, 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Adjusted:
+class PeopleFit:
     """Adjusted cameras.
 
     Parameters
@@ -64,17 +64,17 @@ class Adjusted:
     error_px: Float[np.ndarray, " cameras"]
 
 
-def adjust_poses(posed: Mapping[int, Camera], bodies: Bodies, has_free_lenses: bool) -> dict[int, Camera]:
+def adjust_poses(posed: Mapping[int, Camera], bodies: MatchedBodies, has_free_lenses: bool) -> dict[int, Camera]:
     """Adjust the cameras that are posed so far to some bodies."""
     numbers = sorted(posed)
     chosen = _spread(bodies.of_cameras(numbers), _FEW_BODIES)
-    adjusted = _adjust([posed[k] for k in numbers], chosen, None, has_free_lenses and len(numbers) > 2)
+    adjusted, _ = _adjust([posed[k] for k in numbers], chosen, None, has_free_lenses and len(numbers) > 2)
     return dict(zip(numbers, adjusted.cameras, strict=True))
 
 
-def adjust_all(
-    cameras: Sequence[Camera], bodies: Bodies, instants_s: Float[np.ndarray, " instants"], has_free_lenses: bool
-) -> Adjusted:
+def adjust_people_rig(
+    cameras: Sequence[Camera], bodies: MatchedBodies, instants_s: Float[np.ndarray, " instants"], has_free_lenses: bool
+) -> PeopleFit:
     """Adjust all cameras to bodies all over the take, with bones and speeds.
 
     Parameters
@@ -83,33 +83,23 @@ def adjust_all(
         Whether focal lengths and first radial coefficients are adjusted too.
     """
     chosen = _spread(bodies, _MANY_BODIES)
-    found = _adjust(cameras, chosen, instants_s, has_free_lenses)
-    camera = found.observations.camera
-    distance_px = np.linalg.norm(found.adjustment.residuals_px, axis=-1)
-    own_px = [distance_px[camera == number] for number in range(len(cameras))]
-    error_px = np.array([np.nanmedian(one) if len(one) else np.nan for one in own_px])
-    return Adjusted(found.adjustment.cameras, found.adjustment.sigma, read_only(error_px))
+    adjusted, camera = _adjust(cameras, chosen, instants_s, has_free_lenses)
+    return PeopleFit(adjusted.cameras, adjusted.sigma, adjusted.error_px(camera))
 
 
-def _spread(bodies: Bodies, most: int) -> Bodies:
+def _spread(bodies: MatchedBodies, most: int) -> MatchedBodies:
     """Bodies at pairs of neighbouring instants all over the take."""
     step = max(1, -(-len(bodies) // most))
     return bodies.subset(np.flatnonzero((bodies.instant // 2) % step == 0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    adjustment: Adjustment
-    observations: Observations
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        return self.adjustment.cameras
-
-
 def _adjust(
-    cameras: Sequence[Camera], bodies: Bodies, instants_s: Float[np.ndarray, " instants"] | None, has_free_lenses: bool
-) -> _Found:
+    cameras: Sequence[Camera],
+    bodies: MatchedBodies,
+    instants_s: Float[np.ndarray, " instants"] | None,
+    has_free_lenses: bool,
+) -> tuple[Adjustment, Int[np.ndarray, " observations"]]:
+    """Adjust cameras; returns also the number of the camera of each residual."""
     xyz_m = bodies.triangulated(cameras)
     projected_px = np.stack([project(camera, xyz_m) for camera in cameras], axis=1)
     focal_px = np.array([camera.matrix[0, 0] for camera in cameras])[:, None]
@@ -119,7 +109,7 @@ def _adjust(
     number = np.full(is_known.shape, -1)
     number[is_known] = np.arange(is_known.sum())
     body, camera, joint = np.nonzero(fits & is_known[:, None])
-    observations = Observations(
+    observations = PointObservations(
         camera, number[body, joint], np.zeros((len(camera), 3)), bodies.points_px[body, camera, joint]
     )
     links, lengths_m = _links(bodies, number, xyz_m, instants_s) if instants_s is not None else ((), np.empty(0))
@@ -138,15 +128,15 @@ def _adjust(
         tuple(cameras), free, sigma, observations, Loss.CAUCHY, links, read_only(lengths_m),
         read_only(np.full(len(lengths_m), np.inf)),
     )  # fmt: skip
-    return _Found(adjust(problem, Points(read_only(xyz_m[is_known])), max_steps=30), observations)
+    return adjust(problem, FreePoints(read_only(xyz_m[is_known])), max_steps=30), camera
 
 
 def _links(
-    bodies: Bodies,
+    bodies: MatchedBodies,
     number: Int[np.ndarray, "n joints"],
     xyz_m: Float[np.ndarray, "n joints 3"],
     instants_s: Float[np.ndarray, " instants"],
-) -> tuple[tuple[Link, ...], Float[np.ndarray, " lengths"]]:
+) -> tuple[tuple[PointLink, ...], Float[np.ndarray, " lengths"]]:
     """Bones of the groups that are seen most, and shifts between neighbouring instants."""
     groups, counts = np.unique(bodies.group, return_counts=True)
     order = np.argsort(-counts)[:_MAX_GROUPS]
@@ -154,20 +144,20 @@ def _links(
     lengths_m: list[float] = []
     for group in groups[order][counts[order] >= _MIN_GROUP]:
         own = bodies.group == group
-        for one, other in _BONES:
-            rows = own & (number[:, [one, other]] >= 0).all(-1)
+        for begin, end in _BONES:
+            rows = own & (number[:, [begin, end]] >= 0).all(-1)
             if rows.sum() < _MIN_GROUP:
                 continue
-            pairs.append(number[rows][:, [one, other]])
+            pairs.append(number[rows][:, [begin, end]])
             owners.append(np.full(rows.sum(), len(lengths_m)))
-            lengths_m.append(float(np.median(np.linalg.norm(xyz_m[rows, one] - xyz_m[rows, other], axis=-1))))
+            lengths_m.append(float(np.median(np.linalg.norm(xyz_m[rows, begin] - xyz_m[rows, end], axis=-1))))
     follows = (bodies.group[1:] == bodies.group[:-1]) & (bodies.instant[1:] == bodies.instant[:-1] + 1)
     before, after = number[:-1][follows], number[1:][follows]
     both = (before >= 0) & (after >= 0)
     step_s = float(instants_s[1] - instants_s[0])
-    shifts = Shifts(np.column_stack([before[both], after[both]]), np.full(both.sum(), _SPEED_SIGMA_M_S * step_s))
+    shifts = ShiftLinks(np.column_stack([before[both], after[both]]), np.full(both.sum(), _SPEED_SIGMA_M_S * step_s))
     if not pairs:
         return (shifts,), np.empty(0)
     bones = np.concatenate(pairs)
-    distances = Distances(bones, np.concatenate(owners), np.full(len(bones), _BONE_SIGMA_M))
+    distances = DistanceLinks(bones, np.concatenate(owners), np.full(len(bones), _BONE_SIGMA_M))
     return (distances, shifts), np.array(lengths_m)

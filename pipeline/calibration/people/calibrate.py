@@ -6,22 +6,21 @@ from itertools import combinations
 
 import numpy as np
 
-from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
 from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
-from pipeline.calibration.people.bodies import Bodies, gather_bodies
-from pipeline.calibration.people.bundle import Adjusted, adjust_all
+from pipeline.calibration.people.bodies import MatchedBodies, gather_bodies
+from pipeline.calibration.people.bundle import PeopleFit, adjust_people_rig
 from pipeline.calibration.people.checks import (
-    linked_or_refused,
     people_warnings,
+    require_linked_by_people,
     require_people,
     world_or_refused,
 )
-from pipeline.calibration.people.pairs import Relative, relate
+from pipeline.calibration.people.pairs import RelativePose, relate_by_people
 from pipeline.calibration.people.rig import pose_cameras
-from pipeline.calibration.people.tracklets import Tracklet, find_tracklets, instants_of, with_camera
-from pipeline.calibration.people.world import PeopleWorld, find_world
-from pipeline.calibration.report import CameraReport, MadeCalibration
+from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of, with_camera
+from pipeline.calibration.people.world import PeopleWorld, find_people_world
+from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration_choices import KnownPoint
 from pipeline.data import Camera, Detections, FrameTimes, read_only
 from pipeline.errors import InputError
@@ -43,7 +42,7 @@ def calibrate_people(
     has_intrinsics: bool,
     on_share: OnShare = ignore,
     known_points: Sequence[KnownPoint] = (),
-) -> MadeCalibration:
+) -> CalibrationResult:
     """Calibrate cameras from people who walk about.
 
     Tracklets of each camera are matched without geometry, by the essential matrix to which most of them fit. The pairs
@@ -82,41 +81,41 @@ def calibrate_people(
     on_share(0.1)
     if not has_intrinsics:
         cameras = _with_likely_focals(cameras, tracklets)
-        tracklets = [with_camera(one, cameras[one.camera]) for one in tracklets]
+        tracklets = [with_camera(tracklet, cameras[tracklet.camera]) for tracklet in tracklets]
     on_share(0.3)
     relatives = _relate_all(list(combinations(range(len(cameras)), 2)), cameras, tracklets)
     on_share(0.6)
     bodies = gather_bodies(tracklets, relatives, len(cameras))
     posed = pose_cameras(cameras, relatives, bodies, not has_intrinsics)
-    linked = linked_or_refused(cameras, posed, relatives)
+    linked = require_linked_by_people(cameras, posed, relatives)
     on_share(0.8)
-    adjusted = adjust_all(linked, bodies, instants_s, has_free_lenses=not has_intrinsics)
-    world = world_or_refused(find_world(adjusted.cameras, bodies, stature_m, rate_hz))
+    fitted = adjust_people_rig(linked, bodies, instants_s, has_free_lenses=not has_intrinsics)
+    world = world_or_refused(find_people_world(fitted.cameras, bodies, stature_m, rate_hz))
     on_share(1.0)
-    made = _made(adjusted, world, bodies, stature_m, has_intrinsics, rate_hz)
+    result = _made(fitted, world, bodies, stature_m, has_intrinsics, rate_hz)
     if not known_points:
-        return made
-    placed = place_by_points(made.cameras, known_points, keeps_scale=False)
-    return replace(made, cameras=placed.cameras, world=placed.world, warnings=(*made.warnings, *placed.warnings))
+        return result
+    placed = place_by_points(result.cameras, known_points, keeps_scale=False)
+    return replace(result, cameras=placed.cameras, world=placed.world, warnings=(*result.warnings, *placed.warnings))
 
 
 def _relate_all(
-    pairs: Sequence[tuple[int, int]], cameras: Sequence[Camera], tracklets: Sequence[Tracklet]
-) -> list[Relative]:
+    pairs: Sequence[tuple[int, int]], cameras: Sequence[Camera], tracklets: Sequence[ViewTracklet]
+) -> list[RelativePose]:
     focal_px = np.array([camera.matrix[0, 0] for camera in cameras])
-    return [one for pair in pairs if (one := relate(pair, tracklets, focal_px)) is not None]
+    return [pose for pair in pairs if (pose := relate_by_people(pair, tracklets, focal_px)) is not None]
 
 
-def _with_likely_focals(cameras: Sequence[Camera], tracklets: Sequence[Tracklet]) -> tuple[Camera, ...]:
+def _with_likely_focals(cameras: Sequence[Camera], tracklets: Sequence[ViewTracklet]) -> tuple[Camera, ...]:
     """Cameras with the focal length, the same over the guessed one for all, with which most people fit."""
     seen = np.zeros(len(cameras))
-    for one in tracklets:
-        seen[one.camera] += len(one.points_px)
+    for tracklet in tracklets:
+        seen[tracklet.camera] += len(tracklet.points_px)
     pairs = sorted(combinations(range(len(cameras)), 2), key=lambda pair: -min(seen[list(pair)]))[:_PAIRS_TRIED]
 
     def support(tried: Sequence[Camera]) -> float:
-        with_focals = [with_camera(one, tried[one.camera]) for one in tracklets]
-        return sum(one.support for one in _relate_all(pairs, tried, with_focals))
+        with_focals = [with_camera(tracklet, tried[tracklet.camera]) for tracklet in tracklets]
+        return sum(pose.support for pose in _relate_all(pairs, tried, with_focals))
 
     return max((tuple(_with_focal(camera, factor) for camera in cameras) for factor in _FOCAL_FACTORS), key=support)
 
@@ -128,32 +127,24 @@ def _with_focal(camera: Camera, factor: float) -> Camera:
 
 
 def _made(
-    adjusted: Adjusted,
+    fitted: PeopleFit,
     world: PeopleWorld,
-    bodies: Bodies,
+    bodies: MatchedBodies,
     stature_m: Sequence[float],
     has_intrinsics: bool,
     rate_hz: float,
-) -> MadeCalibration:
+) -> CalibrationResult:
     num_views = bodies.seen().any(-1).sum(0)
     reports = tuple(
-        CameraReport(
-            camera.name,
-            float(adjusted.error_px[number]),
-            float(camera.matrix.diagonal()[:2].mean()),
-            int(num_views[number]),
-            np.nan if has_intrinsics else float(100 * adjusted.sigma[number][FOCAL][0]),
-            float(1000 * world.scale * np.linalg.norm(adjusted.sigma[number][POSITION])),
-            float(np.degrees(np.linalg.norm(adjusted.sigma[number][ROTATION]))),
-        )
+        report_camera(camera, fitted.error_px[number], int(num_views[number]), fitted.sigma[number], world.scale)
         for number, camera in enumerate(world.cameras)
     )
-    statures = " and ".join(f"{one:.2f} m" for one in stature_m)
-    return MadeCalibration(
+    statures = " and ".join(f"{height_m:.2f} m" for height_m in stature_m)
+    return CalibrationResult(
         world.cameras,
         has_extrinsics=True,
         by_camera=reports,
-        reprojection_error_px=float(np.nanmedian(adjusted.error_px)),
+        reprojection_error_px=float(np.nanmedian(fitted.error_px)),
         warnings=tuple(people_warnings(reports, world, rate_hz)),
         world=(
             f"Z up, floor under the feet, origin under the middle of the people, y away from {world.cameras[0].name}; "

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from pipeline.calibration.people.pairs import Relative
-from pipeline.calibration.people.tracklets import Tracklet
+from pipeline.calibration.people.pairs import RelativePose
+from pipeline.calibration.people.tracklets import ViewTracklet
 from pipeline.calibration.people.world import PeopleWorld
 from pipeline.calibration.report import CameraReport
 from pipeline.data import Camera
@@ -23,14 +23,14 @@ _POOR_FIT = 1.4
 _SAME_PLACE = 0.03
 
 
-def require_people(cameras: Sequence[Camera], tracklets: Sequence[Tracklet], rate_hz: float) -> None:
+def require_people(cameras: Sequence[Camera], tracklets: Sequence[ViewTracklet], rate_hz: float) -> None:
     """Raise ``InputError`` if there is one camera only, or with all cameras that see people too briefly."""
     if len(cameras) < 2:
         message = "People calibrate two cameras or more."
         raise InputError([Problem("people_one_camera", message, hint="For one camera, film a board.")])
     problems = []
     for number, camera in enumerate(cameras):
-        seen = sum(len(one.points_px) for one in tracklets if one.camera == number)
+        seen = sum(len(tracklet.points_px) for tracklet in tracklets if tracklet.camera == number)
         if seen < _MIN_INSTANTS:
             least_s = _MIN_INSTANTS / rate_hz
             message = f"The camera sees people for {seen / rate_hz:.1f} s; at least {least_s:.0f} s are required."
@@ -39,8 +39,8 @@ def require_people(cameras: Sequence[Camera], tracklets: Sequence[Tracklet], rat
         raise InputError(problems)
 
 
-def linked_or_refused(
-    cameras: Sequence[Camera], posed: Mapping[int, Camera], relatives: Sequence[Relative]
+def require_linked_by_people(
+    cameras: Sequence[Camera], posed: Mapping[int, Camera], relatives: Sequence[RelativePose]
 ) -> list[Camera]:
     """All cameras with their poses.
 
@@ -53,7 +53,7 @@ def linked_or_refused(
     for number, camera in enumerate(cameras):
         if number in posed:
             continue
-        own = [one for one in relatives if number in (one.first, one.second)]
+        own = [pose for pose in relatives if number in (pose.first, pose.second)]
         if own:
             message = "What the camera sees of the people disagrees with the other cameras."
             problems.append(Problem("people_disagree", message, camera=camera.name, hint=_CHECK))
@@ -82,24 +82,24 @@ def world_or_refused(world: PeopleWorld | None) -> PeopleWorld:
 def people_warnings(reports: Sequence[CameraReport], world: PeopleWorld, rate_hz: float) -> Iterator[Problem]:
     """Doubts about cameras, their focal lengths and the floor."""
     yield from _same_places(world.cameras)
-    median_px = float(np.nanmedian([one.reprojection_error_px for one in reports]))
-    for one in reports:
-        if one.reprojection_error_px > _POOR_FIT * median_px:
+    median_px = float(np.nanmedian([report.reprojection_error_px for report in reports]))
+    for report in reports:
+        if report.reprojection_error_px > _POOR_FIT * median_px:
             message = (
-                f"The reprojection error, {one.reprojection_error_px:.1f} px, is larger than that of the other cameras "
-                f"({median_px:.1f} px)."
+                f"The reprojection error, {report.reprojection_error_px:.1f} px, is larger than that of the other "
+                f"cameras ({median_px:.1f} px)."
             )
-            yield Problem("people_poor_fit", message, camera=one.name, hint=_CHECK)
-        if one.num_views < _FEW_INSTANTS:
-            message = f"The camera shares people with another camera for {one.num_views / rate_hz:.1f} s."
-            yield Problem("people_few_views", message, camera=one.name, hint=_FILM)
-        if one.rotation_sigma_deg > _MAX_ROTATION_DEG:
-            message = f"The camera's rotation is known to {one.rotation_sigma_deg:.1f} degrees."
-            yield Problem("people_uncertain_pose", message, camera=one.name, hint=_FILM)
-        if np.isfinite(one.focal_sigma_percent) and one.focal_sigma_percent > _MAX_FOCAL_PERCENT:
-            message = f"The focal length is known to {one.focal_sigma_percent:.1f} %."
+            yield Problem("people_poor_fit", message, camera=report.name, hint=_CHECK)
+        if report.num_views < _FEW_INSTANTS:
+            message = f"The camera shares people with another camera for {report.num_views / rate_hz:.1f} s."
+            yield Problem("people_few_views", message, camera=report.name, hint=_FILM)
+        if report.rotation_sigma_deg > _MAX_ROTATION_DEG:
+            message = f"The camera's rotation is known to {report.rotation_sigma_deg:.1f} degrees."
+            yield Problem("people_uncertain_pose", message, camera=report.name, hint=_FILM)
+        if np.isfinite(report.focal_sigma_percent) and report.focal_sigma_percent > _MAX_FOCAL_PERCENT:
+            message = f"The focal length is known to {report.focal_sigma_percent:.1f} %."
             hint = "Give the intrinsics, or calibrate them from a board."
-            yield Problem("people_uncertain_focal", message, camera=one.name, hint=hint)
+            yield Problem("people_uncertain_focal", message, camera=report.name, hint=hint)
     if not world.has_floor:
         message = "The feet reach too little ground to find its slope; the vertical is that of upright standing."
         yield Problem("people_uncertain_floor", message, hint="Let the people walk all over the place.")
@@ -109,7 +109,7 @@ def _same_places(cameras: Sequence[Camera]) -> Iterator[Problem]:
     centers_m = np.array([center_in_world(camera) for camera in cameras])
     apart_m = np.linalg.norm(centers_m[:, None] - centers_m[None], axis=-1)
     limit_m = _SAME_PLACE * apart_m.sum() / (len(cameras) * (len(cameras) - 1))
-    for one, other in zip(*np.nonzero(np.tril(apart_m < limit_m, -1)), strict=True):
-        message = f"The camera is at nearly the same place as {cameras[other].name}."
+    for number, neighbour in zip(*np.nonzero(np.tril(apart_m < limit_m, -1)), strict=True):
+        message = f"The camera is at nearly the same place as {cameras[neighbour].name}."
         hint = "Check whether one video was given twice."
-        yield Problem("people_same_place", message, camera=cameras[one].name, hint=hint)
+        yield Problem("people_same_place", message, camera=cameras[number].name, hint=hint)

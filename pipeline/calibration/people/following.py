@@ -89,11 +89,11 @@ def follow_bodies(
         now_s = float(time_s[frame])
         bodies = points_px[starts[frame] : starts[frame + 1]]
         bodies = bodies[np.isfinite(bodies).all(-1).sum(-1) >= _MIN_JOINTS]
-        kept = [one for one in growing if now_s - one.times_s[-1] <= MAX_GAP_S]
-        done += [one for one in growing if now_s - one.times_s[-1] > MAX_GAP_S]
+        kept = [tracklet for tracklet in growing if now_s - tracklet.times_s[-1] <= MAX_GAP_S]
+        done += [tracklet for tracklet in growing if now_s - tracklet.times_s[-1] > MAX_GAP_S]
         growing, ended = _continued(kept, bodies, now_s)
         done += ended
-    return [Followed(np.array(one.times_s), np.array(one.points_px)) for one in (*done, *growing)]
+    return [Followed(np.array(tracklet.times_s), np.array(tracklet.points_px)) for tracklet in (*done, *growing)]
 
 
 def _chosen(detected: Detections, joints: JointSet, names: Sequence[str]) -> Float[np.ndarray, "n joints 2"]:
@@ -118,26 +118,26 @@ def _continued(
     """
     shift = np.full((len(growing), len(bodies)), np.inf)
     if len(growing) and len(bodies):
-        predicted = np.array([one.predicted_px(now_s) for one in growing])
+        predicted = np.array([tracklet.predicted_px(now_s) for tracklet in growing])
         shift = _shifts(predicted, bodies)
     limited = np.minimum(shift, 10.0)
     rows, columns = linear_sum_assignment(limited) if shift.size else (np.empty(0, int), np.empty(0, int))
     going, ended = [], []
     taken: set[int] = set()
     matched: dict[int, int] = {int(row): int(column) for row, column in zip(rows, columns, strict=True)}
-    for number, one in enumerate(growing):
+    for number, tracklet in enumerate(growing):
         column = matched.get(number)
         if column is None or shift[number, column] > _MAX_SHIFT:
-            going.append(one)
+            going.append(tracklet)
             continue
         rivals = np.concatenate([np.delete(shift[number], column), np.delete(shift[:, column], number)])
         if shift[number, column] > _AMBIGUOUS * rivals.min(initial=np.inf):
-            ended.append(one)
+            ended.append(tracklet)
             continue
-        one.times_s.append(now_s)
-        one.points_px.append(bodies[column])
+        tracklet.times_s.append(now_s)
+        tracklet.points_px.append(bodies[column])
         taken.add(column)
-        going.append(one)
+        going.append(tracklet)
     going += [_Growing([now_s], [body]) for column, body in enumerate(bodies) if column not in taken]
     return going, ended
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pipeline.calibration.people.following import JOINTS
-from pipeline.calibration.people.tracklets import MIN_INSTANTS, Tracklet
+from pipeline.calibration.people.tracklets import MIN_INSTANTS, ViewTracklet
 from pipeline.data import read_only
 from pipeline.geometry.rigid import Rigid3
 
@@ -37,7 +37,7 @@ class Match:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Relative:
+class RelativePose:
     """Relative pose of two cameras up to scale.
 
     Parameters
@@ -91,9 +91,9 @@ class _Compared:
     tolerance: Float[np.ndarray, " n"]
 
 
-def relate(
-    cameras: tuple[int, int], tracklets: Sequence[Tracklet], focal_px: Float[np.ndarray, " cameras"]
-) -> Relative | None:
+def relate_by_people(
+    cameras: tuple[int, int], tracklets: Sequence[ViewTracklet], focal_px: Float[np.ndarray, " cameras"]
+) -> RelativePose | None:
     """Find the relative pose of two cameras and the tracklets that are the same people; ``None`` if there is none."""
     compared = _compare(cameras, tracklets, focal_px)
     if compared is None:
@@ -108,19 +108,19 @@ def relate(
         for _ in range(_REFINEMENTS):
             chosen = np.array([pair for pair, _ in support], int)
             better = _essential(compared, chosen) if len(chosen) else None
-            found = [] if better is None else _support(compared, tracklets, better)
-            if better is None or _total(found) <= _total(support):
+            better_support = [] if better is None else _support(compared, tracklets, better)
+            if better is None or _total(better_support) <= _total(support):
                 break
-            matrix, support = better, found
+            matrix, support = better, better_support
         if _total(support) > best[0]:
             best = _total(support), matrix
     return _posed(cameras, compared, tracklets, best[1]) if best[0] >= MIN_INSTANTS else None
 
 
 def _compare(
-    cameras: tuple[int, int], tracklets: Sequence[Tracklet], focal_px: Float[np.ndarray, " cameras"]
+    cameras: tuple[int, int], tracklets: Sequence[ViewTracklet], focal_px: Float[np.ndarray, " cameras"]
 ) -> _Compared | None:
-    sides = [[n for n, one in enumerate(tracklets) if one.camera == camera] for camera in cameras]
+    sides = [[n for n, tracklet in enumerate(tracklets) if tracklet.camera == camera] for camera in cameras]
     pairs: list[tuple[int, int]] = []
     overlaps, owners, lefts, rights, tolerances = [], [], [], [], []
     for first in sides[0]:
@@ -134,7 +134,8 @@ def _compare(
             is_known = (np.isfinite(a) & np.isfinite(b)).all(-1)
             if is_known.sum() < 5 * MIN_INSTANTS:
                 continue
-            sigma = [max(_TOLERANCE * one.height_px, _MIN_TOLERANCE_PX) / focal_px[one.camera] for one in (left, right)]
+            sides_px = [max(_TOLERANCE * side.height_px, _MIN_TOLERANCE_PX) for side in (left, right)]
+            sigma = [side_px / focal_px[camera] for side_px, camera in zip(sides_px, cameras, strict=True)]
             owners.append(np.full(is_known.sum(), len(pairs)))
             tolerances.append(np.full(is_known.sum(), np.hypot(*sigma) / np.sqrt(2)))
             pairs.append((first, second))
@@ -143,12 +144,10 @@ def _compare(
             rights.append(b[is_known])
     if not pairs:
         return None
-    return _Compared(
-        np.array(pairs), np.array(overlaps), *(np.concatenate(one) for one in (owners, lefts, rights, tolerances))
-    )
+    return _Compared(np.array(pairs), np.array(overlaps), *map(np.concatenate, (owners, lefts, rights, tolerances)))
 
 
-def _alikeness(compared: _Compared, tracklets: Sequence[Tracklet]) -> Float[np.ndarray, " pairs"]:
+def _alikeness(compared: _Compared, tracklets: Sequence[ViewTracklet]) -> Float[np.ndarray, " pairs"]:
     """How alike two bodies move, times the instants that they share.
 
     Heights of joints above the hips along the body, in lengths of the body, look much the same from all sides; so does
@@ -172,10 +171,10 @@ def _medians(
 ) -> Float[np.ndarray, " joints"]:
     """Median of the used values of each joint; 0 where there is none."""
     chosen = [column[mask] for column, mask in zip(values.T, used.T, strict=True)]
-    return np.array([np.median(one) if len(one) else 0.0 for one in chosen])
+    return np.array([np.median(values_of_joint) if len(values_of_joint) else 0.0 for values_of_joint in chosen])
 
 
-def _heights(tracklet: Tracklet) -> Float[np.ndarray, "instants joints"]:
+def _heights(tracklet: ViewTracklet) -> Float[np.ndarray, "instants joints"]:
     index = {name: number for number, name in enumerate(JOINTS)}
     points = tracklet.ideal
     hips = points[:, [index["left_hip"], index["right_hip"]]].mean(1)
@@ -206,7 +205,7 @@ def _costs(compared: _Compared, essential: Float[np.ndarray, "3 3"]) -> Float[np
 
 
 def _support(
-    compared: _Compared, tracklets: Sequence[Tracklet], essential: Float[np.ndarray, "3 3"]
+    compared: _Compared, tracklets: Sequence[ViewTracklet], essential: Float[np.ndarray, "3 3"]
 ) -> list[tuple[int, float]]:
     """Pairs of tracklets that fit, best first, and their support: at no instant has a tracklet two partners."""
     cost = _costs(compared, essential)
@@ -223,7 +222,7 @@ def _support(
 
 
 def _conflict(
-    other: Int[np.ndarray, " 2"], pair: Int[np.ndarray, " 2"], shared: range, tracklets: Sequence[Tracklet]
+    other: Int[np.ndarray, " 2"], pair: Int[np.ndarray, " 2"], shared: range, tracklets: Sequence[ViewTracklet]
 ) -> bool:
     if np.count_nonzero(other == pair) != 1:
         return False
@@ -242,17 +241,20 @@ def _essential(compared: _Compared, chosen: Int[np.ndarray, " pairs"]) -> Float[
         rows = np.random.default_rng(_SEED).choice(rows, _DRAWN, replace=False)
     tolerance = float(np.median(compared.tolerance[rows]))
     cv2.setRNGSeed(_SEED)
-    found, _ = cv2.findEssentialMat(
+    matrices, _ = cv2.findEssentialMat(
         compared.left[rows], compared.right[rows], np.eye(3), method=cv2.RANSAC, prob=0.999, threshold=tolerance / 2,
         maxIters=500,
     )  # fmt: skip
     # Several solutions are stacked; the first is as good as any here, for all pairs of tracklets judge it.
-    return None if found is None or len(found) < 3 else np.asarray(found[:3])
+    return None if matrices is None or len(matrices) < 3 else np.asarray(matrices[:3])
 
 
 def _posed(
-    cameras: tuple[int, int], compared: _Compared, tracklets: Sequence[Tracklet], essential: Float[np.ndarray, "3 3"]
-) -> Relative | None:
+    cameras: tuple[int, int],
+    compared: _Compared,
+    tracklets: Sequence[ViewTracklet],
+    essential: Float[np.ndarray, "3 3"],
+) -> RelativePose | None:
     """Relative pose of an essential matrix: the solution with the points in front of both cameras."""
     support = _support(compared, tracklets, essential)
     chosen = np.array([number for number, _ in support])
@@ -274,4 +276,4 @@ def _posed(
     )
     total = sum(value for _, value in support)
     overlap = float(compared.overlap[chosen].sum())
-    return Relative(*cameras, pose, matches, total, angle_deg, MAX_COST * (1.0 - total / overlap))
+    return RelativePose(*cameras, pose, matches, total, angle_deg, MAX_COST * (1.0 - total / overlap))

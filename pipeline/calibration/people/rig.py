@@ -6,9 +6,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from pipeline.calibration.people.bodies import Bodies
+from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.bundle import adjust_poses
-from pipeline.calibration.people.pairs import Relative
+from pipeline.calibration.people.pairs import RelativePose
 from pipeline.calibration.people.stature import scale_from, statures
 from pipeline.data import Camera, read_only
 from pipeline.geometry.rigid import Rigid3
@@ -25,7 +25,7 @@ _STATURE_M = 1.7
 
 
 def pose_cameras(
-    cameras: Sequence[Camera], relatives: Sequence[Relative], bodies: Bodies, has_free_lenses: bool
+    cameras: Sequence[Camera], relatives: Sequence[RelativePose], bodies: MatchedBodies, has_free_lenses: bool
 ) -> Mapping[int, Camera]:
     """Pose the cameras that can be linked, in the frame of one of them, at a scale that is about right.
 
@@ -42,31 +42,32 @@ def pose_cameras(
         xyz_m = bodies.of_cameras(numbers).triangulated([posed[k] for k in numbers])
         waiting = [k for k in range(len(cameras)) if k not in posed]
         seen = bodies.seen() & np.isfinite(xyz_m).all(-1)[:, None]
-        found = None
+        resected = None
         for number in sorted(waiting, key=lambda k: -int(seen[:, k].sum())):
-            if (found := _resected(cameras[number], bodies.points_px[:, number], xyz_m)) is not None:
-                posed = {**posed, number: found}
+            if (resected := _resected(cameras[number], bodies.points_px[:, number], xyz_m)) is not None:
+                posed = {**posed, number: resected}
                 break
-        if found is None:
+        if resected is None:
             return posed
         posed = adjust_poses(posed, bodies, has_free_lenses)
     return posed
 
 
-def _seed(cameras: Sequence[Camera], relatives: Sequence[Relative], bodies: Bodies) -> dict[int, Camera]:
+def _seed(cameras: Sequence[Camera], relatives: Sequence[RelativePose], bodies: MatchedBodies) -> dict[int, Camera]:
     """Pair with the most support at a good angle, at about the scale of people."""
     if not relatives:
         return {}
-    best = max(relatives, key=lambda one: one.support * min(1.0, _sine(one.angle_deg) / _sine(_GOOD_ANGLE_DEG)))
+    sines = [_sine(relative.angle_deg) / _sine(_GOOD_ANGLE_DEG) for relative in relatives]
+    best = max(zip(relatives, sines, strict=True), key=lambda pair: pair[0].support * min(1.0, pair[1]))[0]
     pair = [
         replace(cameras[best.first], cam_from_world=Rigid3(read_only(np.eye(3)), read_only(np.zeros(3)))),
         replace(cameras[best.second], cam_from_world=best.second_from_first),
     ]
     both = bodies.of_cameras([best.first, best.second])
-    found, weights = statures(both.triangulated(pair), bodies.group)
-    if not len(found):
+    estimates, weights = statures(both.triangulated(pair), bodies.group)
+    if not len(estimates):
         return {}
-    scale = scale_from(found, weights, [_STATURE_M])
+    scale = scale_from(estimates, weights, [_STATURE_M])
     second = best.second_from_first
     pair[1] = replace(pair[1], cam_from_world=Rigid3(second.rotation, read_only(scale * second.translation_m)))
     return {best.first: pair[0], best.second: pair[1]}

@@ -31,18 +31,18 @@ def statures(
         np.linalg.norm(knee - hip, axis=-1),
         np.linalg.norm(shoulder.mean(1) - hip.mean(1), axis=-1)[:, None],
     )
-    found, weights = [], []
+    estimates, weights = [], []
     for number in np.unique(group):
         own = [length[group == number] for length in lengths]
-        known = [one[np.isfinite(one)] for one in own]
+        known = [lengths_of_bone[np.isfinite(lengths_of_bone)] for lengths_of_bone in own]
         if min(map(len, known)) >= _MIN_BODIES:
-            found.append(sum(float(np.median(one)) for one in known) / _SHARE)
+            estimates.append(sum(float(np.median(lengths_of_bone)) for lengths_of_bone in known) / _SHARE)
             weights.append(float(min(map(len, known))))
-    return np.array(found), np.array(weights)
+    return np.array(estimates), np.array(weights)
 
 
 def scale_from(
-    found: Float[np.ndarray, " people"], weights: Float[np.ndarray, " people"], stature_m: Sequence[float]
+    estimates: Float[np.ndarray, " people"], weights: Float[np.ndarray, " people"], stature_m: Sequence[float]
 ) -> float:
     """Metres a unit, with which the estimated statures are closest to known ones (sum of absolute logarithms).
 
@@ -51,6 +51,6 @@ def scale_from(
     stature_m
         Statures of the people; nobody knows who is who, so each estimate is compared with the closest one.
     """
-    tried = np.log(np.array(stature_m)[:, None] / found[None]).ravel()
-    distance = np.abs(np.log(found)[None, :, None] + tried[:, None, None] - np.log(np.array(stature_m)))
+    tried = np.log(np.array(stature_m)[:, None] / estimates[None]).ravel()
+    distance = np.abs(np.log(estimates)[None, :, None] + tried[:, None, None] - np.log(np.array(stature_m)))
     return float(np.exp(tried[np.argmin((distance.min(-1) * weights).sum(-1))]))

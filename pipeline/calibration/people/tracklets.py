@@ -18,7 +18,7 @@ _STEP_S, _MAX_INSTANTS = 0.1, 1200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracklet:
+class ViewTracklet:
     """A body in one camera at consecutive instants.
 
     Parameters
@@ -46,7 +46,7 @@ class Tracklet:
         """Instants of the rows."""
         return range(self.first, self.first + len(self.points_px))
 
-    def shared(self, other: "Tracklet") -> range:
+    def shared(self, other: "ViewTracklet") -> range:
         """Instants that both have."""
         return range(max(self.first, other.first), min(self.instants.stop, other.instants.stop))
 
@@ -57,8 +57,8 @@ class Tracklet:
 
 def instants_of(times: Sequence[FrameTimes]) -> Float[np.ndarray, " instants"]:
     """Instants at which the cameras are compared: 0.1 s apart, further in takes of more than two minutes."""
-    begin_s = min(float(one.time_s[0]) for one in times)
-    end_s = max(float(one.time_s[-1]) for one in times)
+    begin_s = min(float(camera_times.time_s[0]) for camera_times in times)
+    end_s = max(float(camera_times.time_s[-1]) for camera_times in times)
     step_s = max(_STEP_S, (end_s - begin_s) / _MAX_INSTANTS)
     return begin_s + step_s * np.arange(max(2, int((end_s - begin_s) / step_s) + 1))
 
@@ -69,29 +69,29 @@ def find_tracklets(
     detections: Mapping[str, Detections],
     joints: JointSet,
     instants_s: Float[np.ndarray, " instants"],
-) -> list[Tracklet]:
+) -> list[ViewTracklet]:
     """Follow bodies through each camera's images, and sample them at instants of the session's clock.
 
     A tracklet ends where two bodies come so close that they may be exchanged.
     """
     return [
-        found
+        tracklet
         for number, camera in enumerate(cameras)
-        for one in follow_bodies(times[camera.name].time_s, detections[camera.name], joints)
-        if (found := _sampled(number, camera, one, instants_s)) is not None
+        for body in follow_bodies(times[camera.name].time_s, detections[camera.name], joints)
+        if (tracklet := _sampled(number, camera, body, instants_s)) is not None
     ]
 
 
-def with_camera(tracklet: Tracklet, camera: Camera) -> Tracklet:
+def with_camera(tracklet: ViewTracklet, camera: Camera) -> ViewTracklet:
     """Tracklet with its normalised points under other intrinsics."""
-    return Tracklet(
+    return ViewTracklet(
         tracklet.camera, tracklet.first, tracklet.points_px, _ideal(camera, tracklet.points_px), tracklet.height_px
     )
 
 
 def _sampled(
     number: int, camera: Camera, body: Followed, instants_s: Float[np.ndarray, " instants"]
-) -> Tracklet | None:
+) -> ViewTracklet | None:
     """Interpolate a tracklet at the instants within it; ``None`` if it is too short."""
     times_s, points_px = body.times_s, body.points_px
     first, stop = np.searchsorted(instants_s, [times_s[0], times_s[-1] + 1e-9])
@@ -103,7 +103,7 @@ def _sampled(
     share = ((wanted_s - before_s) / (after_s - before_s))[:, None, None]
     sampled = (1 - share) * points_px[after - 1] + share * points_px[after]
     sampled[after_s - before_s > MAX_GAP_S] = np.nan
-    return Tracklet(number, int(first), read_only(sampled), _ideal(camera, sampled), body.height_px)
+    return ViewTracklet(number, int(first), read_only(sampled), _ideal(camera, sampled), body.height_px)
 
 
 def _ideal(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:

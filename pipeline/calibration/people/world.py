@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.people.bodies import Bodies
+from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.stature import scale_from, statures
 from pipeline.calibration.vertical import turn_upright, upright_direction
@@ -41,8 +41,8 @@ class PeopleWorld:
     has_floor: bool
 
 
-def find_world(
-    cameras: Sequence[Camera], bodies: Bodies, stature_m: Sequence[float], rate_hz: float
+def find_people_world(
+    cameras: Sequence[Camera], bodies: MatchedBodies, stature_m: Sequence[float], rate_hz: float
 ) -> PeopleWorld | None:
     """Put cameras into the world of the people; ``None`` if nobody is seen from shoulders to ankles.
 
@@ -56,11 +56,11 @@ def find_world(
         Rate of the instants.
     """
     xyz = bodies.triangulated(cameras)
-    found, weights = statures(xyz, bodies.group)
+    estimates_m, weights = statures(xyz, bodies.group)
     up = upright_direction(xyz[:, _SHOULDERS], xyz[:, _ANKLES])
-    if up is None or not len(found):
+    if up is None or not len(estimates_m):
         return None
-    scale = scale_from(found, weights, stature_m)
+    scale = scale_from(estimates_m, weights, stature_m)
     rotation = turn_upright(up)
     floor = _floor(bodies, scale * xyz @ rotation.T, rate_hz)
     if floor is not None:
@@ -103,7 +103,7 @@ def _reach_m(xyz_m: Float[np.ndarray, "n joints 3"]) -> float:
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(ankles_m.T))[0])))
 
 
-def _floor(bodies: Bodies, xyz_m: Float[np.ndarray, "n joints 3"], rate_hz: float) -> Floor | None:
+def _floor(bodies: MatchedBodies, xyz_m: Float[np.ndarray, "n joints 3"], rate_hz: float) -> Floor | None:
     ankles_m: list[np.ndarray] = []
     known: list[np.ndarray] = []
     for group in np.unique(bodies.group):

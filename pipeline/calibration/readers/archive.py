@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
-from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.contents import CameraFile, in_metres
 from pipeline.calibration.readers import colmap, opencv
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
@@ -22,20 +22,20 @@ _OPENCAP = "cameraIntrinsicsExtrinsics.pickle"
 _MIN_BIOCV_NUMBERS = 2 + 9 + 16 + 4
 
 
-def read(content: bytes, file: str) -> Contents:
+def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a zip; ``InputError`` lists all its problems."""
     try:
         members = parse(_unpack, content)
-        found = _read_members(members, file)
+        contents = _read_members(members, file)
     except UnreadableError as error:
         message = "The archive, or a file in it, is damaged, not in its format, or too large."
         raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
-    if found is None:
+    if contents is None:
         message = "The archive has no calibration of a supported format."
         files = "a file of OpenCV, OpenCap or bioCV for each camera"
         hint = f"Pack intri.yml and extri.yml, cameras.txt and images.txt, or {files}."
         raise InputError([Problem("calibration_format", message, file=file, hint=hint)])
-    return found
+    return contents
 
 
 def _unpack(content: bytes) -> dict[str, bytes]:
@@ -63,7 +63,7 @@ def _name(path: PurePosixPath) -> str:
     return f"{path.parent.name}.pickle" if path.name == _OPENCAP and path.parent.name else path.name
 
 
-def _read_members(members: Mapping[str, bytes], file: str) -> Contents | None:
+def _read_members(members: Mapping[str, bytes], file: str) -> CameraFile | None:
     if {"intri.yml", "extri.yml"} <= members.keys():
         return opencv.read_fields(read_yaml(members["intri.yml"]) | _without_names(members["extri.yml"]), file)
     if {"cameras.txt", "images.txt"} <= members.keys():

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import Contents
+from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import InputError, Problem
@@ -41,14 +41,14 @@ def is_text(content: bytes) -> bool:
     return CAMERAS_HEAD.encode() in content and IMAGES_HEAD.encode() in content
 
 
-def read(content: bytes, file: str) -> Contents:
+def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a file with both parts; ``InputError`` lists all its problems."""
     text = content.decode("utf-8", "replace")
     cut = text.index(IMAGES_HEAD)
     return read_parts(text[: text.rfind("\n", 0, cut) + 1], text[cut + len(IMAGES_HEAD) :].partition("\n")[2], file)
 
 
-def read_parts(cameras_text: str, images_text: str, file: str) -> Contents:
+def read_parts(cameras_text: str, images_text: str, file: str) -> CameraFile:
     """Read the cameras of the texts of ``cameras.txt`` and ``images.txt``; ``InputError`` lists all their problems."""
     problems: list[Problem] = []
     lenses = {words[0]: words for words in map(str.split, _rows(cameras_text)) if words}
@@ -61,7 +61,7 @@ def read_parts(cameras_text: str, images_text: str, file: str) -> Contents:
             message = "The line of the image or of its camera is malformed."
             problem = Problem("calibration_unreadable", message, file=file, camera=name)
             raise InputError([*problems, problem]) from error
-    return Contents("COLMAP text", build_cameras(raw, file, problems), None, axes="arbitrary; Z must point up")
+    return CameraFile("COLMAP text", build_cameras(raw, file, problems), None, axes="arbitrary; Z must point up")
 
 
 def _rows(text: str) -> Iterator[str]:

@@ -59,9 +59,9 @@ def with_matrices(value: Any, depth: int = 0) -> Any:
     if depth > _MAX_DEPTH:
         raise UnreadableError
     if isinstance(value, dict):
-        return _mapping({key: with_matrices(one, depth + 1) for key, one in value.items()})
+        return _mapping({key: with_matrices(entry, depth + 1) for key, entry in value.items()})
     if isinstance(value, list):
-        return [with_matrices(one, depth + 1) for one in value]
+        return [with_matrices(entry, depth + 1) for entry in value]
     return value
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, Contents, in_metres
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile, in_metres
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.parsing import UnreadableError, read_numbers
 
@@ -26,7 +26,7 @@ def is_panoptic(listed: Sequence[Any]) -> bool:
     return bool(listed) and all(isinstance(camera, dict) and camera.keys() >= _PANOPTIC for camera in listed)
 
 
-def read_document(document: Mapping[str, Any], file: str) -> Contents | None:
+def read_document(document: Mapping[str, Any], file: str) -> CameraFile | None:
     """Read a JSON object of one of these data sets; ``None`` if it is of neither.
 
     Raises
@@ -44,7 +44,7 @@ def read_document(document: Mapping[str, Any], file: str) -> Contents | None:
     return None
 
 
-def _read_panoptic(listed: Sequence[Mapping[str, Any]], file: str) -> Contents:
+def _read_panoptic(listed: Sequence[Mapping[str, Any]], file: str) -> CameraFile:
     notes: tuple[str, ...] = ()
     if len(listed) > MAX_CAMERAS:
         chosen = [camera for camera in listed if camera.get("type") != "vga"]

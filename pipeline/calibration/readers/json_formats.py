@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, get_args
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, Contents
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.readers import json_datasets, opencv
 from pipeline.calibration.readers.file_storage import with_matrices
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
@@ -18,11 +18,11 @@ _LENSES = get_args(LensModel)
 _SHORT = frozenset({"name", "width", "height", "K", "R", "t", "dist"})
 
 
-def read(content: bytes, file: str) -> Contents:
+def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a JSON file; ``InputError`` lists all its problems."""
     try:
         document = read_unique_json(content)
-        found = _read_other(document, file) if isinstance(document, dict) else None
+        contents = _read_other(document, file) if isinstance(document, dict) else None
     except UnreadableError as error:
         raise InputError(
             [
@@ -34,8 +34,8 @@ def read(content: bytes, file: str) -> Contents:
                 )
             ]
         ) from error
-    if found is not None:
-        return found
+    if contents is not None:
+        return contents
     listed = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(listed, list) or not all(isinstance(camera, dict) for camera in listed):
         raise InputError(
@@ -57,16 +57,16 @@ def read(content: bytes, file: str) -> Contents:
             name = str(camera.get("name"))
             problems.append(Problem("unsupported_lens", message, file=file, camera=name, field="lens"))
     cameras = build_cameras([raw(camera) for camera in listed], file, problems)
-    return Contents("JSON with K, R and t", cameras, None) if short else Contents("Multicap JSON", cameras, "m")
+    return CameraFile("JSON with K, R and t", cameras, None) if short else CameraFile("Multicap JSON", cameras, "m")
 
 
-def _read_other(document: dict[str, Any], file: str) -> Contents | None:
+def _read_other(document: dict[str, Any], file: str) -> CameraFile | None:
     """Read the formats of other programs, ``None`` for files that are not theirs."""
     listed = document.get("cameras")
     if "schema_version" in document or (isinstance(listed, list) and not json_datasets.is_panoptic(listed)):
         return None
-    found = json_datasets.read_document(document, file)
-    return opencv.read_fields(with_matrices(document), file) if found is None else found
+    contents = json_datasets.read_document(document, file)
+    return opencv.read_fields(with_matrices(document), file) if contents is None else contents
 
 
 def _raw_own(camera: Mapping[str, Any]) -> RawCamera:

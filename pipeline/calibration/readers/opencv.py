@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, Contents
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.readers.rotations import rotation_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import Problem
@@ -43,7 +43,7 @@ _RIG = "OpenCV"
 _EASYMOCAP = "EasyMocap"
 
 
-def read_fields(fields: Mapping[str, Any], file: str) -> Contents | None:
+def read_fields(fields: Mapping[str, Any], file: str) -> CameraFile | None:
     """Read the cameras of a mapping; ``None`` if it has no camera of these formats.
 
     Raises
@@ -56,11 +56,13 @@ def read_fields(fields: Mapping[str, Any], file: str) -> Contents | None:
         cameras = {name: _easymocap_fields(fields, name) for name in islice(names, MAX_CAMERAS + 1)}
         return _contents(_EASYMOCAP, cameras, file)
     listed = fields.get("cameras", fields)
-    if isinstance(listed, list) and all(isinstance(one, dict) and isinstance(one.get("name"), str) for one in listed):
-        listed = {one["name"]: one for one in listed}
+    if isinstance(listed, list) and all(
+        isinstance(item, dict) and isinstance(item.get("name"), str) for item in listed
+    ):
+        listed = {item["name"]: item for item in listed}
     if not isinstance(listed, dict):
         return None
-    rig = {name: one for name, one in listed.items() if isinstance(one, dict) and _first(one, _MATRIX) is not None}
+    rig = {name: item for name, item in listed.items() if isinstance(item, dict) and _first(item, _MATRIX) is not None}
     return _contents(_RIG, dict(islice(rig.items(), MAX_CAMERAS + 1)), file) if rig else None
 
 
@@ -85,11 +87,11 @@ def _easymocap_fields(fields: Mapping[str, Any], name: str) -> dict[str, Any]:
     return {key: value for key, value in own.items() if value is not None}
 
 
-def _contents(name: str, cameras: Mapping[str, Mapping[str, Any]], file: str) -> Contents:
+def _contents(name: str, cameras: Mapping[str, Mapping[str, Any]], file: str) -> CameraFile:
     problems: list[Problem] = []
     raw = [_raw(camera, fields, file, problems) for camera, fields in cameras.items()]
     # EasyMocap's documentation: T must be in metres.
-    return Contents(name, build_cameras(raw, file, problems), "m" if name == _EASYMOCAP else None)
+    return CameraFile(name, build_cameras(raw, file, problems), "m" if name == _EASYMOCAP else None)
 
 
 def _first(fields: Mapping[str, Any], names: tuple[str, ...]) -> Any:
@@ -152,8 +154,8 @@ def _flat(value: Any) -> Any:
     """Flatten a row or a column of numbers; other values are left to the checks."""
     if isinstance(value, list) and len(value) == 1 and isinstance(value[0], list):
         return value[0]
-    if isinstance(value, list) and all(isinstance(one, list) and len(one) == 1 for one in value):
-        return [one[0] for one in value]
+    if isinstance(value, list) and all(isinstance(item, list) and len(item) == 1 for item in value):
+        return [item[0] for item in value]
     return value
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.contents import CameraFile, in_metres
 from pipeline.calibration.readers.xml_files import read_number, read_root
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import Problem
@@ -24,7 +24,7 @@ _MOTIVE_FROM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0
 _COLOUR = "30"
 
 
-def read(content: bytes, file: str) -> Contents:
+def read(content: bytes, file: str) -> CameraFile:
     """Read the colour cameras of a file, or all cameras if none films in colour; ``InputError`` lists all problems."""
     root = read_root(content, file)
     elements = list(root.iterfind("./Calibration/Cameras/Camera"))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.contents import CameraFile, in_metres
 from pipeline.calibration.readers.xml_files import read_number, read_root
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import Problem
@@ -20,7 +20,7 @@ _SUBPIXELS = 64.0
 _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 
 
-def read(content: bytes, file: str) -> Contents:
+def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a QCA file; ``InputError`` lists all its problems."""
     root = read_root(content, file)
     problems: list[Problem] = []

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.contents import CameraFile, in_metres
 from pipeline.calibration.readers.rotations import rodrigues_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
 from pipeline.errors import InputError, Problem
@@ -31,7 +31,7 @@ _CALISCOPE_FIELDS = frozenset({"cam_id", "port", "rotation_count", "error", "exp
 _IGNORED = frozenset({"metadata"})
 
 
-def read(content: bytes, file: str) -> Contents:
+def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a TOML file; ``InputError`` lists all its problems."""
     try:
         sections = parse(_loads, content)
@@ -46,10 +46,10 @@ def read(content: bytes, file: str) -> Contents:
     # One camera above the limit suffices to report that there are too many.
     raw = [_raw(name, section, file, problems) for name, section in islice(cameras, MAX_CAMERAS + 1)]
     built = build_cameras(raw, file, problems)
-    return in_metres("FreeMoCap TOML", built, "mm") if _is_freemocap(sections) else Contents("TOML", built, None)
+    return in_metres("FreeMoCap TOML", built, "mm") if _is_freemocap(sections) else CameraFile("TOML", built, None)
 
 
-def _read_caliscope(sections: Mapping[str, dict[str, Any]], file: str, problems: list[Problem]) -> Contents:
+def _read_caliscope(sections: Mapping[str, dict[str, Any]], file: str, problems: list[Problem]) -> CameraFile:
     """Read Caliscope's cameras, which it knows by their numbers; cameras without a pose are left out."""
     # Older versions write a missing value as the text "null".
     filled = {
@@ -68,7 +68,7 @@ def _read_caliscope(sections: Mapping[str, dict[str, Any]], file: str, problems:
         replace(_raw(f"cam_{number}", section, file, problems), section=f"port_{number}")
         for number, section in posed.items()
     ]
-    return Contents("Caliscope", build_cameras(raw, file, problems), None, notes=notes)
+    return CameraFile("Caliscope", build_cameras(raw, file, problems), None, notes=notes)
 
 
 def _is_freemocap(sections: Mapping[str, Any]) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.contents import CameraFile, in_metres
 from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.readers.xml_files import NUMBER, read_root
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
@@ -29,7 +29,7 @@ _MAX_RESIDUAL_PX = 0.5
 _MAX_SHARE = 0.5
 
 
-def read(content: bytes, file: str) -> Contents:
+def read(content: bytes, file: str) -> CameraFile:
     """Read the video cameras of an XCP file, or all cameras if none is one; ``InputError`` lists all problems."""
     root = read_root(content, file)
     elements = [element for element in root.iterfind("./Camera") if element.find("./KeyFrames/KeyFrame") is not None]

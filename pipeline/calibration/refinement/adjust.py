@@ -17,8 +17,8 @@ from pipeline.calibration.adjustment.parameters import (
     offsets,
 )
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, observations_of_points
-from pipeline.calibration.adjustment.structure import Points
-from pipeline.calibration.refinement.sightings import Sightings
+from pipeline.calibration.adjustment.structure import FreePoints
+from pipeline.calibration.refinement.sightings import JointSightings
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import project
 
@@ -46,7 +46,7 @@ class AdjustedCameras(NamedTuple):
 
 
 def adjust_to_sightings(
-    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free
+    given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings, free: Free
 ) -> AdjustedCameras:
     """Adjust cameras to sightings.
 
@@ -70,7 +70,6 @@ def adjust_to_sightings(
     for parameters, sigma in PRIOR_SIGMA:
         prior_sigma[:, parameters] = sigma
     problem = AdjustmentProblem(tuple(given), free, prior_sigma, observations_of_points(points_px[is_known]))
-    adjusted = adjust(
-        problem, Points(read_only(xyz_m[is_known])), start, max_steps=_MAX_STEPS, small_step=_SMALL_STEP * prior_sigma
-    )
+    points, small_step = FreePoints(read_only(xyz_m[is_known])), _SMALL_STEP * prior_sigma
+    adjusted = adjust(problem, points, start, max_steps=_MAX_STEPS, small_step=small_step)
     return AdjustedCameras(adjusted.cameras, sigma_in_held_world(problem, adjusted))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.calibration.adjustment.projection import linearise
-from pipeline.calibration.refinement.sightings import Sightings
+from pipeline.calibration.refinement.sightings import JointSightings
 from pipeline.data import Camera
 
 # Rotations about the camera's x and y axes. Roll is hardly determined by the people of one second.
@@ -43,7 +43,7 @@ class Step(NamedTuple):
     time_s: float
     turn_rad: float
 
-    def hidden(self, sightings: Sightings) -> Bool[np.ndarray, "points cameras"]:
+    def hidden(self, sightings: JointSightings) -> Bool[np.ndarray, "points cameras"]:
         """Views of the camera on the side of the step that has fewer of them."""
         hidden = np.zeros(sightings.points_px.shape[:2], bool)
         is_after = sightings.time_s >= self.time_s
@@ -53,7 +53,7 @@ class Step(NamedTuple):
         return hidden
 
 
-def find_steps(cameras: Sequence[Camera], sightings: Sightings) -> list[Step]:
+def find_steps(cameras: Sequence[Camera], sightings: JointSightings) -> list[Step]:
     """Find the largest step of each camera's orientation; none with fewer than three cameras.
 
     A camera that was moved makes the others seem to move as well: not all of the steps are true.
@@ -69,11 +69,11 @@ def find_steps(cameras: Sequence[Camera], sightings: Sightings) -> list[Step]:
     return [step for step in steps if step is not None]
 
 
-def _step_of(number: int, cameras: Sequence[Camera], sightings: Sightings) -> Step | None:
+def _step_of(number: int, cameras: Sequence[Camera], sightings: JointSightings) -> Step | None:
     """Step of one camera."""
     others_px = sightings.points_px.copy()
     others_px[:, number] = np.nan
-    xyz_m = Sightings(sightings.time_s, others_px).triangulated(cameras)
+    xyz_m = JointSightings(sightings.time_s, others_px).triangulated(cameras)
     projected_px, by_camera, _ = linearise(cameras[number], xyz_m)
     residual_px = sightings.points_px[:, number] - projected_px
     used = np.isfinite(residual_px).all(-1)

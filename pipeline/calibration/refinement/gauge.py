@@ -28,10 +28,10 @@ def align_world(given: Sequence[Camera], refined: Sequence[Camera]) -> tuple[Cam
         return np.concatenate([_difference(then, now) for then, now in zip(given, moved, strict=True)])
 
     # From quadratic to robust, so that the start does not decide.
-    found = least_squares(residuals, np.zeros(7), loss="linear", method="trf").x
+    similarity = least_squares(residuals, np.zeros(7), loss="linear", method="trf").x
     for scale in (10.0, 3.0, 1.0):
-        found = least_squares(residuals, found, loss="cauchy", f_scale=scale, method="trf").x
-    return tuple(_transformed(camera, found, middle_m) for camera in refined)
+        similarity = least_squares(residuals, similarity, loss="cauchy", f_scale=scale, method="trf").x
+    return tuple(_transformed(camera, similarity, middle_m) for camera in refined)
 
 
 def turn_deg(then: Camera, now: Camera) -> float:

@@ -19,7 +19,7 @@ from pipeline.calibration.adjustment.parameters import (
 from pipeline.calibration.refinement.adjust import adjust_to_sightings
 from pipeline.calibration.refinement.bumps import Step, find_steps
 from pipeline.calibration.refinement.gauge import align_world
-from pipeline.calibration.refinement.sightings import Sightings
+from pipeline.calibration.refinement.sightings import JointSightings
 from pipeline.data import Camera
 from pipeline.geometry.camera import project
 
@@ -69,7 +69,7 @@ class RefinedCameras:
     num_points: int
 
 
-def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings) -> RefinedCameras:
+def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings) -> RefinedCameras:
     """Refine cameras from sightings of people.
 
     Refined cameras are taken if the cross-validated reprojection error falls by more than a quarter. The world stays:
@@ -104,8 +104,8 @@ def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: Sighting
 
 
 def _without_steps(
-    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings
-) -> tuple[tuple[Camera, ...], tuple[Step, ...], Sightings]:
+    given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings
+) -> tuple[tuple[Camera, ...], tuple[Step, ...], JointSightings]:
     """Cameras that fit the take, the cameras that were moved, and the sightings without the shorter parts of these.
 
     A camera that was moved spoils the others. Of all steps that seem possible, the step is true without whose shorter
@@ -137,7 +137,7 @@ def _without_steps(
 
 
 def _choose_level(
-    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, error_before_px: float
+    given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings, error_before_px: float
 ) -> tuple[Free | None, float]:
     """Choose the free parameters by cross-validation over time; ``None``: the sightings determine no parameter."""
     error_px = error_before_px
@@ -161,7 +161,7 @@ def _free(num_cameras: int, level: Sequence[slice]) -> Free:
     return free
 
 
-def _determined(given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free) -> Free:
+def _determined(given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings, free: Free) -> Free:
     """Parameters of each camera that the sightings determine, in groups: all three of a rotation, or none."""
     sigma = adjust_to_sightings(given, start, sightings, free).sigma * _repetition(sightings)
     determined = free.copy()
@@ -172,14 +172,14 @@ def _determined(given: Sequence[Camera], start: Sequence[Camera], sightings: Sig
     return determined
 
 
-def _repetition(sightings: Sightings) -> float:
+def _repetition(sightings: JointSightings) -> float:
     """Factor of standard deviations for instants that are closer than errors of a detector last."""
     num_instants = len(np.unique(sightings.time_s))
     return float(np.sqrt(num_instants / len(np.unique(np.floor(sightings.time_s / _ERROR_LASTS_S)))))
 
 
 def _cross_validated_px(
-    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free
+    given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings, free: Free
 ) -> Float[np.ndarray, " views"]:
     """Reprojection errors of each half of the take with cameras that were fitted to the other half."""
     begin_s, end_s = sightings.time_s.min(), sightings.time_s.max()
@@ -192,7 +192,7 @@ def _cross_validated_px(
     return np.concatenate(errors_px)
 
 
-def _errors_px(cameras: Sequence[Camera], sightings: Sightings) -> Float[np.ndarray, " views"]:
+def _errors_px(cameras: Sequence[Camera], sightings: JointSightings) -> Float[np.ndarray, " views"]:
     """Distance of each view from the projection of its triangulated point; infinite where there is no projection."""
     xyz_m = sightings.triangulated(cameras)
     projected_px = np.stack([project(camera, xyz_m) for camera in cameras], axis=1)

@@ -19,7 +19,7 @@ _CELL_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightings:
+class JointSightings:
     """Joints of people, each seen by at least two cameras at one instant.
 
     Parameters
@@ -36,28 +36,28 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def subset(self, chosen: Bool[np.ndarray, " points"]) -> "Sightings":
+    def subset(self, chosen: Bool[np.ndarray, " points"]) -> "JointSightings":
         """Select points."""
-        return Sightings(self.time_s[chosen], self.points_px[chosen])
+        return JointSightings(self.time_s[chosen], self.points_px[chosen])
 
     def triangulated(self, cameras: Sequence[Camera]) -> Float[np.ndarray, "points 3"]:
         """World coordinates; NaN where fewer than two cameras see the point, or all rays are parallel."""
         return triangulate_instants(cameras, self.points_px[:, :, None])[:, 0]
 
-    def thinned(self, max_points: int) -> "Sightings":
+    def thinned(self, max_points: int) -> "JointSightings":
         """Select every n-th point, so that at most so many are left."""
         step = -(-len(self) // max_points)
         return self if step <= 1 else self.subset(np.arange(len(self)) % step == 0)
 
-    def without(self, hidden: Bool[np.ndarray, "points cameras"]) -> "Sightings":
+    def without(self, hidden: Bool[np.ndarray, "points cameras"]) -> "JointSightings":
         """Leave out views, and the points that fewer than two cameras see then."""
         points_px = np.where(hidden[..., None], np.nan, self.points_px)
-        return Sightings(self.time_s, read_only(points_px)).subset(_is_seen(points_px).sum(-1) >= 2)
+        return JointSightings(self.time_s, read_only(points_px)).subset(_is_seen(points_px).sum(-1) >= 2)
 
 
 def choose_sightings(
     poses: Iterable[Poses3D], joints: JointSet, timebase: Timebase, max_points: int = MAX_POINTS
-) -> Sightings:
+) -> JointSightings:
     """Choose joints of people all over the take and the volume.
 
     Every square of 0.5 m of the floor gives equally many poses, evenly spread over time, as far as it has as many.
@@ -76,13 +76,13 @@ def choose_sightings(
     parts = [_usable(some, index) for some in poses]
     if sum(len(frame) for frame, _, _ in parts) == 0:
         num_cameras = parts[0][2].shape[2] if parts else 0
-        return Sightings(np.empty(0), np.empty((0, num_cameras, 2)))
+        return JointSightings(np.empty(0), np.empty((0, num_cameras, 2)))
     frame, cell, points_px = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     order = np.argsort(frame, kind="stable")
     chosen = order[_spread(cell[order], max_points // len(index))]
     is_point = _is_seen(points_px[chosen]).sum(-1) >= 2
     time_s = timebase.start_time_s + frame[chosen] / timebase.frame_rate_hz
-    return Sightings(
+    return JointSightings(
         read_only(np.repeat(time_s, is_point.sum(-1))), read_only(np.ascontiguousarray(points_px[chosen][is_point]))
     )
 

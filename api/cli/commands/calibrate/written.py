@@ -5,7 +5,7 @@ from pathlib import Path
 
 from api.cli.console import console, emit, print_table, warn
 from pipeline.calibration.known_points.table import COLUMNS
-from pipeline.calibration.report import MadeCalibration, report_document
+from pipeline.calibration.report import CalibrationResult, report_document
 from pipeline.calibration.write import ENCODERS
 from pipeline.errors import InputError, PipelineError, Problem
 
@@ -20,7 +20,7 @@ def require_ending(out: Path) -> None:
         raise InputError([Problem("calibration_format", message, file=out.name)])
 
 
-def write_made(made: MadeCalibration, out: Path, report: Path | None) -> None:
+def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:
     """Write a calibration, and its report with its pictures if a folder is given.
 
     Raises
@@ -40,7 +40,7 @@ def write_made(made: MadeCalibration, out: Path, report: Path | None) -> None:
         raise PipelineError(f"{error.filename} can't be written: {error.strerror}.") from error
 
 
-def show_made(made: MadeCalibration, out: Path, as_json: bool) -> None:
+def show_made(made: CalibrationResult, out: Path, as_json: bool) -> None:
     """Show the report of a calibration."""
     document = report_document(made)
     if as_json:

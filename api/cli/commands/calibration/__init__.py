@@ -8,7 +8,7 @@ import typer
 from api.cli.commands.calibration import check
 from api.cli.commands.calibration.cameras import FileArgument, JsonOption, UnitsOption, camera_documents, read
 from api.cli.console import console, emit, print_table, reporting, warn
-from pipeline.calibration.contents import UNKNOWN_SIZE, Contents
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.write import ENCODERS
 from pipeline.data import Camera
 from pipeline.errors import InputError, PipelineError, Problem
@@ -73,7 +73,7 @@ def _unsized(file: Path, camera: Camera) -> Problem:
     return Problem("invalid_size", message, file=file.name, camera=camera.name, field="size")
 
 
-def _show_statement(contents: Contents, units: str) -> None:
+def _show_statement(contents: CameraFile, units: str) -> None:
     unit = f"{contents.unit}, by the format" if contents.unit else f"{units}, as stated by --units"
     console.print(f"{contents.format}; lengths in the file: {unit}; axes: {contents.axes}")
     for note in contents.notes:
@@ -94,7 +94,7 @@ def _cells(camera: Camera) -> list[str]:
     ]
 
 
-def _document(contents: Contents, units: str) -> dict[str, Any]:
+def _document(contents: CameraFile, units: str) -> dict[str, Any]:
     return {
         "format": contents.format,
         "units": contents.unit or units,

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, Contents, Units
+from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, CameraFile, Units
 from pipeline.calibration.registry import read_contents
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
@@ -20,7 +20,7 @@ UnitsOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 
-def read(file: Path, units: str) -> Contents:
+def read(file: Path, units: str) -> CameraFile:
     """Read a calibration in a unit as it was typed.
 
     Raises

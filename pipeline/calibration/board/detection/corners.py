@@ -87,8 +87,12 @@ def _homography(corners_px: Float[np.ndarray, "corners 2"], board: Board) -> Flo
     seen = np.isfinite(corners_px).all(-1)
     if seen.sum() < _MIN_HOMOGRAPHY_POINTS:
         return None
-    found, _ = cv2.findHomography(_grid(board)[seen], corners_px[seen])
-    return None if found is None or abs(np.linalg.det(found)) < np.finfo(float).eps else np.asarray(found, float)
+    homography, _ = cv2.findHomography(_grid(board)[seen], corners_px[seen])
+    return (
+        None
+        if homography is None or abs(np.linalg.det(homography)) < np.finfo(float).eps
+        else np.asarray(homography, float)
+    )
 
 
 def _align(

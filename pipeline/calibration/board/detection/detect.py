@@ -16,7 +16,7 @@ _SEARCHED_PX = 1280
 _MIN_CORNERS = 6
 
 
-class Found(NamedTuple):
+class DetectedBoard(NamedTuple):
     """Board in a picture.
 
     Parameters
@@ -34,7 +34,7 @@ class Found(NamedTuple):
     is_mirrored: bool = False
 
 
-def find_board(image: UInt8[np.ndarray, "height width 3"], board: Board) -> Found | None:
+def find_board(image: UInt8[np.ndarray, "height width 3"], board: Board) -> DetectedBoard | None:
     """Find a board in an RGB picture; ``None`` if it is not there.
 
     Chessboards must be seen whole (sector-based detector, Duda and Frese 2018), ChArUco boards in part.
@@ -53,11 +53,11 @@ def is_exchanged(image: UInt8[np.ndarray, "height width 3"], board: Board) -> bo
     if board.kind == "chessboard" or board.cols == board.rows:
         return False
     gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    found = _charuco_corners(gray, board.exchanged)
-    return found is not None and _aligned(gray, found, board.exchanged) is not None
+    corners_px = _charuco_corners(gray, board.exchanged)
+    return corners_px is not None and _aligned(gray, corners_px, board.exchanged) is not None
 
 
-def _find_chessboard(gray: np.ndarray, board: Board) -> Found | None:
+def _find_chessboard(gray: np.ndarray, board: Board) -> DetectedBoard | None:
     factor = min(1.0, _SEARCHED_PX / max(gray.shape))
     small = gray if factor == 1.0 else cv2.resize(gray, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     pattern = (board.cols, board.rows)
@@ -72,12 +72,12 @@ def _find_chessboard(gray: np.ndarray, board: Board) -> Found | None:
     return _aligned(gray, _numbered(gray, corners_px, board), board)
 
 
-def _aligned(gray: np.ndarray, corners_px: np.ndarray, board: Board) -> Found | None:
+def _aligned(gray: np.ndarray, corners_px: np.ndarray, board: Board) -> DetectedBoard | None:
     """Board with its corners aligned; ``None`` if too few of them look like corners of the board."""
     edge_px = _edge_px(gray, corners_px[np.isfinite(corners_px).all(-1)])
     aligned = align_corners(gray, corners_px, board, edge_px)
     is_enough = np.isfinite(aligned).all(-1).sum() >= min(_MIN_CORNERS, board.num_corners)
-    return Found(aligned, edge_px) if is_enough and _spread(aligned) else None
+    return DetectedBoard(aligned, edge_px) if is_enough and _spread(aligned) else None
 
 
 def _numbered(gray: np.ndarray, corners_px: np.ndarray, board: Board) -> np.ndarray:
@@ -104,18 +104,18 @@ def _first_cell_is_white(gray: np.ndarray, grid: np.ndarray) -> bool:
     return bool(shades[is_like_first].mean() > shades[~is_like_first].mean())
 
 
-def _find_charuco(gray: np.ndarray, board: Board) -> Found | None:
+def _find_charuco(gray: np.ndarray, board: Board) -> DetectedBoard | None:
     corners_px = _charuco_corners(gray, board)
-    found = None if corners_px is None else _aligned(gray, corners_px, board)
-    if found is None:
-        found = _find_by_squares(gray, board)
-    if found is None:
+    detected = None if corners_px is None else _aligned(gray, corners_px, board)
+    if detected is None:
+        detected = _find_by_squares(gray, board)
+    if detected is None:
         mirrored = _charuco_corners(np.ascontiguousarray(gray[:, ::-1]), board)
-        found = None if mirrored is None else Found(mirrored, np.nan, is_mirrored=True)
-    return found
+        detected = None if mirrored is None else DetectedBoard(mirrored, np.nan, is_mirrored=True)
+    return detected
 
 
-def _find_by_squares(gray: np.ndarray, board: Board) -> Found | None:
+def _find_by_squares(gray: np.ndarray, board: Board) -> DetectedBoard | None:
     """Find a ChArUco board of which few markers can be read one by one: blurred, noisy or small."""
     for grid in find_grids(gray):
         if (corners_px := number_corners(gray, grid, board)) is not None:

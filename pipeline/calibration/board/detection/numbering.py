@@ -44,10 +44,10 @@ def number_corners(
     -------
         Pixels by number of the corner, NaN where none was found; ``None`` if the markers do not tell the numbers.
     """
-    found = grid.is_found
-    is_cell = found[:-1, :-1] & found[1:, :-1] & found[:-1, 1:] & found[1:, 1:]
+    has_corner = grid.is_found
+    is_cell = has_corner[:-1, :-1] & has_corner[1:, :-1] & has_corner[:-1, 1:] & has_corner[1:, 1:]
     shades = _shades(gray, grid, board)
-    fits = sorted(fit for turns in range(4) for fit in _fits(shades, is_cell, found, turns, board))
+    fits = sorted(fit for turns in range(4) for fit in _fits(shades, is_cell, has_corner, turns, board))
     if not fits or fits[-1].correlation < _MIN_CORRELATION or fits[-1].sigmas < _MIN_SIGMAS:
         return None
     if len(fits) > 1 and fits[-2].sigmas > _MAX_SECOND * fits[-1].sigmas:

@@ -204,21 +204,21 @@ def _grid(saddles: _Saddles, cells: dict[_Cell, int], factor: float) -> SquareGr
     at = np.array(list(cells))
     at -= at.min(0)
     xy_px = (saddles.xy_px[list(cells.values())] + 0.5) / factor - 0.5
-    found = np.full((*(at.max(0) + 1)[::-1], 2), np.nan)
-    found[at[:, 1], at[:, 0]] = xy_px
+    grid_px = np.full((*(at.max(0) + 1)[::-1], 2), np.nan)
+    grid_px[at[:, 1], at[:, 0]] = xy_px
     if _is_left_handed(at, xy_px):
-        found = found[:, ::-1]
-    row, column = np.nonzero(np.isfinite(found).all(-1))
-    points_px = found[row, column]
-    side_px = np.sqrt(np.median([np.nanmedian(np.linalg.norm(np.diff(found, axis=k), axis=-1)) ** 2 for k in (0, 1)]))
+        grid_px = grid_px[:, ::-1]
+    row, column = np.nonzero(np.isfinite(grid_px).all(-1))
+    points_px = grid_px[row, column]
+    side_px = np.sqrt(np.median([np.nanmedian(np.linalg.norm(np.diff(grid_px, axis=k), axis=-1)) ** 2 for k in (0, 1)]))
     homography, is_inlier = cv2.findHomography(
         np.column_stack([column, row]).astype(float), points_px, cv2.RANSAC, _HOMOGRAPHY_SQUARES * side_px
     )
     if homography is None or is_inlier.sum() < _MIN_SIDE**2:
         return None
     is_outlier = is_inlier.ravel() == 0
-    found[row[is_outlier], column[is_outlier]] = np.nan
-    return SquareGrid(found, np.asarray(homography, float))
+    grid_px[row[is_outlier], column[is_outlier]] = np.nan
+    return SquareGrid(grid_px, np.asarray(homography, float))
 
 
 def _is_left_handed(at: Int[np.ndarray, "cells 2"], xy_px: Float[np.ndarray, "cells 2"]) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, Contents, in_metres
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile, in_metres
 from pipeline.calibration.readers.pickled.interpreter import read_values
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import InputError, Problem
@@ -25,7 +25,7 @@ _MAX_ENTRY = 10.0
 _BOARD_NOTE = "OpenCap's board is taken to have stood upright; for a board on the floor, turn the calibration first."
 
 
-def read(content: bytes, file: str) -> Contents:
+def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of one pickle; ``InputError`` lists all its problems."""
     try:
         return read_members({file.partition(".")[0]: content}, file)
@@ -34,7 +34,7 @@ def read(content: bytes, file: str) -> Contents:
         raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
 
 
-def read_members(members: Mapping[str, bytes], file: str) -> Contents:
+def read_members(members: Mapping[str, bytes], file: str) -> CameraFile:
     """Read pickles by the names of their cameras.
 
     Raises
@@ -48,7 +48,7 @@ def read_members(members: Mapping[str, bytes], file: str) -> Contents:
     if not all(isinstance(document, dict) for document in documents.values()):
         raise UnreadableError
     if len(documents) == 1 and next(iter(documents.values())).keys() >= _MVPOSE:
-        return Contents("MVPose pickle", _mvpose(next(iter(documents.values())), file), None)
+        return CameraFile("MVPose pickle", _mvpose(next(iter(documents.values())), file), None)
     if not all(document.keys() >= _OPENCAP for document in documents.values()):
         raise UnreadableError
     cameras = build_cameras([_raw_opencap(name, document) for name, document in documents.items()], file)

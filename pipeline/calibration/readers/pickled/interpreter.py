@@ -215,9 +215,9 @@ def _plain(value: Any, num_left: list[int], depth: int = 0) -> Any:
     if depth > _MAX_DEPTH or num_left[0] < 0:
         raise UnreadableError
     if isinstance(value, dict):
-        return {key: _plain(one, num_left, depth + 1) for key, one in value.items()}
+        return {key: _plain(entry, num_left, depth + 1) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(one, num_left, depth + 1) for one in value]
+        return [_plain(entry, num_left, depth + 1) for entry in value]
     if isinstance(value, _Array) and value.numbers is not None:
         return value.numbers.tolist()
     if value is None or isinstance(value, (str, int, float, bytes)):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.adjustment.adjust import Adjustment, adjust, block_covariance
-from pipeline.calibration.adjustment.links import Distances, Shifts
+from pipeline.calibration.adjustment.links import DistanceLinks, ShiftLinks
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,
     EXTRINSICS,
@@ -21,8 +21,8 @@ from pipeline.calibration.adjustment.parameters import (
     none_free,
     offsets,
 )
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Observations, observations_of_points
-from pipeline.calibration.adjustment.structure import Bodies, Points
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations, observations_of_points
+from pipeline.calibration.adjustment.structure import FreePoints, RigidBodies
 from pipeline.data import Camera
 from pipeline.geometry.camera import project
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
@@ -59,7 +59,7 @@ def solve(seed: int, noise_px: float, free: Free, outliers: int = 0, loss: Loss 
     points_px = seen_px(rng, noise_px)
     points_px.reshape(-1, 2)[rng.permutation(600)[:outliers]] += rng.normal(0.0, 60.0, (outliers, 2))
     points_px[:5, 2:] = np.nan
-    begin = Points(TRUTH_M + rng.normal(0.0, 0.02, TRUTH_M.shape))
+    begin = FreePoints(TRUTH_M + rng.normal(0.0, 0.02, TRUTH_M.shape))
     cameras = disturbed(free, rng)
     return adjust(AdjustmentProblem(cameras, free, no_prior(4), observations_of_points(points_px), loss), begin)
 
@@ -99,8 +99,8 @@ def test_covariances_of_blocks_are_those_of_repeats() -> None:
         rng = np.random.default_rng(seed)
         observations = observations_of_points(seen_px(rng, SIGMA_PX))
         problem = AdjustmentProblem(CAMERAS, free, no_prior(4), observations, Loss.LINEAR)
-        adjusted = adjust(problem, Points(TRUTH_M))
-        assert isinstance(adjusted.structure, Points)
+        adjusted = adjust(problem, FreePoints(TRUTH_M))
+        assert isinstance(adjusted.structure, FreePoints)
         found.append((adjusted.structure.xyz_m - TRUTH_M)[chosen].ravel())
         stated.append(block_covariance(problem, adjusted, chosen))
     # Squares of the errors in units of the covariance are chi-squared with six degrees of freedom.
@@ -121,7 +121,7 @@ def test_a_prior_holds_what_the_observations_leave_open() -> None:
     prior[:, EXTRINSICS] = 0.01
     rng = np.random.default_rng(5)
     problem = AdjustmentProblem(CAMERAS, free, prior, observations_of_points(seen_px(rng, SIGMA_PX)))
-    found = adjust(problem, Points(TRUTH_M))
+    found = adjust(problem, FreePoints(TRUTH_M))
     # Four cameras share the freedom of the world: a shift is known half as well as each prior says.
     assert found.sigma[:, POSITION].max() < 0.01
     assert np.abs(offsets(CAMERAS, found.cameras)).max() < 2e-3
@@ -131,7 +131,7 @@ def test_boards_determine_cameras_with_their_lenses() -> None:
     rng = np.random.default_rng(6)
     grid = np.stack([*np.meshgrid(np.arange(6) * 0.12, np.arange(4) * 0.12), np.zeros((4, 6))], -1).reshape(-1, 3)
     turns = Rotation.from_rotvec(rng.normal(0.0, 0.8, (40, 3))).as_matrix()
-    boards = Bodies(turns, rng.uniform([-0.8, -0.8, 0.4], [0.8, 0.8, 1.6], (40, 3)))
+    boards = RigidBodies(turns, rng.uniform([-0.8, -0.8, 0.4], [0.8, 0.8, 1.6], (40, 3)))
     camera, block, corner = (index.ravel() for index in np.indices((4, 40, len(grid))))
     xyz_m, _ = boards.in_world(block, grid[corner])
     points_px = np.concatenate([project(one, xyz_m[camera == c]) for c, one in enumerate(CAMERAS)])
@@ -142,7 +142,7 @@ def test_boards_determine_cameras_with_their_lenses() -> None:
     free[:, DISTORTION.start : DISTORTION.start + 5] = True
     cameras = tuple(replace(one, distortion=np.zeros(5)) for one in disturbed(free, rng))
     begin = boards.moved(rng.normal(0.0, 0.01, (40, 6)))
-    problem = AdjustmentProblem(cameras, free, no_prior(4), Observations(camera, block, grid[corner], points_px))
+    problem = AdjustmentProblem(cameras, free, no_prior(4), PointObservations(camera, block, grid[corner], points_px))
     found = adjust(problem, begin)
     error = offsets(CAMERAS, found.cameras)
     assert np.abs(error[:, FOCAL]).max() < 1e-3
@@ -161,12 +161,12 @@ def test_links_bring_scale_and_still_points_together() -> None:
     points_px += rng.normal(0.0, SIGMA_PX, points_px.shape)
     free = none_free(4)
     free[1:, EXTRINSICS] = True  # the length of the links brings the scale
-    bones = Distances(pairs, np.zeros(75, int), np.full(75, 1e-3))
+    bones = DistanceLinks(pairs, np.zeros(75, int), np.full(75, 1e-3))
     problem = AdjustmentProblem(
         CAMERAS, free, no_prior(4), observations_of_points(points_px), Loss.CAUCHY, (bones,), np.array([0.5]),
         np.array([1e-6]),
     )  # fmt: skip
-    found = adjust(problem, Points(truth_m + rng.normal(0.0, 0.01, truth_m.shape)))
+    found = adjust(problem, FreePoints(truth_m + rng.normal(0.0, 0.01, truth_m.shape)))
     # The world grows with the given length, about the first camera.
     centers_m = [
         one.cam_from_world.inverse().translation_m - cameras[0].cam_from_world.inverse().translation_m
@@ -175,22 +175,22 @@ def test_links_bring_scale_and_still_points_together() -> None:
     ]
     ratio = np.linalg.norm(centers_m[3:], axis=-1) / np.linalg.norm(centers_m[:3], axis=-1)
     np.testing.assert_allclose(ratio, 0.5 / 0.4, rtol=2e-3)
-    assert isinstance(found.structure, Points)
+    assert isinstance(found.structure, FreePoints)
     lengths_m = np.linalg.norm(found.structure.xyz_m[pairs[:, 0]] - found.structure.xyz_m[pairs[:, 1]], axis=-1)
     np.testing.assert_allclose(lengths_m, 0.5, atol=5e-3)
     still = adjust(
-        replace(problem, free=none_free(4), links=(Shifts(pairs, np.full(75, 1e-5)),)), Points(truth_m)
+        replace(problem, free=none_free(4), links=(ShiftLinks(pairs, np.full(75, 1e-5)),)), FreePoints(truth_m)
     ).structure
-    assert isinstance(still, Points)
+    assert isinstance(still, FreePoints)
     assert np.linalg.norm(still.xyz_m[pairs[:, 0]] - still.xyz_m[pairs[:, 1]], axis=-1).max() < 5e-3
 
 
 def test_lengths_of_links_are_estimated() -> None:
     pairs = np.array([[0, 1], [1, 2], [2, 3]])
     lengths_m = np.linalg.norm(TRUTH_M[pairs[:, 0]] - TRUTH_M[pairs[:, 1]], axis=-1)
-    link = Distances(pairs, np.arange(3), np.full(3, 1e-3))
+    link = DistanceLinks(pairs, np.arange(3), np.full(3, 1e-3))
     problem = AdjustmentProblem(
         CAMERAS, none_free(4), no_prior(4), observations_of_points(seen_px(np.random.default_rng(8), 0.0)),
         links=(link,), lengths_m=np.ones(3), length_sigma_m=np.full(3, np.inf),
     )  # fmt: skip
-    np.testing.assert_allclose(adjust(problem, Points(TRUTH_M)).lengths_m, lengths_m, atol=1e-4)
+    np.testing.assert_allclose(adjust(problem, FreePoints(TRUTH_M)).lengths_m, lengths_m, atol=1e-4)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, move_camera, offsets
 from pipeline.calibration.adjustment.projection import linearise
-from pipeline.calibration.adjustment.structure import Bodies, Points, Structure
+from pipeline.calibration.adjustment.structure import FreePoints, RigidBodies, Structure
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
@@ -81,10 +81,10 @@ def test_offsets_are_the_steps_that_lead_to_a_camera(num_coefficients: int) -> N
 @given(seed=st.integers(0, 1000), is_body=st.booleans())
 def test_derivatives_of_a_structure_are_those_of_its_points(seed: int, is_body: bool) -> None:
     rng, tiny = np.random.default_rng(seed), 1e-6
-    structure: Structure = Points(rng.normal(size=(2, 3)))
+    structure: Structure = FreePoints(rng.normal(size=(2, 3)))
     if is_body:
         pose = Rigid3(look_at(rng.normal(size=3), rng.normal(size=3)).rotation, rng.normal(size=3))
-        structure = Bodies(np.stack([np.eye(3), pose.rotation]), np.stack([np.zeros(3), pose.translation_m]))
+        structure = RigidBodies(np.stack([np.eye(3), pose.rotation]), np.stack([np.zeros(3), pose.translation_m]))
     block, model_m = np.array([1, 0, 1]), rng.normal(size=(3, 3))
     _, derivatives = structure.in_world(block, model_m)
     for k in range(structure.block_size):

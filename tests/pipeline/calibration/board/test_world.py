@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.board.world import World, find_world
+from pipeline.calibration.board.world import BoardWorld, find_board_world
 from pipeline.geometry.rigid import Rigid3
 
 MIDDLE_M = np.array([0.3, 0.2, 0.0])
@@ -13,7 +13,7 @@ PLACES_M = np.array([[0.0, 0.0, 0.0], [1.5, 0.2, 0.0], [-0.4, 1.8, 0.0]])
 SIGMA = np.array([0.01, 0.01, 0.01, 0.004, 0.004, 0.004])
 
 
-def world_of(num_places: int, rng: np.random.Generator, noise: float) -> World:
+def world_of(num_places: int, rng: np.random.Generator, noise: float) -> BoardWorld:
     """World of boards that lie on the floor, each turned about the vertical."""
     boards = []
     for place_m in PLACES_M[:num_places]:
@@ -23,7 +23,7 @@ def world_of(num_places: int, rng: np.random.Generator, noise: float) -> World:
         step = noise * rng.normal(0.0, SIGMA)
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         boards.append(Rigid3(turn @ true.rotation, true.translation_m + step[3:]))
-    return find_world(boards, np.diag(np.tile(SIGMA**2, num_places)), MIDDLE_M)
+    return find_board_world(boards, np.diag(np.tile(SIGMA**2, num_places)), MIDDLE_M)
 
 
 @pytest.mark.parametrize("num_places", [1, 3])

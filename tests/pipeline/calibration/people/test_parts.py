@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.people.following import JOINTS
-from pipeline.calibration.people.pairs import relate, sampson
+from pipeline.calibration.people.pairs import relate_by_people, sampson
 from pipeline.calibration.people.stature import scale_from, statures
-from pipeline.calibration.people.tracklets import Tracklet, find_tracklets, instants_of
+from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of
 from pipeline.data import Detections, FrameTimes
 from pipeline.geometry.camera import project
 from pipeline.joints import JointSet
@@ -65,7 +65,7 @@ def test_points_are_interpolated_between_frames_and_not_over_gaps(walk: Simulati
 def test_two_cameras_find_who_is_who_and_their_relative_pose(walk: Simulation) -> None:
     instants_s = instants_of(list(walk.times.values()))
     tracklets = find_tracklets(walk.cameras, walk.times, walk.detections, walk.joints, instants_s)
-    relative = relate((0, 1), tracklets, np.array([camera.matrix[0, 0] for camera in walk.cameras]))
+    relative = relate_by_people((0, 1), tracklets, np.array([camera.matrix[0, 0] for camera in walk.cameras]))
     assert relative is not None
     first, second = (walk.cameras[k].cam_from_world for k in (0, 1))
     true = second @ first.inverse()
@@ -80,7 +80,7 @@ def test_two_cameras_find_who_is_who_and_their_relative_pose(walk: Simulation) -
         assert len(people) == 1
 
 
-def person_of(simulation: Simulation, tracklet: Tracklet, instants_s: np.ndarray) -> int:
+def person_of(simulation: Simulation, tracklet: ViewTracklet, instants_s: np.ndarray) -> int:
     """Person whose joints are closest to a tracklet."""
     camera = simulation.cameras[tracklet.camera]
     frames = np.rint(instants_s[np.asarray(tracklet.instants)] * simulation.timebase.frame_rate_hz).astype(int)

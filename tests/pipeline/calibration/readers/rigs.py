@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.contents import Contents, Units
+from pipeline.calibration.contents import CameraFile, Units
 from pipeline.calibration.registry import read_contents
 from pipeline.data import Camera
 from pipeline.errors import InputError
@@ -35,7 +35,7 @@ def fisheye(name: str, turn: float, distortion: tuple[float, ...] = (0.035, -0.0
 RIG = (camera("left", 0.3), camera("right", -0.8))
 
 
-def assert_rig(contents: Contents, rig: tuple[Camera, ...] = RIG, num_digits: int = 5) -> None:
+def assert_rig(contents: CameraFile, rig: tuple[Camera, ...] = RIG, num_digits: int = 5) -> None:
     """Compare names, sizes and projections of points in metres."""
     assert [found.name for found in contents.cameras] == [expected.name for expected in rig]
     for found, expected in zip(contents.cameras, rig, strict=True):

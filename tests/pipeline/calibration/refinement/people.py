@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.adjustment.parameters import move_camera
-from pipeline.calibration.refinement.sightings import Sightings
+from pipeline.calibration.refinement.sightings import JointSightings
 from pipeline.data import Camera
 from pipeline.geometry.camera import project
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
@@ -44,11 +44,11 @@ def see(
     points_m: Float[np.ndarray, "p 3"],
     noise_px: float = 2.5,
     seed: int = 0,
-) -> Sightings:
+) -> JointSightings:
     """Sightings of points by exact cameras: noise, and every twentieth view far off."""
     rng = np.random.default_rng(seed)
     points_px = np.stack([project(camera, points_m) for camera in cameras], axis=1)
     points_px += rng.normal(0.0, noise_px, points_px.shape)
     is_wrong = rng.random(points_px.shape[:2]) < 0.05
     points_px += np.where(is_wrong[..., None], rng.normal(0.0, 40.0, points_px.shape), 0.0)
-    return Sightings(time_s, points_px)
+    return JointSightings(time_s, points_px)

@@ -6,20 +6,20 @@ import pytest
 from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.refinement.bumps import find_steps
 from pipeline.calibration.refinement.refine import refine
-from pipeline.calibration.refinement.sightings import Sightings
+from pipeline.calibration.refinement.sightings import JointSightings
 from tests.pipeline.calibration.refinement.people import disturb, ring, see, walk
 
 CAMERAS = ring(4)
 STEP = np.array([0.0, np.radians(1.5), 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def bumped(camera: int, bump_s: float, num_cameras: int = 4) -> Sightings:
+def bumped(camera: int, bump_s: float, num_cameras: int = 4) -> JointSightings:
     time_s, points_m = walk(20.0)
     before = CAMERAS[:num_cameras]
     after = tuple(move_camera(one, STEP) if k == camera else one for k, one in enumerate(before))
     early, late = see(before, time_s, points_m), see(after, time_s, points_m)
     is_late = (time_s >= bump_s)[:, None, None]
-    return Sightings(time_s, np.where(is_late, late.points_px, early.points_px))
+    return JointSightings(time_s, np.where(is_late, late.points_px, early.points_px))
 
 
 @pytest.mark.parametrize(("camera", "bump_s"), [(2, 14.0), pytest.param(0, 6.0, marks=pytest.mark.slow)])
