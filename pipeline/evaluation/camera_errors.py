@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.calibration.adjustment.parameters import move_camera
-from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
+from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.data import Camera
 from pipeline.simulation.scenes import Simulation
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.calibration.people.calibrate import calibrate_people
-from pipeline.calibration.refinement.gauge import align_world
+from pipeline.calibration.similarity import align_world
 from pipeline.data import Camera, Detections, FrameTimes, read_only
 from pipeline.evaluation.camera_errors import camera_errors
 from pipeline.geometry.rigid import Rigid3

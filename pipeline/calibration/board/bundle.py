@@ -209,8 +209,3 @@ def _observations(boards: Sequence[Sequence[PlacedBoard]], board: Board) -> Poin
     return PointObservations(
         np.concatenate(camera), np.concatenate(block), np.concatenate(model_m), np.concatenate(points_px)
     )
-
-
-def with_pose(camera: Camera, cam_from_world: Rigid3) -> Camera:
-    """Camera at another pose."""
-    return replace(camera, cam_from_world=cam_from_world)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +15,6 @@ from pipeline.calibration.board.bundle import (
     alike_numbered,
     place_board,
     refine_boards,
-    with_pose,
 )
 from pipeline.calibration.board.checks import (
     floor_warnings,
@@ -25,13 +25,14 @@ from pipeline.calibration.board.checks import (
 )
 from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
 from pipeline.calibration.board.poses import possible_poses
-from pipeline.calibration.board.rig import BoardRig, all_pairs, match_times, relate_by_board, spanning_tree
+from pipeline.calibration.board.rig import BoardRig, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views, coverage_svg
 from pipeline.calibration.board.world import BoardWorld, Places, chosen_instants, find_board_world, find_places
 from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.report import CalibrationResult, report_camera
+from pipeline.calibration.similarity import move_world
 from pipeline.calibration_choices import KnownPoint
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
@@ -102,11 +103,12 @@ def calibrate_board(
         match_times([camera_views.time_s for camera_views in views], 0.5 / frame_rate_hz if frame_rate_hz else 0.0),
     )
     on_share(0.5)
-    pairs = [pair for k, m in all_pairs(len(views)) if (pair := relate_by_board(k, m, rig.shared(k, m))) is not None]
+    related = (relate_by_board(k, m, rig.shared(k, m)) for k, m in combinations(range(len(views)), 2))
+    pairs = [pair for pair in related if pair is not None]
     usable = require_linked_by_board(rig, pairs, frame_rate_hz)
     root_poses = spanning_tree(len(views), usable)
     root = next(number for number, pose in root_poses.items() if not pose.translation_m.any())
-    posed = {number: with_pose(cameras[number], pose) for number, pose in root_poses.items()}
+    posed = {number: replace(cameras[number], cam_from_world=pose) for number, pose in root_poses.items()}
     on_share(0.6)
     placed = _place_all(rig, posed, board, _chosen_instants(rig, board))
     coefficients = None if given is not None else [lens.model.free for lens in intrinsics if lens is not None]
@@ -130,8 +132,7 @@ def calibrate_board(
         fitted.root_from_boards[-len(on_floor) :], fitted.last_covariance(len(on_floor)), board.corners_m.mean(0)
     )
     begins_s = [float(times_s[stretch.start]) for stretch in places.stretches]
-    root_from_world = world.world_from_root.inverse()
-    cameras = tuple(with_pose(camera, camera.cam_from_world @ root_from_world) for camera in fitted.adjustment.cameras)
+    cameras = move_world(fitted.adjustment.cameras, world.world_from_root)
     doubts = (*doubts, *floor_warnings(places, begins_s[0], board))
     return _made(views, fitted, cameras, _world_sentence(world, begins_s, board), doubts)
 
@@ -148,7 +149,7 @@ def _unposed(given: Mapping[str, Camera] | None, name: str) -> Camera:
     """Given camera at the identity."""
     if given is None:
         raise ValueError("there are no given intrinsics")
-    return with_pose(given[name], Rigid3(np.eye(3), np.zeros(3)))
+    return replace(given[name], cam_from_world=Rigid3(np.eye(3), np.zeros(3)))
 
 
 def _intrinsics_only(

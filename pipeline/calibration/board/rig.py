@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -157,11 +156,6 @@ def spanning_tree(num_cameras: int, pairs: Sequence[BoardPair]) -> Mapping[int, 
             poses[edge.second] = edge.second_from_first @ poses[edge.first]
         else:
             poses[edge.first] = edge.second_from_first.inverse() @ poses[edge.second]
-
-
-def all_pairs(num_cameras: int) -> list[tuple[int, int]]:
-    """Pairs of camera numbers."""
-    return list(combinations(range(num_cameras), 2))
 
 
 def match_times(times_s: Sequence[Float[np.ndarray, " _"]], tolerance_s: float) -> Int[np.ndarray, "instants cameras"]:

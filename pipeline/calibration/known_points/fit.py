@@ -1,8 +1,7 @@
 """A rig placed in the world by known points: Umeyama's alignment, then the least reprojection error."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -10,11 +9,11 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.known_points.checks import MIN_POINTS, point_problems
+from pipeline.calibration.similarity import Similarity, umeyama
 from pipeline.calibration_choices import KnownPoint
-from pipeline.data import Camera, read_only
+from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world, project, projection_matrices
-from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views
 
@@ -31,25 +30,6 @@ _BETTER = 4.0
 # Scale of the Cauchy loss of a marked point, and the residual of a point behind a camera.
 _MARK_PX, _BEHIND_PX = 2.0, 1e4
 _FEW = 4
-
-
-class Similarity(NamedTuple):
-    """Transform ``scale * rotation @ x + translation_m``; a mirrored one has a rotation of determinant -1."""
-
-    scale: float
-    rotation: Float[np.ndarray, "3 3"]
-    translation_m: Float[np.ndarray, " 3"]
-
-    def apply(self, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-        """Transform points."""
-        moved: np.ndarray = self.scale * points_m @ self.rotation.T + self.translation_m
-        return moved
-
-    def moved(self, camera: Camera) -> Camera:
-        """Camera in the world."""
-        rotation = camera.cam_from_world.rotation @ self.rotation.T
-        center_m = self.apply(center_in_world(camera))
-        return replace(camera, cam_from_world=Rigid3(read_only(rotation), read_only(-rotation @ center_m)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,30 +52,6 @@ class PlacedRig:
     scale: float
     world: str
     warnings: tuple[Problem, ...]
-
-
-def umeyama(
-    points_m: Float[np.ndarray, "points 3"],
-    goal_m: Float[np.ndarray, "points 3"],
-    has_scale: bool,
-    is_mirrored: bool = False,
-) -> Similarity:
-    """Find the similarity with the least squares from points to their goals (Umeyama 1991, eq. 39 to 42).
-
-    Parameters
-    ----------
-    has_scale
-        Whether the scale is found too; else it is 1.
-    is_mirrored
-        Whether the best mirrored transform is looked for instead.
-    """
-    centre_m, goal_centre_m = points_m.mean(0), goal_m.mean(0)
-    from_m, to_m = points_m - centre_m, goal_m - goal_centre_m
-    left, values, right = np.linalg.svd(to_m.T @ from_m)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right)) * (-1.0 if is_mirrored else 1.0)])
-    rotation = left @ np.diag(signs) @ right
-    scale = float((values * signs).sum() / (from_m**2).sum()) if has_scale else 1.0
-    return Similarity(scale, rotation, goal_centre_m - scale * rotation @ centre_m)
 
 
 def place_by_points(cameras: Sequence[Camera], points: Sequence[KnownPoint], keeps_scale: bool) -> PlacedRig:

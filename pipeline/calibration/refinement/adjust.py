@@ -1,17 +1,16 @@
 """Adjustment of a calibration to sightings of people."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
-from pipeline.calibration.adjustment.adjust import adjust, sigma_in_held_world
+from pipeline.calibration.adjustment.adjust import Adjustment, adjust, sigma_in_held_world
 from pipeline.calibration.adjustment.parameters import (
     FOCAL,
     POSITION,
     ROTATION,
     Free,
-    Parameters,
     move_camera,
     no_prior,
     offsets,
@@ -29,25 +28,9 @@ PRIOR_SIGMA = ((ROTATION, np.radians(5.0)), (POSITION, 0.3), (FOCAL, 0.1))
 _MAX_STEPS, _SMALL_STEP = 15, 2e-4
 
 
-class AdjustedCameras(NamedTuple):
-    """Cameras that fit sightings.
-
-    Parameters
-    ----------
-    cameras
-        Cameras after the adjustment.
-    sigma
-        Standard deviations of the parameters with the world's position, orientation and scale fixed; that of
-        ``PRIOR_SIGMA`` where the sightings say nothing, 0 where a parameter was not free.
-    """
-
-    cameras: tuple[Camera, ...]
-    sigma: Parameters
-
-
 def adjust_to_sightings(
     given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings, free: Free
-) -> AdjustedCameras:
+) -> Adjustment:
     """Adjust cameras to sightings.
 
     Parameters
@@ -58,6 +41,11 @@ def adjust_to_sightings(
         Cameras with which the search begins; parameters that may not change are those of ``given``.
     free
         Parameters that may change: of rotations, positions and focal lengths.
+
+    Returns
+    -------
+        Standard deviations are those with the world's position, orientation and scale held; those of ``PRIOR_SIGMA``
+        where the sightings say nothing.
     """
     steps = offsets(given, start) * free
     start = tuple(move_camera(camera, step) for camera, step in zip(given, steps, strict=True))
@@ -72,4 +60,4 @@ def adjust_to_sightings(
     problem = AdjustmentProblem(tuple(given), free, prior_sigma, observations_of_points(points_px[is_known]))
     points, small_step = FreePoints(read_only(xyz_m[is_known])), _SMALL_STEP * prior_sigma
     adjusted = adjust(problem, points, start, max_steps=_MAX_STEPS, small_step=small_step)
-    return AdjustedCameras(adjusted.cameras, sigma_in_held_world(problem, adjusted))
+    return replace(adjusted, sigma=sigma_in_held_world(problem, adjusted))

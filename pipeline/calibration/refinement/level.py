@@ -6,7 +6,7 @@ upright on a ramp, too.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -93,12 +93,6 @@ def find_level(cameras: Sequence[Camera], poses: Sequence[Poses3D], joints: Join
     place_m = rotation.T @ np.array([x_m, y_m, height_m])
     shift_m = np.array([place_m[0], place_m[1], 0.0]) - rotation @ place_m
     return Level(_rigid(rotation, shift_m), tilt_deg, float(place_m[2]))
-
-
-def level_cameras(cameras: Sequence[Camera], level: Level) -> tuple[Camera, ...]:
-    """Move cameras with the world."""
-    given_from_level = level.level_from_given.inverse()
-    return tuple(replace(camera, cam_from_world=camera.cam_from_world @ given_from_level) for camera in cameras)
 
 
 def _rigid(rotation: Float[np.ndarray, "3 3"], shift_m: Float[np.ndarray, " 3"]) -> Rigid3:

@@ -18,8 +18,8 @@ from pipeline.calibration.adjustment.parameters import (
 )
 from pipeline.calibration.refinement.adjust import adjust_to_sightings
 from pipeline.calibration.refinement.bumps import Step, find_steps
-from pipeline.calibration.refinement.gauge import align_world
 from pipeline.calibration.refinement.sightings import JointSightings
+from pipeline.calibration.similarity import align_world
 from pipeline.data import Camera
 from pipeline.geometry.camera import project
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.calibration.refinement.bumps import Step
-from pipeline.calibration.refinement.gauge import shift_m, turn_deg
-from pipeline.calibration.refinement.level import Level, find_level, level_cameras
+from pipeline.calibration.refinement.level import Level, find_level
 from pipeline.calibration.refinement.refine import RefinedCameras, refine
 from pipeline.calibration.refinement.sightings import choose_sightings, sampled_frames, sampled_poses
+from pipeline.calibration.similarity import move_world, shift_m, turn_deg
 from pipeline.clustering.bone_lengths import unknown_lengths
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig
@@ -102,7 +102,7 @@ def _refine(session: Session, associate: _Associate, joints: JointSet, on_share:
         found = again if again.is_refined else found
     level = find_level(found.cameras, poses, joints)
     on_share(1.0)
-    cameras = found.cameras if level is None else level_cameras(found.cameras, level)
+    cameras = found.cameras if level is None else move_world(found.cameras, level.level_from_given)
     return cameras, _report(given, found, level)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration.refinement.gauge import shift_m, turn_deg
+from pipeline.calibration.similarity import shift_m, turn_deg
 from pipeline.data import Camera
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.geometry.rigid import Rigid3

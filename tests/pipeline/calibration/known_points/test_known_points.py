@@ -8,8 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.known_points.checks import point_problems
-from pipeline.calibration.known_points.fit import Similarity, place_by_points, umeyama
+from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.known_points.table import read_known_points
+from pipeline.calibration.similarity import Similarity
 from pipeline.calibration_choices import KnownPoint
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
@@ -70,26 +71,6 @@ def test_marks_of_a_pixel_place_cameras_to_a_centimetre() -> None:
     ]
     assert max(errors_m) < 0.02
     assert "5 known points" in placed.world
-
-
-def test_the_best_similarity_is_that_of_umeyama() -> None:
-    rng = np.random.default_rng(2)
-    points_m = rng.normal(size=(6, 3))
-    goal_m = MOVE._replace(scale=1.7).apply(points_m) + rng.normal(0.0, 0.05, (6, 3))
-    best = umeyama(points_m, goal_m, has_scale=True)
-    assert np.linalg.det(best.rotation) == pytest.approx(1.0)
-
-    def error(similarity: Similarity) -> float:
-        return float(((similarity.apply(points_m) - goal_m) ** 2).sum())
-
-    for _ in range(20):
-        turn = Rotation.from_rotvec(rng.normal(0.0, 0.01, 3)).as_matrix()
-        shift_m, factor = rng.normal(0.0, 0.01, 3), 1.0 + rng.normal(0.0, 0.01)
-        other = Similarity(best.scale * factor, turn @ best.rotation, best.translation_m + shift_m)
-        assert error(best) < error(other)
-    mirrored_m = points_m * [1.0, 1.0, -1.0]
-    mirrored = umeyama(mirrored_m, goal_m, has_scale=True, is_mirrored=True)
-    assert ((mirrored.apply(mirrored_m) - goal_m) ** 2).sum() == pytest.approx(error(best))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from pipeline.calibration.adjustment.parameters import (
     world_moves,
 )
 from pipeline.calibration.refinement.adjust import adjust_to_sightings
-from pipeline.calibration.refinement.gauge import align_world
+from pipeline.calibration.similarity import align_world
 from pipeline.geometry.camera import project
 from tests.pipeline.calibration.refinement.people import disturb, ring, see, walk
 

@@ -7,7 +7,8 @@ import pytest
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.refinement.level import Level, find_level, level_cameras
+from pipeline.calibration.refinement.level import Level, find_level
+from pipeline.calibration.similarity import move_world
 from pipeline.data import Camera, Poses3D
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
@@ -65,7 +66,7 @@ def test_cameras_move_with_the_world() -> None:
     level = found(TILTED, walkers())
     assert level is not None
     points_m = walkers(num=20)
-    levelled = level_cameras(in_world(TILTED), level)
+    levelled = move_world(in_world(TILTED), level.level_from_given)
     moved_m = (level.level_from_given @ TILTED).apply(points_m)
     for camera, true in zip(levelled, CAMERAS, strict=True):
         np.testing.assert_allclose(project(camera, moved_m), project(true, points_m), atol=1e-6)

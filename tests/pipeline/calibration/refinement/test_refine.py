@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.adjustment.parameters import FOCAL, move_camera
-from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
 from pipeline.calibration.refinement.refine import refine
+from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.data import Camera
 from tests.pipeline.calibration.refinement.people import disturb, ring, see, walk
 

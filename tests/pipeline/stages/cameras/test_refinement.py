@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.adjustment.parameters import move_camera
-from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
 from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Camera, CameraBump, CameraMove, PafFields, Refinement, WorldMove
