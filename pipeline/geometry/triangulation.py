@@ -39,7 +39,7 @@ def _by_joint(
 ) -> Float[np.ndarray, "*batch joints rows 4"]:
     """Stack the rows of all views for each joint; zeros for unused views."""
     stacked = np.where(used[..., None, None], rows, 0.0).swapaxes(-4, -3)
-    return stacked.reshape(*stacked.shape[:-3], -1, 4)
+    return stacked.reshape(*stacked.shape[:-3], stacked.shape[-3] * stacked.shape[-2], 4)
 
 
 def _solve(

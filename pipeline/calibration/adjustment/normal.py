@@ -108,7 +108,7 @@ class Normal:
         blocks[:, along, along] += _RIDGE * np.maximum(trace, np.median(trace) if len(trace) else 0.0)[:, None]
         if self.coupling is None:
             inverse = np.linalg.inv(blocks)
-            return lambda right: (inverse @ right.reshape(len(blocks), size, -1)).reshape(right.shape)
+            return lambda right: (inverse @ right.reshape(len(blocks), size, right.shape[1])).reshape(right.shape)
         numbers = np.arange(len(blocks) + 1)
         matrix = csc_array(bsr_array((blocks, numbers[:-1], numbers)) + self.coupling)
         factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
@@ -136,7 +136,8 @@ def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
         by_blocks = csr_array(
             (np.ones(len(rows)), (problem.observations.block[rows], np.arange(len(rows)))), (num_blocks, len(rows))
         )
-        sums = (by_blocks @ products.reshape(len(rows), size * products.shape[-1])).reshape(num_blocks, size, -1)
+        width = products.shape[-1]
+        sums = (by_blocks @ products.reshape(len(rows), size * width)).reshape(num_blocks, size, width)
         mixed[:, :, own] = sums[:, :, : A.shape[-1]]
         blocks += sums[:, :, A.shape[-1] : -1]
         blocks_right += sums[:, :, -1]

@@ -6,6 +6,7 @@ from hypothesis.extra.numpy import arrays
 
 from pipeline.data import Camera
 from pipeline.geometry.camera import image_from_world, project
+from pipeline.geometry.tracks import triangulate_instants
 from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust
 from tests.pipeline.conftest import ring_camera
 
@@ -24,6 +25,18 @@ def test_triangulation_inverts_projection(points_m: np.ndarray) -> None:
     points_px = seen(points_m)
     np.testing.assert_allclose(triangulate(PROJECTIONS, points_px, np.ones((4, 7))), points_m, atol=1e-8)
     np.testing.assert_allclose(triangulate_robust(PROJECTIONS, points_px, np.ones((4, 7))), points_m, atol=1e-8)
+
+
+def test_instants_are_triangulated_from_distorted_pixels() -> None:
+    points_m = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 3, 3))
+    points_px = np.stack([project(camera, points_m) for camera in RING], axis=1)
+    points_px[1, 0, 2] += 300.0  # a wrong view does not pull the point
+    points_px[2, 1:, 0] = np.nan
+    found_m = triangulate_instants(RING, points_px)
+    assert np.isnan(found_m[2, 0]).all()
+    found_m[2, 0] = points_m[2, 0]
+    np.testing.assert_allclose(found_m, points_m, atol=1e-2)
+    assert triangulate_instants(RING, points_px[:0]).shape == (0, 3, 3)
 
 
 def test_rows_measure_metres_to_a_plane_through_the_ray() -> None:

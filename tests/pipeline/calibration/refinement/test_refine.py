@@ -83,3 +83,13 @@ def test_too_few_people_change_nothing() -> None:
     assert np.isnan(found.error_before_px)
     nobody = sightings.subset(np.zeros(len(sightings), bool))
     assert refine(given, given, replace(nobody)).num_points == 0
+
+
+@pytest.mark.parametrize("num_instants", [1, 2])
+def test_a_take_of_few_instants_is_not_refined(num_instants: int) -> None:
+    """No part of the take is left that could tell whether cameras are better."""
+    sightings = see(CAMERAS, *walk(0.2 * num_instants, num_people=8))
+    assert len(sightings) >= 60
+    refined = refine(CAMERAS, CAMERAS, sightings)
+    assert not refined.is_refined
+    assert refined.cameras == CAMERAS
