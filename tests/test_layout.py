@@ -1,4 +1,4 @@
-"""Laws of the layout: small folders, stages named in one place, a web API without science."""
+"""Laws of the layout: stages named in one place, a web API without science."""
 
 import ast
 import os
@@ -11,7 +11,6 @@ from pipeline.stages.plan import EXPORT, FIT, POSES, STAGES
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("api", "multicap", "pipeline", "worker")
-MAX_MODULES = 12
 # These words have other meanings too: a smoothing, result files, and a field of keypoint files.
 NAMES = {stage.name for stage in STAGES} - {FIT, EXPORT, POSES}
 
@@ -39,16 +38,6 @@ def test_no_stage_is_spelled_in_the_page() -> None:
         assert not {label for label in labels if label in text}
         assert not set(re.findall(r"[\"'](\w+)[\"']|\b(\w+):", text)) & {(name, "") for name in NAMES}
         assert not {key for _, key in re.findall(r"[\"'](\w+)[\"']|\b(\w+):", text)} & NAMES
-
-
-def test_folders_are_small() -> None:
-    folders = {path.parent for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
-    sizes = {
-        folder.relative_to(ROOT).as_posix(): sum(path.name != "__init__.py" for path in folder.glob("*.py"))
-        for folder in folders
-        if folder.name != "versions"  # of the schema, one for each change
-    }
-    assert {folder: size for folder, size in sizes.items() if size > MAX_MODULES} == {}
 
 
 def test_the_web_api_loads_no_science() -> None:
