@@ -10,6 +10,7 @@ import structlog
 from opentelemetry import trace
 from opentelemetry.trace import StatusCode
 
+from pipeline.runtime.pauses import Pauses
 from pipeline.stages.code import stage_codes
 from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.plan import STAGE_BY_NAME, followers
@@ -19,7 +20,6 @@ from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key
 from worker.jobs.files.interim import read_interim, write_interim
 from worker.jobs.model import Claim, KeptPiece, MadeCalibration, Result
 from worker.jobs.outages import Outage, outage_of
-from worker.jobs.pauses import Pauses
 from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.problems import problem_of, waiting_for

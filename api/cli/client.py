@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, Literal, Self, TypedDict, cast
 import httpx2
 
 from pipeline.errors import PipelineError
-from worker.jobs.pauses import Pauses
+from pipeline.runtime.pauses import Pauses
 
 Json = Mapping[str, Any]
 
