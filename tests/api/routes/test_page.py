@@ -129,7 +129,8 @@ def test_the_form_has_a_field_for_every_choice(live: Live) -> None:
         page.get_by_text("More options", exact=True).click()
         fields = page.locator("[name^='send-']")
         names = {name.removeprefix("send-") for name in fields.evaluate_all("all => all.map(one => one.name)")}
-        assert names == {*choices, "more-people"}
+        # The clocks are measured where the start of the videos stands: tests/e2e/test_words.py
+        assert names == {*choices, "more-people"} - {"sync"}
         group = page.locator("[data-group]").filter(has=page.get_by_role("group", name=choices["bvh"]["label"]))
         assert group.get_attribute("data-group") == choices["bvh"]["group"] == "purpose"
         assert page.get_by_label(choices["smoothing"]["label"]).input_value() == "fit"
@@ -196,4 +197,4 @@ def test_the_page_is_small(live: Live) -> None:
     assert sum(sizes.values()) <= 1_000_000
     # The views before the viewer, which is loaded when it is opened.
     first = [name for name in sizes if not name.startswith(("vendor/three", "vendor/uPlot", "viewer/"))]
-    assert sum(sizes[name] for name in first) <= 100_000
+    assert sum(sizes[name] for name in first) <= 120_000
