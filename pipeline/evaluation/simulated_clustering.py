@@ -8,7 +8,7 @@ cluster gives one joint and ``leniency`` is 1, as in the paper. Further variants
 
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -20,14 +20,13 @@ from pipeline.clustering.associate import reconstruct_evidence
 from pipeline.clustering.instant.candidates import FieldEvidence
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
-from pipeline.data import Observations, Timebase, Track3D
-from pipeline.detect.field_files import FieldFiles
+from pipeline.data import Observations, PafFields, Timebase, Track3D
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.joints import COCO_18
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.simulation.scenes import Simulation
 from pipeline.simulation.views.fields import GRID, render
-from pipeline.stages.outputs_npz import encode_fields
+from pipeline.stages.codec import decode, save
 from pipeline.stages.plan import FrameCut
 from pipeline.video.timeline import span_s
 
@@ -43,6 +42,32 @@ _VARIANTS: Mapping[str, Mapping[str, Any]] = {
 }
 
 
+class FieldFiles:
+    """Files of the fields of all cameras, so that memory does not grow with the session: one a camera and range.
+
+    Parameters
+    ----------
+    folder
+        Empty folder for the files.
+    cameras
+        Names of the cameras.
+    """
+
+    def __init__(self, folder: Path, cameras: Sequence[str]) -> None:
+        self._folder, self._cameras = folder, tuple(cameras)
+
+    def write(self, camera: str, frames: range, fields: PafFields) -> None:
+        """Write the fields of a camera in a range of output frames."""
+        save(fields, self._path(camera, frames))
+
+    def read(self, frames: range) -> dict[str, PafFields]:
+        """Read the fields of all cameras for a range, by camera name."""
+        return {camera: decode(PafFields, self._path(camera, frames)) for camera in self._cameras}
+
+    def _path(self, camera: str, frames: range) -> Path:
+        return self._folder / f"{self._cameras.index(camera)}-{frames.start}.npz"
+
+
 @contextmanager
 def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
     """Draw the fields of all cameras to files in a temporary folder."""
@@ -51,7 +76,7 @@ def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
         for frames in _ranges(simulation.timebase):
             span = span_s(simulation.timebase, frames.start, frames.stop)
             for camera, fields in render(simulation.sketches, simulation.times, span).items():
-                files.write(camera, frames, encode_fields(fields))
+                files.write(camera, frames, fields)
         yield files
 
 

@@ -9,7 +9,7 @@ and fields (``PafFields``), at least those of the range.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import overload
+from typing import NamedTuple, overload
 
 import numpy as np
 from jaxtyping import UInt8
@@ -23,7 +23,7 @@ from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parameters import derive_parameters as derive_clustering
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig, networks_of
-from pipeline.data import Detections, PafFields, People, Poses3D
+from pipeline.data import DamagedVideo, Detections, PafFields, People, Poses3D
 from pipeline.detect.chunk import bodies_in
 from pipeline.detect.entries import entry_of
 from pipeline.errors import InputError, Problem
@@ -43,6 +43,13 @@ DetectionsByCamera = Mapping[str, Detections] | Mapping[str, PafFields]
 """Bodies, or peaks and fields, by name of the camera."""
 
 _DEFAULTS = ReconstructionConfig()
+
+
+class MeasuredBones(NamedTuple):
+    """Everybody's bone lengths, and the damaged videos among those that they were measured in."""
+
+    lengths: LimbLengths
+    damaged: tuple[DamagedVideo, ...]
 
 
 @overload

@@ -21,7 +21,7 @@ from pipeline.data import (
     read_only,
 )
 from pipeline.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
-from pipeline.stages.stored import StoredSequence
+from pipeline.stages.people import StoredSequence
 from pipeline.video.timeline import cut_timebase
 
 

@@ -1,7 +1,7 @@
 """Inputs of tasks: access to the session and to outputs, the session on measured clocks, and its detections."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,21 +9,17 @@ from pathlib import Path
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
-from pipeline.data import Camera, DamagedVideo, Detections, Refinement, Synchronization
+from pipeline.data import DamagedVideo, Detections, PafFields, Synchronization
 from pipeline.detect.chunk import bodies_in, concatenate
 from pipeline.detect.damage import damaged_videos
 from pipeline.detect.entries import entry_of
 from pipeline.detect.profiles.detection import joints_of
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
+from pipeline.runtime.npz import decode_arrays
 from pipeline.stages.association import DetectionsByCamera, Session, restrict
+from pipeline.stages.cameras.refinement import RefinedCalibration
 from pipeline.stages.cameras.synchronization import largest_shift_s, on_measured_clocks
-from pipeline.stages.outputs_npz import (
-    decode_clocks,
-    decode_detections,
-    decode_fields,
-    decode_refinement,
-    with_colours,
-)
+from pipeline.stages.codec import decode
 from pipeline.stages.plan import DETECT, REFINE, SYNCHRONIZE, FrameCut, SessionFacts, Task
 from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import frames_in
@@ -127,9 +123,9 @@ def detection_joints(config: ReconstructionConfig) -> JointSet:
 def wanted_inputs(context: Context, session: Session) -> tuple[Session, JointSet]:
     """Wanted session on measured clocks, with refined cameras, and the joints of its detections."""
     wanted, joints = on_clocks(context, session)
-    if (refined := refined_cameras(context, wanted.cameras)) is None:
+    if (refined := refined_calibration(context)) is None:
         return wanted, joints
-    return replace(wanted, cameras=refined[0]), joints
+    return replace(wanted, cameras=refined.cameras), joints
 
 
 def on_clocks(context: Context, session: Session) -> tuple[Session, JointSet]:
@@ -140,14 +136,12 @@ def on_clocks(context: Context, session: Session) -> tuple[Session, JointSet]:
 
 def measured_clocks(context: Context) -> Synchronization | None:
     """Measured clocks; ``None`` if the times are as declared."""
-    return None if context.config.sync == "declared" else decode_clocks(*context.outputs(SYNCHRONIZE))
+    return None if context.config.sync == "declared" else decode(Synchronization, *context.outputs(SYNCHRONIZE))
 
 
-def refined_cameras(context: Context, cameras: Sequence[Camera]) -> tuple[tuple[Camera, ...], Refinement] | None:
+def refined_calibration(context: Context) -> RefinedCalibration | None:
     """Refined cameras and the report; ``None`` if the calibration stays as it is given."""
-    if context.config.refine_calibration == "off":
-        return None
-    return decode_refinement(cameras, *context.outputs(REFINE))
+    return None if context.config.refine_calibration == "off" else decode(RefinedCalibration, *context.outputs(REFINE))
 
 
 def from_first(frames: range, first: int) -> range:
@@ -176,6 +170,11 @@ def all_bodies(
     return {name: bodies_in(of, frames_in(session.times[name], *ends_s)) for name, of in found.items()}
 
 
+def detected_bodies(context: Context) -> Iterator[Detections]:
+    """Bodies of the tasks of detection, without their colours."""
+    return (decode(Detections, content) for content in context.outputs(DETECT))
+
+
 def detected_in(
     task: Task, context: Context, session: Session, joints: JointSet, number: int, frames: range
 ) -> DetectionsByCamera:
@@ -194,8 +193,8 @@ def detected_in(
         numbers = _ranges_near(task, context, session, frames)
     outputs = context.outputs(DETECT, slice(numbers.start * num_cameras, numbers.stop * num_cameras))
     if context.config.uses_fields:
-        return {fields.camera: fields for fields in map(decode_fields, outputs)}
-    return all_bodies(context, session, joints, map(decode_detections, outputs))
+        return {fields.camera: fields for fields in (decode(PafFields, content) for content in outputs)}
+    return all_bodies(context, session, joints, (decode(Detections, content) for content in outputs))
 
 
 def _ranges_near(task: Task, context: Context, session: Session, frames: range) -> range:
@@ -215,7 +214,7 @@ def gathered_bodies(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]
     detections = (
         session.detections
         if isinstance(session, KeypointSession)
-        else all_bodies(context, session, joints, _coloured(context, map(decode_detections, context.outputs(DETECT))))
+        else all_bodies(context, session, joints, _coloured(context, detected_bodies(context)))
     )
     damaged = damaged_videos(
         session,
@@ -229,7 +228,8 @@ def _coloured(context: Context, chunks: Iterable[Detections]) -> Iterable[Detect
     """Detections with their colours, if colours are measured."""
     if not context.config.uses_colours:
         return chunks
-    return (with_colours(chunk, colours) for chunk, colours in zip(chunks, context.interim(DETECT), strict=True))
+    colours = map(decode_arrays, context.interim(DETECT))
+    return (replace(chunk, colour=arrays["colour"]) for chunk, arrays in zip(chunks, colours, strict=True))
 
 
 def archive_of_people(context: Context, stage: str, name: str = PEOPLE) -> Path:

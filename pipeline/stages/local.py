@@ -24,10 +24,9 @@ from pipeline.runtime.packages.storage import sha256_of
 from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
 from pipeline.stages.code import sources_sha256, stage_codes
-from pipeline.stages.inputs import Context, Origin, detection_joints
+from pipeline.stages.inputs import Context, Origin, detected_bodies, detection_joints
 from pipeline.stages.output import ResultFile
 from pipeline.stages.output_folder import OutputFolder, output_folder
-from pipeline.stages.outputs_npz import decode_detections
 from pipeline.stages.plan import (
     DETECT,
     EXPORT,
@@ -172,7 +171,7 @@ def detect_people(
     with _planned(session, config, session_facts(session), {LOOK, DETECT}, None) as job:
         for stage in job.stages:
             _run_stage(job, stage, on_progress)
-        chunks = map(decode_detections, _TaskContext(job).outputs(DETECT))
+        chunks = detected_bodies(_TaskContext(job))
         names = [camera.name for camera in session.cameras]
         return concatenate(chunks, names, len(detection_joints(config).names))
 

@@ -15,14 +15,14 @@ import numpy as np
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.source import frames_to_look_at, look_in_video, photographs_to_look_at
 from pipeline.calibration.board.spec import parse_board
-from pipeline.calibration.board.views import decode_views, encode_views
+from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration.report import CalibrationResult, report_document
 from pipeline.calibration.write import encodings
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import FILE_FORMATS, detected_joints, networks_of
-from pipeline.data import Animation, PictureChanges
+from pipeline.data import Animation, Detections, PictureChanges, Poses3D, no_colours
 from pipeline.detect.chunk import detect_chunk, detect_fields_chunk, measure_colours
 from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.profiles.detection import load_detector, open_detection
@@ -36,9 +36,11 @@ from pipeline.joints import without_hands
 from pipeline.progress import OnShare, in_units
 from pipeline.quality.report import all_checks
 from pipeline.quality.views import views_of
+from pipeline.runtime.npz import encode_arrays
 from pipeline.skeleton.animate import animate
 from pipeline.stages.association import (
     DetectionsByCamera,
+    MeasuredBones,
     assign_identities,
     attach,
     link,
@@ -46,15 +48,17 @@ from pipeline.stages.association import (
     measure_bones,
     track,
 )
-from pipeline.stages.cameras.checking import check_bodies, check_session, encode_check, with_clocks
+from pipeline.stages.cameras.checking import check_bodies, check_session, with_clocks
 from pipeline.stages.cameras.refinement import refine_from_bodies, refine_from_fields
 from pipeline.stages.cameras.synchronization import listen, measure_clocks, on_measured_clocks
+from pipeline.stages.codec import decode, encode
 from pipeline.stages.editing import changed_people, edited_take
 from pipeline.stages.inputs import (
     PEOPLE,
     Context,
     all_bodies,
     archive_of_people,
+    detected_bodies,
     detected_in,
     detection_joints,
     from_first,
@@ -66,28 +70,9 @@ from pipeline.stages.inputs import (
     wanted_inputs,
 )
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.outputs_npz import (
-    decode_damaged_videos,
-    decode_detections,
-    decode_lengths,
-    decode_poses,
-    decode_sizes,
-    encode_animation,
-    encode_clocks,
-    encode_colours,
-    encode_detections,
-    encode_fields,
-    encode_lengths,
-    encode_poses,
-    encode_refinement,
-    encode_sizes,
-    open_people,
-    stored_spans,
-    write_people,
-)
+from pipeline.stages.people import StoredPeople, write_people
 from pipeline.stages.plan import (
     ASSOCIATE,
-    DETECT,
     FIND_BOARD,
     IDENTIFY,
     LENGTHS,
@@ -147,7 +132,7 @@ def look(task: Task, context: Context) -> Output:
     rule = RULES[context.config.profile]
     with context.video(task.camera):
         sizes = look_at_people(session, task.camera, detector, rule, LOOKED_AT_FRAMES, context.on_unit)
-    return Output(encode_sizes(sizes))
+    return Output(encode(sizes))
 
 
 def detect(task: Task, context: Context) -> Output:
@@ -163,16 +148,21 @@ def detect(task: Task, context: Context) -> Output:
     with context.video(task.camera):
         if found is not None:
             joints = detection_joints(config)
-            coloured = measure_colours(session, span, decode_detections(found), joints, context.on_unit)
-            return Output(found, interim=encode_colours(coloured))
+            coloured = measure_colours(session, span, decode(Detections, found), joints, context.on_unit)
+            return Output(found, interim=_colours(coloured))
         networks = networks_of(config)
         if config.uses_fields:
             fields = detect_fields_chunk(session, task.camera, span, load_detector(networks.body), context.on_unit)
-            return Output(encode_fields(fields))
+            return Output(encode(fields))
         detector = open_detection(networks, detected_joints(config), _sizes(context, task.camera))
         detections = detect_chunk(session, task.camera, span, detector, context.on_unit, config.uses_colours)
-        interim = encode_colours(detections) if config.uses_colours else None
-        return Output(encode_detections(detections), interim=interim)
+        interim = _colours(detections) if config.uses_colours else None
+        return Output(encode(replace(detections, colour=no_colours())), interim=interim)
+
+
+def _colours(detections: Detections) -> bytes:
+    """Colours of bodies, which are not kept with a session."""
+    return encode_arrays({"colour": detections.colour})
 
 
 def find_board(task: Task, context: Context) -> Output:
@@ -192,7 +182,7 @@ def find_board(task: Task, context: Context) -> Output:
     board = parse_board(making.board)
     with context.video(task.camera):
         views = look_in_video(session.videos[number], task.camera, own_s, frames, board, context.on_unit)
-    return Output(encode_views(views))
+    return Output(encode(views))
 
 
 def calibrate(task: Task, context: Context) -> Output:
@@ -206,7 +196,7 @@ def calibrate(task: Task, context: Context) -> Output:
         detections = (
             session.detections
             if isinstance(session, KeypointSession)
-            else all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
+            else all_bodies(context, session, joints, detected_bodies(context))
         )
         made = calibrate_people(
             session.cameras,
@@ -221,7 +211,7 @@ def calibrate(task: Task, context: Context) -> Output:
         return _calibrated(made, context)
     outline = context.outline()
     given = {camera.name: camera for camera in outline.cameras} if making.has_intrinsics else None
-    views = [decode_views(content) for content in context.outputs(FIND_BOARD)]
+    views = [decode(BoardViews, content) for content in context.outputs(FIND_BOARD)]
     board, rate_hz = parse_board(making.board), outline.timebase.frame_rate_hz
     made = calibrate_board(views, board, given, rate_hz, on_share=on_share, known_points=making.known_points)
     return _calibrated(made, context)
@@ -252,10 +242,10 @@ def synchronize_cameras(task: Task, context: Context) -> Output:
     detections = (
         session.detections
         if isinstance(session, KeypointSession)
-        else all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
+        else all_bodies(context, session, joints, detected_bodies(context))
     )
     sound = SoundOffsets() if isinstance(session, KeypointSession) else listen(session, context.video)
-    return Output(encode_clocks(measure_clocks(session, detections, joints, sound, _on_share(task, context))))
+    return Output(encode(measure_clocks(session, detections, joints, sound, _on_share(task, context))))
 
 
 def make_proxy(task: Task, context: Context) -> Output:
@@ -282,9 +272,9 @@ def check_people_of_session(task: Task, context: Context) -> Output:
         has_bodies = isinstance(session, KeypointSession) or not context.config.uses_fields
         if clocks is None and has_bodies:
             check = with_clocks(check, session, joints, cut, detected)
-        return Output(encode_check(check))
-    detections = all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
-    return Output(encode_check(check_bodies(on_measured_clocks(session, clocks), detections, joints, cut.parts)))
+        return Output(encode(check))
+    detections = all_bodies(context, session, joints, detected_bodies(context))
+    return Output(encode(check_bodies(on_measured_clocks(session, clocks), detections, joints, cut.parts)))
 
 
 def refine_calibration(task: Task, context: Context) -> Output:
@@ -298,15 +288,15 @@ def refine_calibration(task: Task, context: Context) -> Output:
             for number, frames in enumerate(cut):
                 yield from_first(frames, task.frames.start), detected_in(task, context, session, joints, number, frames)
 
-        refined, refinement = refine_from_fields(session, chunks, joints, context.config, on_share)
+        refined = refine_from_fields(session, chunks, joints, context.config, on_share)
     else:
         detections = (
             session.detections
             if isinstance(session, KeypointSession)
-            else all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
+            else all_bodies(context, session, joints, detected_bodies(context))
         )
-        refined, refinement = refine_from_bodies(session, detections, joints, context.config, on_share)
-    return Output(encode_refinement(refined, refinement))
+        refined = refine_from_bodies(session, detections, joints, context.config, on_share)
+    return Output(encode(refined))
 
 
 def measure_lengths(task: Task, context: Context) -> Output:
@@ -324,18 +314,16 @@ def measure_lengths(task: Task, context: Context) -> Output:
             yield measured_frames(context, session, frames), detected
 
     lengths = measure_bones(session, ranges(), joints, context.config, context.on_unit)
-    return Output(encode_lengths(lengths, damaged_videos(session, damaged, changes)))
+    return Output(encode(MeasuredBones(lengths, damaged_videos(session, damaged, changes))))
 
 
 def find_poses(task: Task, context: Context) -> Output:
     """Find people in a range of output frames, each instant by itself."""
     session, joints = wanted_inputs(context, context.session())
     detected = detected_in(task, context, session, joints, task.index, task.frames)
-    lengths = decode_lengths(*context.outputs(LENGTHS))
+    lengths = decode(MeasuredBones, *context.outputs(LENGTHS)).lengths
     frames = measured_frames(context, session, task.frames)
-    return Output(
-        encode_poses(locate_people(session, frames, detected, lengths, joints, context.config, context.on_unit))
-    )
+    return Output(encode(locate_people(session, frames, detected, lengths, joints, context.config, context.on_unit)))
 
 
 def associate_people(task: Task, context: Context) -> Output:
@@ -343,9 +331,9 @@ def associate_people(task: Task, context: Context) -> Output:
     on_share = _on_share(task, context)
     if context.config.method == "clustering":
         session, joints = wanted_inputs(context, context.outline())
-        poses = map(decode_poses, context.outputs(POSES))
+        poses = (decode(Poses3D, content) for content in context.outputs(POSES))
         people = link(session, poses, without_hands(joints), context.config, on_share)
-        damaged = decode_damaged_videos(*context.outputs(LENGTHS))
+        damaged = decode(MeasuredBones, *context.outputs(LENGTHS)).damaged
     else:
         bodies, damaged = gathered_bodies(context)
         session, joints = wanted_inputs(context, context.outline())
@@ -363,11 +351,12 @@ def identify_people(task: Task, context: Context) -> Output:
     session, joints = wanted_inputs(context, context.outline())
     archive = archive_of_people(context, ASSOCIATE)
     colour = gathered_bodies(context)[0].colour if context.config.uses_colours and context.facts.has_videos else None
-    people = assign_identities(session, open_people(archive), without_hands(joints), context.config, colour)
+    tracked = StoredPeople(archive)
+    people = assign_identities(session, tracked.people, without_hands(joints), context.config, colour)
     del colour
     if has_hands(joints):
         people = attach(session, people, gathered_bodies(context)[0], joints, context.config)
-    write_people(archive, people, decode_damaged_videos(archive))
+    write_people(archive, people, tracked.damaged)
     del people
     _on_share(task, context)(1.0)
     return Output(archive.read_bytes())
@@ -375,17 +364,16 @@ def identify_people(task: Task, context: Context) -> Output:
 
 def fit_skeletons(task: Task, context: Context) -> Output:
     """Animate one skeleton a person."""
-    return Output(encode_animation(_animation(task, context)))
+    return Output(encode(_animation(task, context)))
 
 
 def edit_people(task: Task, context: Context) -> Output:
     """Put the people whom the edits change together, from those who were found."""
-    archive = archive_of_people(context, IDENTIFY)
-    found = stored_spans(archive)
+    found = StoredPeople(archive_of_people(context, IDENTIFY))
     session, _ = wanted_inputs(context, context.outline())
-    take = edited_take(found, context.config, session.timebase)
+    take = edited_take(found.spans, context.config, session.timebase)
     edited = context.scratch / EDITED
-    write_people(edited, changed_people(open_people(archive), found, take))
+    write_people(edited, changed_people(found.people, found.spans, take))
     _on_share(task, context)(1.0)
     return Output(edited.read_bytes())
 
@@ -449,7 +437,7 @@ def _sizes(context: Context, camera: str) -> CameraSizes | None:
     if not networks_of(context.config).is_sized:
         return None
     index = list(context.facts.camera_rates_hz).index(camera)
-    return decode_sizes(*context.outputs(LOOK, slice(index, index + 1)))
+    return decode(CameraSizes, *context.outputs(LOOK, slice(index, index + 1)))
 
 
 def _on_share(task: Task, context: Context) -> OnShare:
@@ -458,7 +446,7 @@ def _on_share(task: Task, context: Context) -> OnShare:
 
 def _animation(task: Task, context: Context) -> Animation:
     session, joints = wanted_inputs(context, context.outline())
-    people = open_people(archive_of_people(context, IDENTIFY))
+    people = StoredPeople(archive_of_people(context, IDENTIFY)).people
     # Windows of all observations are asked for again and again, a track but once.
     in_memory = tuple(people.observations)
     on_share = _on_share(task, context)

@@ -11,8 +11,9 @@ import pytest
 
 from pipeline.capture import preflight
 from pipeline.capture.preflight_record import Preflight
+from pipeline.data import Detections
 from pipeline.errors import InputError
-from pipeline.stages.outputs_npz import decode_detections
+from pipeline.stages.codec import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.playback.choices import ProxyChoices
 from pipeline.video.probe import probe
@@ -96,7 +97,7 @@ def flip(path: Path) -> None:
 
 def test_a_whole_video_is_worked_on(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
     outcome = execution.run_chunk(work(session, artifacts, tmp_path))
-    assert decode_detections(outcome.content).camera == "left"
+    assert decode(Detections, outcome.content).camera == "left"
 
 
 def test_a_video_that_is_damaged_between_chunks_is_noticed(

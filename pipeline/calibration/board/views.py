@@ -1,6 +1,5 @@
 """Views of a board: its corners in the pictures of a camera, as arrays, their choice, and their coverage."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import read_only
-from pipeline.runtime.npz import decode_arrays, encode_arrays
 
 # Views with edges wider than this multiple of the median are blurred by motion or out of focus.
 _MAX_BLUR = 1.5
@@ -68,35 +66,6 @@ class BoardViews:
             self.num_mirrored,
             self.num_exchanged,
         )
-
-
-def encode_views(views: BoardViews) -> bytes:
-    """Encode views as a NumPy archive without pickles; equal views give equal bytes."""
-    head = {
-        "camera": views.camera,
-        "size_px": views.size_px,
-        "num_pictures": views.num_pictures,
-        "num_mirrored": views.num_mirrored,
-        "num_exchanged": views.num_exchanged,
-    }
-    arrays = {"time_s": views.time_s, "corners_px": views.corners_px, "sharpness_px": views.sharpness_px}
-    return encode_arrays({"head": np.array(json.dumps(head)), **arrays})
-
-
-def decode_views(content: bytes) -> BoardViews:
-    """Decode views."""
-    arrays = decode_arrays(content)
-    head = json.loads(str(arrays["head"]))
-    return BoardViews(
-        head["camera"],
-        tuple(head["size_px"]),
-        read_only(arrays["time_s"]),
-        read_only(arrays["corners_px"]),
-        read_only(arrays["sharpness_px"]),
-        head["num_pictures"],
-        head["num_mirrored"],
-        head["num_exchanged"],
-    )
 
 
 def choose_views(views: BoardViews, most: int) -> Int[np.ndarray, " chosen"]:

@@ -1,6 +1,5 @@
 """The stage that checks a session by its people, from the detections at a few instants."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -16,7 +15,7 @@ from pipeline.detect.decoders.grouping import group
 from pipeline.detect.entries import entry_of
 from pipeline.detect.profiles.detection import BodyDetector, load_detector, load_own
 from pipeline.detect.profiles.instants import detect_at
-from pipeline.findings import Finding, SessionCheck, has_error
+from pipeline.findings import SessionCheck, has_error
 from pipeline.joints import JointSet
 from pipeline.preflight.people import check_people
 from pipeline.preflight.sightings import choose_instants, frames_at, sightings_of
@@ -152,20 +151,3 @@ def _image(fields: PafFields, row: int) -> ImageFields:
     return ImageFields(
         fields.peak_joint[peaks], fields.peak_px[peaks], fields.peak_score[peaks], fields.fields[row], fields.grid
     )
-
-
-def encode_check(check: SessionCheck) -> bytes:
-    """Write a check as JSON; equal checks give equal bytes."""
-    document = {
-        "findings": [finding.to_json() for finding in check.findings],
-        "people": dict(check.people),
-        "num_instants": check.num_instants,
-    }
-    return json.dumps(document).encode()
-
-
-def decode_check(content: bytes) -> SessionCheck:
-    """Read what ``encode_check`` wrote."""
-    document = json.loads(content)
-    findings = tuple(Finding.from_json(one) for one in document["findings"])
-    return SessionCheck(findings, document["people"], document["num_instants"])

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +26,13 @@ from pipeline.tracking.observations import gather
 _MOVED_DEG, _MOVED_M, _MOVED_FOCAL = 0.05, 0.005, 0.001
 
 _Associate = Callable[[Session, OnShare], Iterable[Poses3D]]
-RefinedCalibration = tuple[tuple[Camera, ...], Refinement]
-"""Cameras, refined or as given, and the report."""
+
+
+class RefinedCalibration(NamedTuple):
+    """Cameras, refined or as given, and the report."""
+
+    cameras: tuple[Camera, ...]
+    report: Refinement
 
 
 def refine_from_bodies(
@@ -103,7 +109,7 @@ def _refine(session: Session, associate: _Associate, joints: JointSet, on_share:
     level = find_level(found.cameras, poses, joints)
     on_share(1.0)
     cameras = found.cameras if level is None else move_world(found.cameras, level.level_from_given)
-    return cameras, _report(given, found, level)
+    return RefinedCalibration(cameras, _report(given, found, level))
 
 
 def _report(given: Sequence[Camera], found: RefinedCameras, level: Level | None) -> Refinement:

@@ -1,19 +1,20 @@
 """The reconstruction of a job from the outputs of its stages, edited if it was."""
 
-from pipeline.data import Reconstruction
+from pipeline.data import Animation, Reconstruction
 from pipeline.edits import PersonSpan
-from pipeline.stages.cameras.checking import decode_check
+from pipeline.findings import SessionCheck
+from pipeline.stages.codec import decode
 from pipeline.stages.editing import cut, edited_take, put_together, united
 from pipeline.stages.inputs import (
     Context,
     archive_of_people,
     measured_clocks,
     on_clocks,
-    refined_cameras,
+    refined_calibration,
     used_offsets,
     wanted_inputs,
 )
-from pipeline.stages.outputs_npz import decode_animation, decode_damaged_videos, open_people, stored_spans
+from pipeline.stages.people import StoredPeople
 from pipeline.stages.plan import CHECK, EDIT, FIT, IDENTIFY, REFIT
 
 EDITED = "edited.npz"
@@ -26,16 +27,15 @@ def assemble(context: Context) -> Reconstruction:
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
     session, joints = wanted_inputs(context, context.outline())
-    archive = archive_of_people(context, IDENTIFY)
-    people, animation = open_people(archive), decode_animation(*context.outputs(FIT))
+    found = StoredPeople(archive_of_people(context, IDENTIFY))
+    people, animation = found.people, decode(Animation, *context.outputs(FIT))
     take = None
     if context.config.edits:
-        found = stored_spans(archive)
-        take = edited_take(found, context.config, session.timebase)
-        changed = open_people(archive_of_people(context, EDIT, EDITED))
-        refitted = united([decode_animation(content) for content in context.outputs(REFIT)])
-        people, animation = put_together(people, animation, found, changed, refitted, take)
-    refined = refined_cameras(context, session.cameras)
+        take = edited_take(found.spans, context.config, session.timebase)
+        changed = StoredPeople(archive_of_people(context, EDIT, EDITED)).people
+        refitted = united([decode(Animation, content) for content in context.outputs(REFIT)])
+        people, animation = put_together(people, animation, found.spans, changed, refitted, take)
+    refined = refined_calibration(context)
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,
@@ -45,12 +45,12 @@ def assemble(context: Context) -> Reconstruction:
         animation=animation,
         warnings=session.warnings,
         num_approximate_frames=people.num_approximate_frames,
-        damaged=decode_damaged_videos(archive),
+        damaged=found.damaged,
         doubts=people.doubts,
         offsets=used_offsets(session, context.config),
-        refinement=None if refined is None else refined[1],
+        refinement=None if refined is None else refined.report,
         synchronization=measured_clocks(context),
-        check=decode_check(*context.outputs(CHECK)),
+        check=decode(SessionCheck, *context.outputs(CHECK)),
     )
     return reconstruction if take is None or take.frames is None else cut(reconstruction, take.frames)
 
@@ -63,4 +63,4 @@ def kept_frames(context: Context) -> range | None:
 
 def spans_found(context: Context) -> tuple[PersonSpan, ...]:
     """Frames of the people who were found, before any edit."""
-    return stored_spans(archive_of_people(context, IDENTIFY, "found.npz"))
+    return StoredPeople(archive_of_people(context, IDENTIFY, "found.npz")).spans

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
-from pipeline.data import Animation
+from pipeline.data import Animation, Floor
 from pipeline.progress import OnShare, split
 from pipeline.skeleton.animate import animate
+from pipeline.stages.codec import RecordArchive, decode, encode
 from pipeline.stages.editing import renumbered
 from pipeline.stages.inputs import Context, archive_of_people, used_offsets, wanted_inputs
 from pipeline.stages.output import Output
-from pipeline.stages.outputs_npz import decode_animation, decode_floor, encode_animation, open_people
+from pipeline.stages.people import StoredPeople
 from pipeline.stages.plan import EDIT, FIT, PERSON_PARTS, Task
 from pipeline.stages.results.assembly import EDITED
 from pipeline.stages.results.pieces import Pieces
@@ -20,8 +21,8 @@ _ANYBODY = 0
 def refit(task: Task, context: Context, on_share: OnShare) -> Output:
     """Animate a part of the people whom edits changed, unless an earlier task has animated the same frames."""
     session, joints = wanted_inputs(context, context.outline())
-    changed = open_people(archive_of_people(context, EDIT, EDITED))
-    offsets, floor = used_offsets(session, context.config), decode_floor(*context.outputs(FIT))
+    changed = StoredPeople(archive_of_people(context, EDIT, EDITED)).people
+    offsets, floor = used_offsets(session, context.config), RecordArchive(*context.outputs(FIT)).find(Floor, "floor")
     pieces = Pieces(task, context)
     numbers = range(task.index, len(changed.tracks), PERSON_PARTS)
     fitted = []
@@ -33,10 +34,10 @@ def refit(task: Task, context: Context, on_share: OnShare) -> Output:
             config, timebase = context.config, session.timebase
             animation = animate([track], [seen], session.cameras, timebase, joints, config, on_person, offsets, floor)
             path = context.scratch / f"person-{number}.npz"
-            path.write_bytes(content := encode_animation(renumbered(animation, _ANYBODY)))
+            path.write_bytes(content := encode(renumbered(animation, _ANYBODY)))
             pieces.keep(key, path)
-        fitted.append(renumbered(decode_animation(content), track.track_id))
+        fitted.append(renumbered(decode(Animation, content), track.track_id))
         on_person(1.0)
     on_share(1.0)
     tracks, motions = (one.tracks[0] for one in fitted), (one.motions[0] for one in fitted)
-    return Output(encode_animation(Animation(tuple(tracks), tuple(motions), floor)), pieces=pieces.made)
+    return Output(encode(Animation(tuple(tracks), tuple(motions), floor)), pieces=pieces.made)

@@ -9,13 +9,14 @@ import pytest
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.detection.detect import find_board, is_exchanged
 from pipeline.calibration.board.spec import Board, parse_board
-from pipeline.calibration.board.views import BoardViews, choose_views, decode_views, encode_views
+from pipeline.calibration.board.views import BoardViews, choose_views
 from pipeline.calibration_choices import KnownPoint
 from pipeline.data import Camera, read_only
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.boards import BoardPainter, board_poses
+from pipeline.stages.codec import decode, encode
 from tests.pipeline.calibration.board.conftest import ring, views_of
 
 CHARUCO = parse_board("charuco:7x5:0.1:0.075:DICT_4X4_50")
@@ -150,10 +151,10 @@ def test_a_board_with_columns_and_rows_exchanged_is_named() -> None:
 
 def test_views_come_back_from_their_archive() -> None:
     (views, *_) = simulated(CHARUCO, num_poses=4)
-    decoded = decode_views(encode_views(views))
+    decoded = decode(BoardViews, encode(views))
     assert (decoded.camera, decoded.size_px, decoded.num_pictures) == (views.camera, views.size_px, views.num_pictures)
     np.testing.assert_array_equal(decoded.corners_px, views.corners_px)
-    assert encode_views(decoded) == encode_views(views)
+    assert encode(decoded) == encode(views)
 
 
 def test_blurred_views_are_left_out_and_the_others_cover_the_picture() -> None:

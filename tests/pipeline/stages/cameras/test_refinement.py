@@ -23,9 +23,9 @@ from pipeline.progress import Progress
 from pipeline.quality.report import quality_report
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.simulation.views.fields import GRID, render
-from pipeline.stages.cameras.refinement import refine_from_bodies, refine_from_fields
+from pipeline.stages.cameras.refinement import RefinedCalibration, refine_from_bodies, refine_from_fields
+from pipeline.stages.codec import decode, encode
 from pipeline.stages.local import reconstruct
-from pipeline.stages.outputs_npz import decode_refinement, encode_refinement
 from pipeline.stages.plan import ASSOCIATE, REFINE
 from pipeline.video.timeline import span_s
 from tests.pipeline.simulations import write_simulation
@@ -164,11 +164,16 @@ def test_reports_come_back_from_their_bytes(session: KeypointSession) -> None:
         (CameraBump("b", 134.2, 0.9),),
         WorldMove(4.5, -0.26),
     )
-    content = encode_refinement(session.cameras, report)
-    cameras, found = decode_refinement(session.cameras, content)
+    content = encode(RefinedCalibration(session.cameras, report))
+    cameras, found = decode(RefinedCalibration, content)
     assert found == report
-    assert content == encode_refinement(cameras, found)
+    assert content == encode(RefinedCalibration(cameras, found))
     assert [camera.name for camera in cameras] == [camera.name for camera in session.cameras]
+    for ours, theirs in zip(session.cameras, cameras, strict=True):
+        assert (theirs.size_px, theirs.section, theirs.lens) == (ours.size_px, ours.section, ours.lens)
+        for name in ("matrix", "distortion"):
+            np.testing.assert_array_equal(getattr(theirs, name), getattr(ours, name))
+        np.testing.assert_array_equal(theirs.cam_from_world.matrix, ours.cam_from_world.matrix)
 
 
 @pytest.mark.slow

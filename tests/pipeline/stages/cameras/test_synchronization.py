@@ -8,11 +8,12 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import Method, ReconstructionConfig
+from pipeline.data import Synchronization
 from pipeline.errors import InputError
 from pipeline.simulation.motion.script import Gesture
 from pipeline.stages.cameras.synchronization import on_measured_clocks
+from pipeline.stages.codec import decode, encode
 from pipeline.stages.local import reconstruct, session_facts
-from pipeline.stages.outputs_npz import decode_clocks, encode_clocks
 from pipeline.stages.plan import ASSOCIATE, DETECT, STAGE_BY_NAME, STAGES, SYNCHRONIZE, plan
 from pipeline.video.timeline import session_timebase
 from tests.pipeline.synchronization.conftest import Take, alone, cut_take, shortened
@@ -85,7 +86,7 @@ def test_the_session_is_as_long_as_its_cameras_recorded_together() -> None:
     assert session.timebase.num_frames == 110
     assert measured.timebase.num_frames == 125
     assert measured.timebase.start_time_s == session.timebase.start_time_s
-    assert decode_clocks(encode_clocks(clocks)) == clocks
+    assert decode(Synchronization, encode(clocks)) == clocks
 
 
 def test_stages_after_synchronisation_depend_on_it() -> None:
