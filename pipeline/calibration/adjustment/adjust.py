@@ -114,7 +114,7 @@ def camera_sigma(problem: AdjustmentProblem, state: State, sigma_px: float) -> P
     is_known = values > _UNDETERMINED * max(1.0, values.max(initial=0.0))
     variance = (vectors[:, is_known] ** 2 / values[is_known]).sum(1) * scale**2
     is_open = (vectors[:, ~is_known] ** 2).sum(1) > np.sqrt(_UNDETERMINED)
-    sigma[problem.free] = np.where(is_open, np.inf, np.sqrt(variance))[: problem.free.sum()]
+    sigma[problem.free] = np.where(is_open, np.inf, np.sqrt(variance))
     return read_only(sigma)
 
 
@@ -172,14 +172,14 @@ def _search(
         normal = build(problem, state, sigma_px)
         before = lowest
         while damping < _MAX_DAMPING:
-            step, of_blocks = normal.step(damping)
-            changed = _moved(problem, state, step, of_blocks)
+            step, eliminated = normal.step(damping)
+            changed = _moved(problem, state, step, eliminated)
             if (changed_cost := cost(problem, changed, sigma_px)) < lowest:
                 state, lowest = changed, changed_cost
                 break
             damping *= 10.0
         damping = max(_MIN_DAMPING, damping / 10.0)
-        is_small = small_step is not None and (np.abs(step[: problem.free.sum()]) <= small_step[problem.free]).all()
+        is_small = small_step is not None and (np.abs(step) <= small_step[problem.free]).all()
         if is_small or before - lowest <= _SMALL_DECREASE * before:
             break
     return state
@@ -189,10 +189,13 @@ def _moved(
     problem: AdjustmentProblem,
     state: State,
     step: Float[np.ndarray, " parameters"],
-    of_blocks: Float[np.ndarray, "blocks size"],
+    eliminated: Float[np.ndarray, " unknowns"],
 ) -> State:
-    num_free = int(problem.free.sum())
+    """State after a step of the cameras' free parameters, and of the structure's blocks and the lengths."""
     of_cameras = np.zeros(problem.free.shape)
-    of_cameras[problem.free] = step[:num_free]
+    of_cameras[problem.free] = step
     cameras = tuple(move_camera(camera, step) for camera, step in zip(state.cameras, of_cameras, strict=True))
-    return State(cameras, state.structure.moved(of_blocks), read_only(state.lengths_m + step[num_free:]))
+    num_blocks, size = state.structure.num_blocks, state.structure.block_size
+    of_blocks = eliminated[: num_blocks * size].reshape(num_blocks, size)
+    lengths_m = read_only(state.lengths_m + eliminated[num_blocks * size :])
+    return State(cameras, state.structure.moved(of_blocks), lengths_m)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse import block_diag, bsr_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from pipeline.calibration.adjustment.links import LinkRows
@@ -36,30 +36,33 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Normal:
-    """Normal equations. The first unknowns are the cameras' free parameters, then the lengths ("fixed"), then blocks.
+    """Normal equations of the cameras' free parameters and of what is eliminated: the blocks, then the lengths.
 
     Parameters
     ----------
-    fixed, fixed_right
-        Normal matrix and right side of the free parameters and lengths.
+    cameras, cameras_right
+        Normal matrix and right side of the free parameters.
     mixed
-        Mixed part, blocks by free parameters and lengths.
-    blocks, blocks_right
-        Diagonal blocks and right side of the structure.
+        Mixed part, eliminated unknowns by free parameters; the rows of lengths are zero.
+    blocks
+        Diagonal blocks of the structure, without the links.
+    right
+        Right side of the eliminated unknowns.
     coupling
-        What links add to the normal matrix of the structure; ``None`` without links.
+        What links and priors of lengths add to the normal matrix of the eliminated unknowns; ``None`` without links.
+        It is sparse: a length meets the points of its own links alone.
     """
 
-    fixed: Float[np.ndarray, "parameters parameters"]
-    fixed_right: Float[np.ndarray, " parameters"]
+    cameras: Float[np.ndarray, "parameters parameters"]
+    cameras_right: Float[np.ndarray, " parameters"]
     mixed: Float[np.ndarray, "unknowns parameters"]
     blocks: Float[np.ndarray, "blocks size size"]
-    blocks_right: Float[np.ndarray, " unknowns"]
+    right: Float[np.ndarray, " unknowns"]
     coupling: csc_array | None
 
     def reduced(self) -> Float[np.ndarray, "parameters parameters"]:
-        """Normal matrix of free parameters and lengths after the elimination: the inverse of their covariance."""
-        return self.fixed - self.mixed.T @ self._solver(0.0)(self.mixed)
+        """Normal matrix of the free parameters after the elimination: the inverse of their covariance."""
+        return self.cameras - self.mixed.T @ self._solver(0.0)(self.mixed)
 
     def block_covariance(self, chosen: Int[np.ndarray, " chosen"]) -> Float[np.ndarray, "unknowns unknowns"]:
         """Covariance of the parameters of some blocks, with what the cameras leave open.
@@ -72,45 +75,46 @@ class Normal:
         columns[rows, np.arange(len(rows))] = 1.0
         solve = self._solver(0.0)
         eliminated = solve(self.mixed)
-        reduced = self.fixed - self.mixed.T @ eliminated
+        reduced = self.cameras - self.mixed.T @ eliminated
         scale = 1.0 / np.sqrt(np.maximum(np.diag(reduced), np.finfo(float).tiny))
         of_cameras = scale[:, None] * np.linalg.pinv(scale[:, None] * reduced * scale, hermitian=True) * scale
         covariance: np.ndarray = solve(columns)[rows] + eliminated[rows] @ of_cameras @ eliminated[rows].T
         return covariance
 
-    def step(self, damping: float) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "blocks size"]]:
-        """Damped step of free parameters and lengths, and of the blocks.
+    def step(self, damping: float) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " unknowns"]]:
+        """Damped step of the free parameters, and of the eliminated unknowns.
 
         Raises
         ------
         LinAlgError
             If the equations are singular.
         """
-        solve = self._solver(damping)
-        eliminated = solve(np.column_stack([self.mixed, self.blocks_right]))
-        diagonal = np.diag(self.fixed)
-        reduced = self.fixed + damping * np.diag(diagonal) - self.mixed.T @ eliminated[:, :-1]
+        eliminated = self._solver(damping)(np.column_stack([self.mixed, self.right]))
+        diagonal = np.diag(self.cameras)
+        reduced = self.cameras + damping * np.diag(diagonal) - self.mixed.T @ eliminated[:, :-1]
         # Scaled by the diagonal: units of the parameters differ by powers of ten.
         scale = 1.0 / np.sqrt(np.maximum(diagonal, np.finfo(float).tiny))
-        right = self.fixed_right - self.mixed.T @ eliminated[:, -1]
+        right = self.cameras_right - self.mixed.T @ eliminated[:, -1]
         step = -scale * np.linalg.solve(scale[:, None] * reduced * scale, scale * right)
-        of_blocks = -(eliminated[:, -1] + eliminated[:, :-1] @ step)
-        return step, of_blocks.reshape(self.blocks.shape[:2])
+        return step, -(eliminated[:, -1] + eliminated[:, :-1] @ step)
 
     def _solver(self, damping: float) -> Solver:
-        size = self.blocks.shape[1]
+        num_blocks, size, _ = self.blocks.shape
         along = np.arange(size)
         blocks = self.blocks.copy()
         if self.coupling is not None:
-            blocks[:, along, along] += damping * self.coupling.diagonal().reshape(-1, size)
+            of_links = self.coupling.diagonal()
+            blocks[:, along, along] += damping * of_links[: num_blocks * size].reshape(-1, size)
         blocks[:, along, along] += damping * self.blocks[:, along, along]
         trace = np.trace(blocks, axis1=1, axis2=2)
         blocks[:, along, along] += _RIDGE * np.maximum(trace, np.median(trace) if len(trace) else 0.0)[:, None]
         if self.coupling is None:
             inverse = np.linalg.inv(blocks)
-            return lambda right: (inverse @ right.reshape(len(blocks), size, right.shape[1])).reshape(right.shape)
-        numbers = np.arange(len(blocks) + 1)
-        matrix = csc_array(bsr_array((blocks, numbers[:-1], numbers)) + self.coupling)
+            return lambda right: (inverse @ right.reshape(num_blocks, size, right.shape[1])).reshape(right.shape)
+        numbers = np.arange(num_blocks + 1)
+        of_lengths = diags_array(damping * of_links[num_blocks * size :])
+        diagonal = block_diag([bsr_array((blocks, numbers[:-1], numbers)), of_lengths])
+        matrix = csc_array(diagonal + self.coupling)
         factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         return lambda right: np.asarray(factors.solve(np.ascontiguousarray(right)))
 
@@ -118,11 +122,9 @@ class Normal:
 def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
     """Build the normal equations of a state for the noise of the observations; weights are those of the loss."""
     starts = np.concatenate([[0], np.cumsum(problem.free.sum(1))])
-    total, num_blocks, size = (
-        int(starts[-1]) + len(state.lengths_m), state.structure.num_blocks, state.structure.block_size
-    )  # fmt: skip
-    fixed, fixed_right = np.zeros((total, total)), np.zeros(total)
-    mixed = np.zeros((num_blocks, size, total))
+    num_blocks, size = state.structure.num_blocks, state.structure.block_size
+    cameras, cameras_right = np.zeros((starts[-1], starts[-1])), np.zeros(starts[-1])
+    mixed = np.zeros((num_blocks, size, starts[-1]))
     blocks, blocks_right = np.zeros((num_blocks, size, size)), np.zeros((num_blocks, size))
     xyz_m, by_block = state.structure.in_world(problem.observations.block, problem.observations.model_m)
     for number in range(len(state.cameras)):
@@ -130,8 +132,8 @@ def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
         rows = np.flatnonzero(problem.observations.camera == number)
         A, B, residual = _weighted_rows(problem, state, number, xyz_m[rows], by_block[rows], sigma_px)
         flat = A.reshape(2 * len(rows), A.shape[-1])
-        fixed[own, own] = flat.T @ flat
-        fixed_right[own] = flat.T @ residual.ravel()
+        cameras[own, own] = flat.T @ flat
+        cameras_right[own] = flat.T @ residual.ravel()
         products = np.concatenate([B.swapaxes(1, 2) @ part for part in (A, B, residual[:, :, None])], axis=2)
         by_blocks = csr_array(
             (np.ones(len(rows)), (problem.observations.block[rows], np.arange(len(rows)))), (num_blocks, len(rows))
@@ -141,24 +143,23 @@ def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
         mixed[:, :, own] = sums[:, :, : A.shape[-1]]
         blocks += sums[:, :, A.shape[-1] : -1]
         blocks_right += sums[:, :, -1]
-    offset = np.concatenate(
-        [offsets(problem.cameras, state.cameras)[problem.free], state.lengths_m - problem.lengths_m]
-    )
-    precision = np.concatenate([problem.prior_sigma[problem.free], problem.length_sigma_m]) ** -2.0
-    fixed[np.diag_indices(total)] += precision
-    fixed_right += precision * offset
-    coupling: csc_array | None = None
-    right, lengths = blocks_right.ravel(), slice(int(starts[-1]), total)
-    flat_mixed = mixed.reshape(num_blocks * size, total)
+    precision = problem.prior_sigma[problem.free] ** -2.0
+    cameras[np.diag_indices(starts[-1])] += precision
+    cameras_right += precision * offsets(problem.cameras, state.cameras)[problem.free]
+    num_lengths = len(state.lengths_m)
+    length_precision = problem.length_sigma_m**-2.0
+    right = np.concatenate([blocks_right.ravel(), length_precision * (state.lengths_m - problem.lengths_m)])
+    flat_mixed = np.concatenate([mixed.reshape(num_blocks * size, starts[-1]), np.zeros((num_lengths, starts[-1]))])
+    if not problem.links:
+        return Normal(cameras, cameras_right, flat_mixed, blocks, right, None)
+    coupling = csc_array(diags_array(np.concatenate([np.zeros(num_blocks * size), length_precision])))
     for link in problem.links:
-        rows_of_link = link.linearise(_xyz_m(state.structure), state.lengths_m)
-        J, L, residual = _jacobians(rows_of_link, num_blocks, len(state.lengths_m))
-        coupling = csc_array(J.T @ J if coupling is None else coupling + J.T @ J)
-        right += J.T @ residual
-        flat_mixed[:, lengths] += (J.T @ L).toarray()
-        fixed[lengths, lengths] += (L.T @ L).toarray()
-        fixed_right[lengths] += L.T @ residual
-    return Normal(fixed, fixed_right, flat_mixed, blocks, right, coupling)
+        jacobian, residual = _jacobian(
+            link.linearise(_xyz_m(state.structure), state.lengths_m), num_blocks, num_lengths
+        )
+        coupling += csc_array(jacobian.T @ jacobian)
+        right += jacobian.T @ residual
+    return Normal(cameras, cameras_right, flat_mixed, blocks, right, coupling)
 
 
 def _weighted_rows(
@@ -211,14 +212,12 @@ def _xyz_m(structure: Structure) -> Float[np.ndarray, "points 3"]:
     return structure.xyz_m
 
 
-def _jacobians(
-    rows: LinkRows, num_points: int, num_lengths: int
-) -> tuple[csr_array, csr_array, Float[np.ndarray, " rows"]]:
+def _jacobian(rows: LinkRows, num_points: int, num_lengths: int) -> tuple[csr_array, Float[np.ndarray, " rows"]]:
     """Sparse derivatives of link rows by the coordinates of the points and by the lengths, and the residuals."""
     number = np.arange(len(rows.residual))
-    columns = 3 * rows.points[:, :, None] + np.arange(3)
-    by_points = csr_array(
-        (rows.by_points.ravel(), (np.repeat(number, 6), columns.ravel())), (len(number), 3 * num_points)
-    )
-    by_lengths = csr_array((rows.by_length, (number, rows.length)), (len(number), max(num_lengths, 1)))
-    return by_points, by_lengths[:, :num_lengths], rows.residual
+    by_point = 3 * rows.points[:, :, None] + np.arange(3)
+    has_length = rows.by_length != 0
+    values = np.concatenate([rows.by_points.ravel(), rows.by_length[has_length]])
+    row = np.concatenate([np.repeat(number, 6), number[has_length]])
+    column = np.concatenate([by_point.ravel(), 3 * num_points + rows.length[has_length]])
+    return csr_array((values, (row, column)), (len(number), 3 * num_points + num_lengths)), rows.residual
