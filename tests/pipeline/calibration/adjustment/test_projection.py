@@ -48,7 +48,8 @@ def test_derivatives_are_those_of_the_projection(place: tuple[float, float, floa
         np.testing.assert_allclose(found.by_point[..., k], numeric, rtol=1e-5, atol=2e-3)
 
 
-@given(place=st.tuples(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(0.0, 2.0)))
+# All places are in front of the camera, at x = 3 m.
+@given(place=st.tuples(st.floats(-3, 2), st.floats(-1.5, 1.5), st.floats(0.0, 2.0)))
 def test_derivatives_of_a_fisheye_are_those_of_its_projection(place: tuple[float, float, float]) -> None:
     fisheye = replace(camera_with(4), lens="fisheye")
     point_m, tiny = np.array([place]), 1e-6
