@@ -52,7 +52,7 @@ def videos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for camera in cameras:
         painter = BoardPainter(camera, board)
         pictures = [painter.paint(pose, rng) for pose in poses]
-        paths.append(write_pictures(folder / f"{camera.name}.mp4", pictures, {"crf": "12"}))
+        paths.append(write_pictures(folder / f"{camera.name}.mp4", pictures, {"crf": "12", "preset": "ultrafast"}))
     return paths
 
 
