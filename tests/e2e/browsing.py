@@ -81,10 +81,10 @@ def choose_option(field: Locator, text: str) -> None:
     field.select_option(label=next(label for label in labels if label.startswith(text)))
 
 
-def axe_findings(page: Page) -> list[str]:
-    """Violations that axe-core finds in the page as it is; the test is skipped without axe-core."""
+def axe_findings(page: Page, within: str = "html") -> list[str]:
+    """Violations that axe-core finds in the page, or a part of it, as it is; the test is skipped without axe-core."""
     if not AXE.is_file():
         pytest.skip("axe-core is not installed (`make readers`)")
     page.evaluate(AXE.read_text())
-    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
+    found = page.evaluate("(within) => axe.run(within, { resultTypes: ['violations'] })", within)["violations"]
     return [f"{one['id']}: {node['html'][:200]}" for one in found for node in one["nodes"]]

@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 
 from pipeline.data import Doubt
 from tests.api.conftest import Live, running
-from tests.e2e.browsing import opened
+from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of
 from tests.pipeline.media import write_pictures
 
@@ -377,6 +377,28 @@ def test_a_missing_motion_is_told(shown: Shown) -> None:
         job_id,
     )
     assert told == "The job has no motion to look at."
+
+
+def test_sheets_that_scroll_are_reached_by_the_keyboard(live: Live, job_ids: list[str]) -> None:
+    with opened(str(live.client.base_url), {"width": 390, "height": 844}) as page:
+        page.emulate_media(color_scheme="dark", reduced_motion="reduce")
+        Shown(page, live, job_ids).mount()
+        for label in ("Show", "Keys"):
+            page.locator("summary", has_text=label).click()
+            sheet = page.get_by_role("group", name=label, exact=True)
+            expect(sheet).to_be_visible()
+            assert axe_findings(page, ".look-viewer") == [], label
+            page.keyboard.press("Tab")
+            expect(sheet).to_be_focused()
+            if sheet.evaluate("one => one.scrollHeight > one.clientHeight"):
+                # The sheet scrolls, and the play head stays.
+                page.keyboard.press("End")
+                page.wait_for_function("() => document.activeElement.scrollTop > 0")
+            else:
+                assert label == "Show"
+            assert page.evaluate("() => globalThis.viewer.player.frame") == 0
+            page.keyboard.press("Escape")
+            expect(sheet).to_be_hidden()
 
 
 def test_narrow_screens_need_no_sideways_scrolling(live: Live, job_ids: list[str]) -> None:

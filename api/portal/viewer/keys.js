@@ -28,7 +28,7 @@ function isBusy(target, key) {
   if (target.matches?.("input:not([type=range]):not([type=checkbox]), textarea, select, [contenteditable]")) return true;
   if (key === " " || key === "Enter") return target.matches?.("button, input[type=checkbox], a, summary") ?? false;
   if (target.matches?.("input[type=range]")) return ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"].includes(key);
-  if (target.matches?.("[role=tab], .look-scroll")) return key.startsWith("Arrow") || key === "Home" || key === "End";
+  if (target.matches?.("[role=tab], .look-scroll, .look-sheet")) return key.startsWith("Arrow") || key === "Home" || key === "End";
   return false;
 }
 

@@ -25,7 +25,9 @@ export function viewControls(viewer, onoptions) {
 }
 
 function menu(label, content) {
-  const element = el("details", { class: "look-menu" }, el("summary", { class: "look-button" }, label), el("div", { class: "look-sheet" }, content));
+  const element = el("details", { class: "look-menu" }, el("summary", { class: "look-button" }, label),
+    // On a small screen the sheet scrolls: the keyboard has to get there.
+    el("div", { class: "look-sheet", tabindex: 0, role: "group", "aria-label": label }, content));
   element.addEventListener("keydown", (event) => {
     if (event.key !== "Escape" || !element.open) return;
     element.open = false;
