@@ -732,6 +732,8 @@ class Reconstruction:
         Measured clocks; ``None`` if times are as they were declared.
     check
         Check of the session by its people.
+    is_emptied
+        Whether edits removed everybody who was found.
     """
 
     cameras: tuple[Camera, ...]
@@ -748,6 +750,7 @@ class Reconstruction:
     refinement: Refinement | None = None
     synchronization: Synchronization | None = None
     check: SessionCheck = field(default_factory=SessionCheck)
+    is_emptied: bool = False
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

@@ -161,6 +161,11 @@ class EditedTake:
     frames: range | None = None
 
 
+def without_names(edits: Sequence[PeopleEdit]) -> tuple[PeopleEdit, ...]:
+    """Edits that say who is where; people's names are left out."""
+    return tuple(edit for edit in edits if not isinstance(edit, Rename))
+
+
 def edit_of(document: Mapping[str, Any]) -> PeopleEdit:
     """Edit from its JSON object, as ``document_of`` makes it."""
     return _BY_ACTION[document["action"]](**document)

@@ -257,9 +257,13 @@ class Runner:
         return recorded
 
     def _is_whole(self, session_id: str, output_key: str, sha256: str | None) -> bool:
+        # Without a digest it is being computed.
+        return self._is_stored(stage_key(session_id, output_key), sha256 or "")
+
+    def _is_stored(self, key: str, sha256: str) -> bool:
+        """Whether an artifact is there and undamaged."""
         try:
-            # Without a digest it is being computed.
-            self._artifacts.open(stage_key(session_id, output_key), sha256 or "").close()
+            self._artifacts.open(key, sha256).close()
         except (NotFound, DamagedArtifact):
             return False
         return True
@@ -318,11 +322,16 @@ class Runner:
         return [content for content in contents if content is not None]
 
     def _keep(self, claim: Claim, file: ResultFile) -> Result:
-        key = result_key(claim.listed_by, file.name, claim.revision, file.kind)
+        """Store a result file, unless the revision before has stored the same bytes."""
         num_bytes = file.path.stat().st_size
         with file.path.open("rb") as content:
             sha256 = hashlib.file_digest(content, "sha256").hexdigest()
-        self._artifacts.put_file(key, file.path)
+        listed = self._store.results.listed(claim.listed_by, file.name)
+        if listed is not None and listed.sha256 == sha256 and self._is_stored(listed.key, sha256):
+            key = listed.key
+        else:
+            key = result_key(claim.listed_by, file.name, claim.revision, file.kind)
+            self._artifacts.put_file(key, file.path)
         return Result(
             name=file.name,
             kind=file.kind,
@@ -332,6 +341,7 @@ class Runner:
             num_bytes=num_bytes,
             sha256=sha256,
             revision=claim.revision,
+            person_name=file.person_name,
         )
 
 

@@ -55,10 +55,13 @@ class Format:
     read_xyz_m
         Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3); NaN for
         unknown joints.
+    holds_name
+        Whether the file holds the person's name. Other files stay as they are when the person is renamed.
     """
 
     encode: Callable[[Person], Iterator[bytes]]
     read_xyz_m: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ joints 3"]]]
+    holds_name: bool = False
 
 
 FORMATS: Mapping[Export, Format] = MappingProxyType(
@@ -67,7 +70,7 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
             lambda person: bvh.encode(person.motion, PRESETS[person.preset]),
             lambda path, preset: bvh.read_xyz_m(path, PRESETS[preset]),
         ),
-        "glb": Format(lambda person: glb.encode(person.motion), lambda path, _: glb.read_xyz_m(path)),
+        "glb": Format(lambda person: glb.encode(person.motion), lambda path, _: glb.read_xyz_m(path), holds_name=True),
         "trc": Format(
             lambda person: trc.encode(person.track, person.joints, person.timebase, person.file_name),
             lambda path, _: trc.read_xyz_m(path),

@@ -2,8 +2,9 @@
 
 import contextlib
 import errno
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,6 @@ from pipeline.skeleton.model import forward_kinematics
 
 SKELETONS = "skeletons"
 """Name of ``skeletons.json`` among the formats."""
-
-Distances = Mapping[str, float | None]
-"""Largest distance in mm between joints read back and their true positions, by format; ``None`` without any joint."""
 
 _MM_PER_M = 1000.0
 
@@ -50,15 +48,28 @@ def people_of(take: Reconstruction) -> Iterator[PersonOfTake]:
         yield PersonOfTake(track, motion, take.joints, take.timebase)
 
 
+@dataclass(frozen=True, slots=True)
+class KeptFile:
+    """A file that was written before.
+
+    Parameters
+    ----------
+    distance_mm
+        Largest distance between joints read back and their true positions; ``None`` without any joint.
+    """
+
+    distance_mm: float | None
+
+
 class KeptFiles:
     """Files of people that were written before; of this class itself, none."""
 
-    def find(self, person: PersonOfTake, paths: Mapping[str, Path]) -> Distances | None:
-        """Write a person's files, if they are kept, to paths by format; return the distances found in them."""
+    def find(self, person: PersonOfTake, name: str, path: Path) -> KeptFile | None:
+        """Write a person's file of a format, if it is kept, to a path; ``None`` if it is not."""
         return None
 
-    def keep(self, person: PersonOfTake, paths: Mapping[str, Path], distances_mm: Distances) -> None:
-        """Keep the files of a person, and the distances found in them."""
+    def keep(self, person: PersonOfTake, name: str, path: Path, distance_mm: float | None) -> None:
+        """Keep the file of a person of a format, and the distance found in it."""
 
 
 def write_person(
@@ -75,37 +86,43 @@ def write_person(
 
     Yields
     ------
-        Format and distance, see ``Distances``, when a file is complete.
+        Format, and ``KeptFile.distance_mm`` of its file, when the file is complete.
 
     Raises
     ------
     OSError
         If a file can't be written, the disk is full, or the content of a file differs from the written content.
     """
-    found = kept.find(person, paths)
-    if found is not None:
-        on_share(1.0)
-        yield from found.items()
-        return
-    track, skeleton_m = person.track, forward_kinematics(person.motion)
-    distances_mm: dict[str, float | None] = {}
+    skeleton_m = cache(lambda: forward_kinematics(person.motion))
     for (name, path), on_file in zip(paths.items(), split(on_share, [1] * len(paths)), strict=True):
-        # Writing takes about as long as reading.
-        on_read = part_of(on_file, 0.5, 1.0)
-        if name == SKELETONS:
-            with replacing(path, skeletons_json.encode_track(track, person.motion.name)) as part:
-                read_m = skeletons_json.read_track_m(part)
-                distances_mm[name] = _furthest_mm(path, track.xyz_m, [read_m], on_read)
-        else:
-            export: Export = next(export for export in FILE_FORMATS if export == name)
-            content = Person(track, person.motion, person.joints, person.timebase, path.name, preset)
-            expected_m = skeleton_m if FILE_FORMATS[export].holds == "motion" else track.xyz_m
-            with replacing(path, FORMATS[export].encode(content)) as part:
-                found_m = FORMATS[export].read_xyz_m(part, preset)
-                distances_mm[name] = _furthest_mm(path, expected_m, found_m, on_read)
-        yield name, distances_mm[name]
-    kept.keep(person, paths, distances_mm)
+        found = kept.find(person, name, path)
+        if found is None:
+            # Writing takes about as long as reading.
+            found = KeptFile(_written(person, name, path, preset, skeleton_m, part_of(on_file, 0.5, 1.0)))
+            kept.keep(person, name, path, found.distance_mm)
+        on_file(1.0)
+        yield name, found.distance_mm
     on_share(1.0)
+
+
+def _written(
+    person: PersonOfTake,
+    name: str,
+    path: Path,
+    preset: Preset,
+    skeleton_m: Callable[[], Float[np.ndarray, "frames joints 3"]],
+    on_read: OnShare,
+) -> float | None:
+    """Write a file of a person and read it back; returns the distance found in it."""
+    track = person.track
+    if name == SKELETONS:
+        with replacing(path, skeletons_json.encode_track(track)) as part:
+            return _furthest_mm(path, track.xyz_m, [skeletons_json.read_track_m(part)], on_read)
+    export: Export = next(export for export in FILE_FORMATS if export == name)
+    content = Person(track, person.motion, person.joints, person.timebase, path.name, preset)
+    expected_m = skeleton_m() if FILE_FORMATS[export].holds == "motion" else track.xyz_m
+    with replacing(path, FORMATS[export].encode(content)) as part:
+        return _furthest_mm(path, expected_m, FORMATS[export].read_xyz_m(part, preset), on_read)
 
 
 @contextlib.contextmanager

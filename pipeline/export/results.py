@@ -1,7 +1,7 @@
 """Write the result files of a reconstruction; the service's results have the same names."""
 
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,11 +32,10 @@ from pipeline.export.writers import skeletons_json
 from pipeline.progress import OnShare, ignore, part_of, split
 from pipeline.quality.report import encode as encode_metrics
 from pipeline.quality.report import quality_report
-from pipeline.quality.views import PersonViews, views_of
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
 NOTHING_KEPT = KeptFiles()
-ViewsOf = Callable[[Reconstruction], Sequence[PersonViews]]
+ReportOf = Callable[[Reconstruction], dict[str, Any]]
 OnFile = Callable[[Path], None]
 """Callback for the path of a result file that is complete."""
 METRICS = "metrics.json"
@@ -131,7 +130,7 @@ def write_files(
     frame_rate_hz: float | None = None,
     on_share: OnShare = ignore,
     kept: KeptFiles = NOTHING_KEPT,
-    views: ViewsOf = views_of,
+    report: ReportOf = quality_report,
     on_file: OnFile = no_file,
 ) -> WrittenResults:
     """Write all result files into a folder, which is created if missing.
@@ -153,8 +152,8 @@ def write_files(
         Called with the progress while files are read back, and after each file.
     kept
         Files of people that were written before.
-    views
-        Computes the figures of the observations for ``metrics.json``, after the people's files: they take much memory.
+    report
+        Makes the content of ``metrics.json``, after the people's files: its figures take much memory.
     on_file
         Called with the path of each file when it is complete.
 
@@ -197,7 +196,7 @@ def write_files(
         with replacing(path, [encode_calibration(reconstruction.cameras)]):
             pass
         complete(path)
-    path, metrics = folder / METRICS, quality_report(reconstruction, views(reconstruction)) | {"exports": check}
+    path, metrics = folder / METRICS, report(reconstruction) | {"exports": check}
     with replacing(path, [encode_metrics(metrics)]):
         pass
     on_share(1.0)

@@ -41,7 +41,7 @@ def capture_checks(
         _check_rig(names),
         _check_videos(reconstruction.damaged),
         _check_doubled(reconstruction.damaged),
-        _check_people(seen, reconstruction.check),
+        _check_people(seen, reconstruction),
         _check_cameras(names, seen),
         _check_views(names, seen),
         _check_association(reconstruction),
@@ -102,9 +102,13 @@ def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     )
 
 
-def _check_people(seen: Mapping[int, np.ndarray], check: SessionCheck) -> Iterator[tuple[str, str]]:
+def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Iterator[tuple[str, str]]:
     if seen:
         return
+    if take.is_emptied:
+        yield "everybody_removed", "The edits leave nobody of the people who were found. Undo an edit to get them back."
+        return
+    check = take.check
     errors = [finding for finding in check.findings if finding.severity == "error"]
     reason = (
         "Check that the calibration belongs to these videos, that the videos are synchronised, and that at least two "

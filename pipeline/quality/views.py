@@ -4,7 +4,7 @@ Observations are the largest part of a take, and are read from its archive whene
 these figures.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,6 +52,10 @@ def views_of(take: Reconstruction) -> tuple[PersonViews, ...]:
     """Figures of everybody's observations, in the order of the tracks."""
     pairs = CameraPairs(take.cameras)
     return tuple(_compare(take, number, pairs) for number in range(len(take.tracks)))
+
+
+ViewsOf = Callable[[Reconstruction], Sequence[PersonViews]]
+"""``views_of``, or a function that keeps its result."""
 
 
 def _compare(take: Reconstruction, number: int, pairs: CameraPairs) -> PersonViews:

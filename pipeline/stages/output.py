@@ -16,13 +16,17 @@ MOTION, DESCRIPTION = "motion.bin", "motion.json"
 
 @dataclass(frozen=True, slots=True)
 class ResultFile:
-    """A result file for the client. The executor may move it away from ``path``."""
+    """A result file for the client. The executor may move it away from ``path``.
+
+    ``person`` is the number of a person as in ``name``, ``person_name`` the person's name.
+    """
 
     name: str
     kind: str
     person: str | None
     media_type: str
     path: Path
+    person_name: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 from pipeline.calibration_choices import BOARD_FRAMES, CalibrationChoices
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
-from pipeline.edits import document_of
+from pipeline.edits import document_of, without_names
 from pipeline.video.playback.choices import ProxyChoices
 
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
@@ -48,6 +48,8 @@ _FRAMES_A_UNIT = 10
 _MEASURED_HZ = 5
 # Stages that keep pieces of their outputs for other edits, with the stage on whose code and choices the pieces depend.
 _PIECES_OF = {REFIT: REFIT, WRITE: EXPORT, EXPORT: EXPORT}
+# Choices that edits make; pieces do not depend on them.
+_OF_EDITS = {"edits", "names"}
 # Fields of the configuration on which no output depends.
 _WITHOUT_EFFECT = {"chunk_frames", "processes"}
 
@@ -194,7 +196,7 @@ def _is_refining(_: SessionFacts, config: ReconstructionConfig) -> bool:
 
 
 def _is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.is_of_people and bool(config.edits)
+    return config.is_of_people and bool(without_names(config.edits))
 
 
 def _is_exporting(_: SessionFacts, config: ReconstructionConfig) -> bool:
@@ -202,7 +204,7 @@ def _is_exporting(_: SessionFacts, config: ReconstructionConfig) -> bool:
 
 
 def _is_exporting_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.making is None and bool(config.edits)
+    return config.making is None and bool(without_names(config.edits))
 
 
 def _is_overlaid(facts: SessionFacts, config: ReconstructionConfig) -> bool:
@@ -361,7 +363,7 @@ STAGES = (
         "Draw overlay videos",
         cut="cameras",
         follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
-        choices=("overlay", "frame_range"),
+        choices=("overlay", "frame_range", "names"),
         function="draw_overlay",
         is_planned=_is_overlaid,
         unit="frames",
@@ -372,7 +374,7 @@ STAGES = (
         "Write the report",
         cut="whole",
         follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
-        choices=("report",),
+        choices=("report", "names"),
         function="write_report",
         is_planned=_is_reported,
         is_reusable=False,
@@ -391,7 +393,7 @@ STAGES = (
         "Write files",
         cut="whole",
         follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT, WRITE),
-        choices=("exports", "bvh", "output_rate_hz"),
+        choices=("exports", "bvh", "output_rate_hz", "names"),
         function="export",
         is_planned=_is_exporting,
         is_reusable=False,
@@ -515,7 +517,7 @@ def plan(
 def _piece_key(stage: Stage, keys: Mapping[str, str], codes: Mapping[str, str], choices: Mapping[str, Any]) -> str:
     """Key of all that pieces of a stage's output depend on but the edits of people."""
     after_edits = {EDIT, REFIT, WRITE}
-    own = {name: choices[name] for name in (*stage.choices, *_unassigned(choices))}
+    own = {name: choices[name] for name in (*stage.choices, *_unassigned(choices)) if name not in _OF_EDITS}
     before = [keys[name] for name in stage.follows if name in keys and name not in after_edits]
     return _hash([stage.name, codes[stage.name], own, before, [codes[name] for name in (EDIT, REFIT)]])
 
@@ -528,7 +530,8 @@ def _unassigned(choices: Mapping[str, Any]) -> set[str]:
 def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     """Choices as JSON, as far as outputs depend on them: ``None`` for a choice without effect.
 
-    ``output`` stands for the kind of the detections.
+    ``output`` stands for the kind of the detections, ``edits`` for who is where, and ``names`` for all edits if one of
+    them names somebody: a name changes no stage but those whose files hold names.
     """
     is_clustering = config.method == "clustering"
     has_no_effect = {
@@ -539,12 +542,14 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         "bvh": "bvh" not in config.exports,
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}
+    edits, of_people = ([document_of(edit) for edit in some] for some in (config.edits, without_names(config.edits)))
     return {
         **{name: None if has_no_effect.get(name) else values[name] for name in values.keys() - _WITHOUT_EFFECT},
         "joints": None if config.detector != "auto" else detected_joints(config),
         "exports": sorted(config.exports),
         "making": None if config.making is None else asdict(config.making),
-        "edits": [document_of(edit) for edit in config.edits],
+        "edits": of_people,
+        "names": edits if edits != of_people else [],
         "tracking": None if is_clustering else dict(config.tracking),
         "clustering": dict(config.clustering) if is_clustering else None,
         "output": "fields" if config.uses_fields else "bodies",

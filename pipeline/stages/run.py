@@ -4,10 +4,11 @@
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,12 +30,12 @@ from pipeline.detect.profiles.detection import load_detector, open_detection
 from pipeline.detect.profiles.look import look_at_people
 from pipeline.detect.profiles.sizes import RULES, CameraSizes
 from pipeline.errors import InputError, PipelineError, Problem, listed
-from pipeline.export.results import NOTHING_KEPT, keep_people, write_files
+from pipeline.export.results import NOTHING_KEPT, ReportOf, keep_people, write_files
 from pipeline.findings import Finding
 from pipeline.hands.attach import has_hands, without_fingers
 from pipeline.joints import without_hands
 from pipeline.progress import OnShare, in_units
-from pipeline.quality.report import all_checks
+from pipeline.quality.report import all_checks, quality_report
 from pipeline.quality.views import views_of
 from pipeline.runtime.npz import encode_arrays
 from pipeline.skeleton.animate import animate
@@ -85,7 +86,7 @@ from pipeline.stages.plan import (
     Task,
 )
 from pipeline.stages.results.assembly import EDITED, assemble, kept_frames, spans_found
-from pipeline.stages.results.kept_files import FilesInPieces
+from pipeline.stages.results.kept_files import FilesInPieces, TakeInPieces
 from pipeline.stages.results.overlay import overlay_file
 from pipeline.stages.results.pieces import Pieces
 from pipeline.stages.results.refit import refit
@@ -414,14 +415,20 @@ def export(task: Task, context: Context) -> Output:
     pieces = Pieces(task, context)
     kept = FilesInPieces(pieces, context.scratch) if context.keeps_pieces else NOTHING_KEPT
     choices = config.exports, config.bvh, config.output_rate_hz
-    views = cache(views_of)
-    written = write_files(reconstruction, context.scratch, *choices, on_share, kept, views)
-    files = [_result_file(path) for path in written.paths]
+    views, take = cache(views_of), TakeInPieces(pieces, context.scratch, config.edits)
+    report: ReportOf = partial(take.report, views=views) if context.keeps_pieces else quality_report
+    written = write_files(reconstruction, context.scratch, *choices, on_share, kept, report)
+    names = {f"person-{motion.track_id}": motion.name for motion in reconstruction.motions}
+    files = [_result_file(path, names) for path in written.paths]
     if context.has_viewers:
         frames = kept_frames(context)
         first_frame = 0 if frames is None else frames.start
-        shown, metrics = views(reconstruction), written.metrics
-        files += viewer_files(reconstruction, shown, context.outline(), metrics, context.scratch, first_frame)
+
+        def made() -> Iterable[ResultFile]:
+            of_take = views(reconstruction), context.outline(), written.metrics, context.scratch
+            return viewer_files(reconstruction, *of_take, first_frame)
+
+        files += take.viewer_files(reconstruction, made) if context.keeps_pieces else made()
     warnings = tuple(all_checks(written.metrics))
     output = _made(files, metrics=written.metrics)
     return replace(output, warnings=warnings, people=spans_found(context), pieces=pieces.made)
@@ -456,11 +463,13 @@ def _animation(task: Task, context: Context) -> Animation:
     )
 
 
-def _result_file(path: Path) -> ResultFile:
+def _result_file(path: Path, names: Mapping[str, str] = MappingProxyType({})) -> ResultFile:
+    """Result file by its path; ``names`` are those of people, by their numbers in names of files."""
     is_of_person = path.suffix.removeprefix(".") in FILE_FORMATS
     kind = path.stem if path.suffix == ".json" else path.suffix.removeprefix(".")
     person = path.stem if is_of_person else None
-    return ResultFile(path.name, kind, person, _MEDIA_TYPES[path.suffix], path)
+    person_name = None if person is None else names[person]
+    return ResultFile(path.name, kind, person, _MEDIA_TYPES[path.suffix], path, person_name)
 
 
 _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {

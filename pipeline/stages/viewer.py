@@ -1,6 +1,6 @@
 """Files for viewers, from a reconstruction and its session."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ def viewer_files(
     report: Mapping[str, Any],
     folder: Path,
     first_frame: int = 0,
-) -> Iterator[ResultFile]:
+) -> Sequence[ResultFile]:
     """Write the files for viewers into a folder.
 
     Parameters
@@ -36,9 +36,16 @@ def viewer_files(
     motion = ViewerMotion(reconstruction, views, footage_of(session), report, first_frame)
     with (folder / MOTION).open("wb") as file:
         file.writelines(motion.encode())
-    yield ResultFile(MOTION, VIEWER, None, "application/octet-stream", folder / MOTION)
     (folder / DESCRIPTION).write_bytes(motion.describe())
-    yield ResultFile(DESCRIPTION, VIEWER, None, "application/json", folder / DESCRIPTION)
+    return files_in(folder)
+
+
+def files_in(folder: Path) -> Sequence[ResultFile]:
+    """Files for viewers that were written into a folder."""
+    return [
+        ResultFile(MOTION, VIEWER, None, "application/octet-stream", folder / MOTION),
+        ResultFile(DESCRIPTION, VIEWER, None, "application/json", folder / DESCRIPTION),
+    ]
 
 
 def footage_of(session: Session) -> Mapping[str, Footage]:

@@ -97,7 +97,7 @@ def test_every_stored_file_of_a_finished_job_may_be_damaged(served: Served, keyp
     before = served.downloads(job["id"])
     for number, path in enumerate(stored(served, f"sessions/{session['id']}/stages/*")):
         (flip, truncate, remove)[number % 3](path)
-    results = stored(served, f"jobs/{job['id']}/results/*")
+    results = stored(served, f"jobs/{job['id']}/results/*/*")
     for path in results:
         flip(path)
     for path in results:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
-from pipeline.edits import PersonSpan
+from pipeline.edits import PersonSpan, without_names
 from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.plan import (
     ASSOCIATE,
@@ -72,7 +72,7 @@ def fit(work: Work) -> Output:
 
 def export(work: Work) -> Output:
     path = work.scratch / "person-1.bvh"
-    path.write_bytes(work.outputs(REFIT if work.claim.edits else FIT)[0])
+    path.write_bytes(work.outputs(REFIT if without_names(work.claim.edits) else FIT)[0])
     return Output(b"{}", (ResultFile(path.name, "bvh", "person-1", "text/plain", path),), people=FOUND)
 
 
@@ -86,13 +86,13 @@ def refit(work: Work) -> Output:
 
 def draw_overlay(work: Work) -> Output:
     path = work.scratch / "overlay-left.mp4"
-    path.write_bytes(b"video of " + work.outputs(REFIT if work.claim.edits else FIT)[0])
+    path.write_bytes(b"video of " + work.outputs(REFIT if without_names(work.claim.edits) else FIT)[0])
     return Output(b"{}", (ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path),))
 
 
 def write_report(work: Work) -> Output:
     path = work.scratch / "report.html"
-    path.write_bytes(b"report of " + work.outputs(REFIT if work.claim.edits else FIT)[0])
+    path.write_bytes(b"report of " + work.outputs(REFIT if without_names(work.claim.edits) else FIT)[0])
     return Output(b"{}", (ResultFile(path.name, REPORT_KIND, None, "text/html", path),))
 
 

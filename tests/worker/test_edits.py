@@ -9,7 +9,7 @@ import pytest
 from pipeline.edits import PeopleEdit, Remove, Rename
 from pipeline.errors import PipelineError
 from pipeline.findings import Finding
-from pipeline.stages.output import Output
+from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.plan import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT, WRITE
 from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, Bench
 from worker.chunk import StoppedError, Work
@@ -19,7 +19,7 @@ from worker.jobs.files.removals import remove_files
 from worker.jobs.model import Job, JobState
 from worker.planning import plan_job
 
-ANNA, NOBODY = Rename(person=1, name="Anna"), Remove(person=2)
+FIRST, NOBODY, ANNA = Remove(person=1), Remove(person=2), Rename(person=1, name="Anna")
 
 
 @pytest.fixture
@@ -40,8 +40,8 @@ def expected(*edits: PeopleEdit) -> bytes:
 
 def test_edits_run_their_own_stages_alone(bench: Bench, done: Job) -> None:
     assert done.people == FOUND
-    queued = edit(bench, done, ANNA)
-    assert (queued.state, queued.attempt, queued.revision, queued.edits) == (JobState.QUEUED, 2, 1, (ANNA,))
+    queued = edit(bench, done, FIRST)
+    assert (queued.state, queued.attempt, queued.revision, queued.edits) == (JobState.QUEUED, 2, 1, (FIRST,))
     run: list[str] = []
 
     def noted(function: Callable[[Work], Output]) -> Callable[[Work], Output]:
@@ -55,12 +55,52 @@ def test_edits_run_their_own_stages_alone(bench: Bench, done: Job) -> None:
     bench.runner().work(60.0)
     assert run == [EDIT, *PERSON_PARTS * [REFIT], *PERSON_PARTS * [WRITE], EXPORT]
     assert bench.store.jobs.get(done.id).state is JobState.SUCCEEDED
-    assert bench.result(done.id) == expected(ANNA)
+    assert bench.result(done.id) == expected(FIRST)
+
+
+def test_a_rename_stores_the_files_that_hold_the_name_alone(bench: Bench) -> None:
+    export, run = bench.stages[EXPORT], []
+
+    def export_with_name(work: Work) -> Output:
+        run.append(work.claim.stage)
+        path = work.scratch / "person-1.glb"
+        path.write_bytes(repr(work.claim.edits).encode())
+        made = export(work)
+        return replace(made, files=(*made.files, ResultFile(path.name, "glb", "person-1", "model/gltf-binary", path)))
+
+    def stored() -> dict[str, tuple[str, int]]:
+        """Key and time of the last change of each file."""
+        files = {file.name: file.key for file in bench.store.results.all_of_job(job.id)}
+        return {name: (key, (bench.data_dir / "artifacts" / key).stat().st_mtime_ns) for name, key in files.items()}
+
+    bench.stages[EXPORT] = export_with_name
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    before = stored()
+    renamed = edit(bench, bench.store.jobs.get(job.id), ANNA)
+    assert [stage.name for stage in renamed.stages if stage.state != "done"] == [EXPORT]
+    bench.runner().work(60.0)
+    remove_files(bench.store.removals, bench.artifacts)
+    after = stored()
+    assert run == [EXPORT, EXPORT]
+    assert after["person-1.bvh"] == before["person-1.bvh"]
+    assert after["person-1.glb"] != before["person-1.glb"]
+    assert not bench.artifacts.exists(before["person-1.glb"][0])
+    assert {file.revision for file in bench.store.results.all_of_job(job.id)} == {1}
+
+    # A file that is damaged is stored again; one that no revision lists is removed.
+    bench.artifacts.put_bytes(after["person-1.bvh"][0], b"damaged")
+    edit(bench, bench.store.jobs.get(job.id), ANNA, replace(ANNA, person=2))
+    bench.runner().work(60.0)
+    remove_files(bench.store.removals, bench.artifacts)
+    assert bench.result(job.id) == RESULT
+    assert stored()["person-1.bvh"][0] != after["person-1.bvh"][0]
+    assert not bench.artifacts.exists(after["person-1.bvh"][0])
 
 
 def test_an_edit_is_undone(bench: Bench, done: Job) -> None:
     job = done
-    for edits in ((ANNA,), (ANNA, NOBODY), (ANNA,), ()):
+    for edits in ((FIRST,), (FIRST, NOBODY), (FIRST,), ()):
         edit(bench, job, *edits)
         bench.runner().work(60.0)
         job = bench.store.jobs.get(job.id)
@@ -70,26 +110,27 @@ def test_an_edit_is_undone(bench: Bench, done: Job) -> None:
 
 
 def test_files_of_earlier_revisions_are_removed(bench: Bench, done: Job) -> None:
-    edit(bench, done, ANNA)
+    edit(bench, done, FIRST)
     bench.runner().work(60.0)
     remove_files(bench.store.removals, bench.artifacts)
     folders = [bench.data_dir / "artifacts" / results_prefix(done.id, revision) for revision in (0, 1)]
-    assert [folder.exists() for folder in folders] == [False, True]
+    # Folders stay, empty, until the job is deleted.
+    assert [[path.name for path in folder.rglob("*") if path.is_file()] for folder in folders] == [[], ["person-1.bvh"]]
 
 
 def test_edits_of_another_revision_are_refused(bench: Bench, done: Job) -> None:
-    edit(bench, done, ANNA)
+    edit(bench, done, FIRST)
     with pytest.raises(Conflict, match="revision 1 now"):
         edit(bench, done, NOBODY)
 
 
 def test_the_newest_of_stacked_edits_wins(bench: Bench, done: Job) -> None:
-    queued = edit(bench, done, ANNA)
-    newest = edit(bench, queued, ANNA, NOBODY)
+    queued = edit(bench, done, FIRST)
+    newest = edit(bench, queued, FIRST, NOBODY)
     bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
     assert (job.state, job.revision, job.results_revision) == (JobState.SUCCEEDED, newest.revision, 2)
-    assert bench.result(done.id) == expected(ANNA, NOBODY)
+    assert bench.result(done.id) == expected(FIRST, NOBODY)
     states = [attempt.state for attempt in bench.store.jobs.attempts(done.id)]
     assert states == [JobState.SUCCEEDED, JobState.CANCELED, JobState.SUCCEEDED]
 
@@ -117,7 +158,7 @@ def test_work_for_an_older_list_is_given_up(bench: Bench, done: Job, stage: str)
             raise
 
     bench.stages[stage] = edited_meanwhile
-    edit(bench, done, ANNA)
+    edit(bench, done, FIRST)
     bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
     assert (job.state, job.results_revision, job.edits) == (JobState.SUCCEEDED, 2, (NOBODY,))
@@ -134,7 +175,7 @@ def test_files_stay_if_an_edit_comes_to_nothing(bench: Bench, done: Job, end: st
 
     whole = bench.stages[EXPORT]
     bench.stages[EXPORT] = broken
-    queued = edit(bench, done, ANNA)
+    queued = edit(bench, done, FIRST)
     assert (queued.results_revision, bench.result(done.id)) == (0, RESULT)
     if end == "canceled":
         bench.store.jobs.cancel(done.id)
@@ -149,7 +190,7 @@ def test_files_stay_if_an_edit_comes_to_nothing(bench: Bench, done: Job, end: st
     bench.store.jobs.retry(done.id, plan_job(bench.session, job.spec, CHUNK_FRAMES, edits=job.edits))
     assert bench.result(done.id) == RESULT
     bench.runner().work(60.0)
-    assert bench.result(done.id) == expected(ANNA)
+    assert bench.result(done.id) == expected(FIRST)
 
 
 def test_edits_go_before_other_work_of_the_tenant(bench: Bench, done: Job) -> None:
@@ -157,7 +198,7 @@ def test_edits_go_before_other_work_of_the_tenant(bench: Bench, done: Job) -> No
     claim = bench.store.leases.claim("worker", 30.0)
     assert claim is not None
     assert claim.job_id == running.id
-    edited = edit(bench, done, ANNA)
+    edited = edit(bench, done, FIRST)
     assert edited.queue_position == 1
     assert bench.store.jobs.get(queued.id).queue_position == 2
     claim = bench.store.leases.claim("worker", 30.0)
@@ -172,7 +213,7 @@ def test_edits_take_no_share_of_other_tenants(bench: Bench, done: Job) -> None:
         "theirs", bench.session.files, bench.session.preflight, store.sessions.reserve_id()
     )
     theirs = store.of("other").jobs.add(session.id, done.spec, plan_job(session, done.spec, CHUNK_FRAMES))
-    edit(bench, done, ANNA)
+    edit(bench, done, FIRST)
     again = bench.create_job()
     taken = []
     for _ in range(2):
@@ -188,7 +229,7 @@ def test_warnings_of_the_last_revision_stay_until_the_next_succeeds(bench: Bench
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=() if work.claim.edits else (doubt,))
     job = bench.create_job()
     bench.runner().work(60.0)
-    assert edit(bench, bench.store.jobs.get(job.id), ANNA).result_warnings == (doubt,)
+    assert edit(bench, bench.store.jobs.get(job.id), FIRST).result_warnings == (doubt,)
     bench.runner().work(60.0)
     assert bench.store.jobs.get(job.id).result_warnings == ()
 
@@ -197,11 +238,11 @@ def test_people_must_have_been_found(bench: Bench) -> None:
     job = bench.create_job()
     bench.store.jobs.cancel(job.id)
     with pytest.raises(Conflict, match="no results yet"):
-        edit(bench, bench.store.jobs.get(job.id), ANNA)
+        edit(bench, bench.store.jobs.get(job.id), FIRST)
 
 
 def test_a_canceled_edit_can_be_made_again(bench: Bench, done: Job) -> None:
-    edit(bench, done, ANNA)
+    edit(bench, done, FIRST)
     canceled = bench.store.jobs.cancel(done.id)
     assert canceled.state is JobState.CANCELED
     edit(bench, canceled)
@@ -211,7 +252,7 @@ def test_a_canceled_edit_can_be_made_again(bench: Bench, done: Job) -> None:
 
 def test_another_version_computes_what_differs(bench: Bench, done: Job) -> None:
     """After an upgrade that changed the code of `identify`, everything from there on is run again."""
-    old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, CHUNK_FRAMES, edits=(ANNA,))}
-    queued = edit(bench, done, ANNA, codes=old | {IDENTIFY: "new"})
+    old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, CHUNK_FRAMES, edits=(FIRST,))}
+    queued = edit(bench, done, FIRST, codes=old | {IDENTIFY: "new"})
     states = {stage.name: stage.state for stage in queued.stages}
     assert (states[DETECT], states[IDENTIFY], states[FIT]) == ("done", "ready", "waiting")

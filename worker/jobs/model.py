@@ -271,7 +271,11 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A result file of a job, in the artifact store under ``key``; ``revision`` is that of the edits it shows."""
+    """A result file of a job, in the artifact store under ``key``; ``revision`` is that of the edits it shows.
+
+    ``person`` is the number of a person as in the file's name, ``person_name`` the name that edits gave, or else the
+    same.
+    """
 
     name: str
     kind: str  # "bvh", "skeletons", "metrics"
@@ -281,6 +285,7 @@ class Result:
     num_bytes: int
     sha256: str
     revision: int = 0
+    person_name: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -201,6 +201,12 @@ WARNINGS = CodeGroup(
             "Check that the calibration belongs to the videos, and that two cameras see a person at the same time.",
         ),
         ProblemCode(
+            "everybody_removed",
+            _WARNING,
+            "Edits removed everybody who was found.",
+            "Undo an edit: `PATCH /v1/jobs/{id}/people` with the list without it.",
+        ),
+        ProblemCode(
             "too_few_cameras", _WARNING_AND_FINDING, "The session has fewer than three cameras.", "Add a camera."
         ),
         ProblemCode(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data import Camera, FrameTimes, Reconstruction, Synchronization
+from pipeline.data import Camera, FrameTimes, Reconstruction, SkeletonMotion, Synchronization
 from pipeline.export.colors import color_rgb
 from pipeline.export.viewer.clocks import knots
 from pipeline.export.viewer.frames import (
@@ -129,7 +129,7 @@ class ViewerMotion:
                 "people": self._strips,
             },
         }
-        return (json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n").encode("ascii")
+        return _encoded(document)
 
     def _describe_record(self) -> dict[str, Any]:
         fields: Mapping[str, tuple[Any, ...]] = self._dtype.fields or {}
@@ -171,6 +171,18 @@ class ViewerMotion:
                 ],
             }
             offset_bytes += track.num_frames * self._dtype.itemsize
+
+
+def with_names(description: bytes, motions: Sequence[SkeletonMotion]) -> bytes:
+    """``motion.json`` of the same people with the names of ``motions``, in the same order."""
+    document = json.loads(description)
+    for person, motion in zip(document["people"], motions, strict=True):
+        person["name"] = motion.name
+    return _encoded(document)
+
+
+def _encoded(document: Mapping[str, Any]) -> bytes:
+    return (json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n").encode("ascii")
 
 
 def person_frames(reconstruction: Reconstruction, views: Sequence[PersonViews], number: int) -> PersonFrames:

@@ -39,10 +39,8 @@ def _joints_or_null(values: Float[np.ndarray, "frames joints *values"], decimals
     ]
 
 
-def _track_parts(track: Track3D, name: str) -> Iterator[str]:
-    """JSON object of a track, block by block: all numbers as Python objects would need too much memory."""
-    head = {"id": track.track_id, "name": name, "start_frame": track.start_frame}
-    yield _dumps(head).removesuffix("}")
+def _track_parts(track: Track3D) -> Iterator[str]:
+    """Series of a track's JSON object, block by block: all numbers as Python objects would need too much memory."""
     series: dict[str, Callable[[slice], Sequence[object]]] = {
         "positions_m": lambda rows: _joints_or_null(track.xyz_m[rows], 4),
         "scores": lambda rows: _joints_or_null(track.score[rows], 3),
@@ -60,9 +58,9 @@ def _track_parts(track: Track3D, name: str) -> Iterator[str]:
     yield "}" if uncertainty_m is not None else _WITHOUT_UNCERTAINTY
 
 
-def encode_track(track: Track3D, name: str) -> Iterator[bytes]:
-    """Write the line of a track, piece by piece, without its end."""
-    return (part.encode("ascii") for part in _track_parts(track, name))
+def encode_track(track: Track3D) -> Iterator[bytes]:
+    """Write the line of a track, piece by piece, without its end and its head: a name does not change these bytes."""
+    return (part.encode("ascii") for part in _track_parts(track))
 
 
 def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[bytes]:
@@ -77,8 +75,12 @@ def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[byt
         "bones": joints.bones,
     }
     yield f'{_dumps(head).removesuffix("}")},"tracks":[\n'.encode("ascii")
-    for number, path in enumerate(tracks):
-        yield b",\n" if number else b""
+    for number, (track, motion, path) in enumerate(
+        zip(reconstruction.tracks, reconstruction.motions, tracks, strict=True)
+    ):
+        of_track = {"id": track.track_id, "name": motion.name, "start_frame": track.start_frame}
+        separator = ",\n" if number else ""
+        yield f"{separator}{_dumps(of_track).removesuffix('}')}".encode("ascii")
         with path.open("rb") as file:
             while part := file.read(_PART_BYTES):
                 yield part

@@ -1,7 +1,9 @@
 """The reconstruction of a job from the outputs of its stages, edited if it was."""
 
-from pipeline.data import Animation, Reconstruction
-from pipeline.edits import PersonSpan
+from dataclasses import replace
+
+from pipeline.data import Animation, People, Reconstruction
+from pipeline.edits import PersonSpan, without_names
 from pipeline.findings import SessionCheck
 from pipeline.stages.codec import decode
 from pipeline.stages.editing import cut, edited_take, put_together, united
@@ -32,8 +34,10 @@ def assemble(context: Context) -> Reconstruction:
     take = None
     if context.config.edits:
         take = edited_take(found.spans, context.config, session.timebase)
-        changed = StoredPeople(archive_of_people(context, EDIT, EDITED)).people
-        refitted = united([decode(Animation, content) for content in context.outputs(REFIT)])
+        changed, refitted = People((), ()), Animation((), (), animation.floor)
+        if without_names(context.config.edits):
+            changed = StoredPeople(archive_of_people(context, EDIT, EDITED)).people
+            refitted = united([decode(Animation, content) for content in context.outputs(REFIT)])
         people, animation = put_together(people, animation, found.spans, changed, refitted, take)
     refined = refined_calibration(context)
     reconstruction = Reconstruction(
@@ -52,7 +56,10 @@ def assemble(context: Context) -> Reconstruction:
         synchronization=measured_clocks(context),
         check=decode(SessionCheck, *context.outputs(CHECK)),
     )
-    return reconstruction if take is None or take.frames is None else cut(reconstruction, take.frames)
+    if take is None:
+        return reconstruction
+    edited = reconstruction if take.frames is None else cut(reconstruction, take.frames)
+    return replace(edited, is_emptied=bool(found.spans) and not edited.tracks)
 
 
 def kept_frames(context: Context) -> range | None:

@@ -1,14 +1,29 @@
-"""Files of people as pieces of the output of ``export``: written once, whatever is edited elsewhere.
+"""Files as pieces of the output of ``export``: written once, whatever is edited elsewhere, and whoever is renamed.
 
-A piece is a line of JSON with the sizes of the files and the distances found in them, and then the files.
+A piece of a person's file is a line of JSON with the distance found in it, and then the file.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from pipeline.export.person_files import Distances, KeptFiles, PersonOfTake, replacing, spoilt
+from pipeline.data import Reconstruction
+from pipeline.edits import PeopleEdit, document_of, without_names
+from pipeline.export.formats import FORMATS
+from pipeline.export.person_files import KeptFile, KeptFiles, PersonOfTake, replacing, spoilt
+from pipeline.export.results import METRICS
+from pipeline.export.viewer.description import with_names
+from pipeline.quality.report import encode as encode_report
+from pipeline.quality.report import quality_report
+from pipeline.quality.views import ViewsOf
+from pipeline.stages.output import DESCRIPTION, MOTION, ResultFile
 from pipeline.stages.results.pieces import Pieces
+from pipeline.stages.viewer import files_in
+
+_HOLDING_NAMES = frozenset(str(export) for export, of_format in FORMATS.items() if of_format.holds_name)
+_NOBODY = ""
 
 
 class FilesInPieces(KeptFiles):
@@ -24,30 +39,77 @@ class FilesInPieces(KeptFiles):
 
     def __init__(self, pieces: Pieces, scratch: Path) -> None:
         self.pieces, self._scratch = pieces, scratch
+        self._digested: tuple[PersonOfTake, str] | None = None  # the last person, with a digest of all but the name
 
-    def find(self, person: PersonOfTake, paths: Mapping[str, Path]) -> Distances | None:
-        """Write a person's files, if they are kept, and read them back."""
-        piece = self.pieces.find(self.pieces.key(person))
+    def find(self, person: PersonOfTake, name: str, path: Path) -> KeptFile | None:
+        """Write a person's file, if it is kept, and read it back."""
+        piece = self.pieces.find(self._key(person, name))
         if piece is None:
             return None
         head, _, content = piece.partition(b"\n")
-        described = json.loads(head)
-        start = 0
-        for name, path in paths.items():
-            of_file = content[start : start + described["sizes"][name]]
-            with replacing(path, [of_file]) as part:
-                if part.read_bytes() != of_file:
-                    raise spoilt(path)
-            start += len(of_file)
-        distances_mm: dict[str, float | None] = described["distances_mm"]
-        return distances_mm
+        with replacing(path, [content]) as part:
+            if part.read_bytes() != content:
+                raise spoilt(path)
+        return KeptFile(**json.loads(head))
 
-    def keep(self, person: PersonOfTake, paths: Mapping[str, Path], distances_mm: Distances) -> None:
-        """Keep copies of a person's files."""
-        piece = self._scratch / f"piece-{person.track.track_id}"
-        head = {"sizes": {name: path.stat().st_size for name, path in paths.items()}, "distances_mm": distances_mm}
+    def keep(self, person: PersonOfTake, name: str, path: Path, distance_mm: float | None) -> None:
+        """Keep a copy of a person's file."""
+        piece = self._scratch / f"piece-{person.track.track_id}-{name}"
         with piece.open("wb") as file:
-            file.write(json.dumps(head).encode() + b"\n")
-            for path in paths.values():
-                file.write(path.read_bytes())
-        self.pieces.keep(self.pieces.key(person), piece)
+            file.write(json.dumps({"distance_mm": distance_mm}).encode() + b"\n")
+            file.write(path.read_bytes())
+        self.pieces.keep(self._key(person, name), piece)
+
+    def _key(self, person: PersonOfTake, name: str) -> str:
+        if self._digested is None or self._digested[0] is not person:
+            unnamed = replace(person, motion=replace(person.motion, name=_NOBODY))
+            self._digested = person, self.pieces.key(unnamed)
+        named = person.motion.name if name in _HOLDING_NAMES else _NOBODY
+        return self.pieces.key(name, self._digested[1], named)
+
+
+class TakeInPieces:
+    """Report and viewers' files of a whole take: edits change them, names do not.
+
+    Parameters
+    ----------
+    pieces, scratch
+        See ``FilesInPieces``.
+    edits
+        Edits of the take.
+    """
+
+    def __init__(self, pieces: Pieces, scratch: Path, edits: Sequence[PeopleEdit]) -> None:
+        self._pieces, self._scratch = pieces, scratch
+        self._edits = json.dumps([document_of(edit) for edit in without_names(edits)])
+
+    def report(self, take: Reconstruction, views: ViewsOf) -> dict[str, Any]:
+        """Content of ``metrics.json`` but for the distances in files."""
+        content = self._pieces.find(self._key(METRICS))
+        if content is None:
+            content = encode_report(quality_report(take, views(take)))
+            self._keep(METRICS, content)
+        report: dict[str, Any] = json.loads(content)
+        return report
+
+    def viewer_files(self, take: Reconstruction, make: Callable[[], Iterable[ResultFile]]) -> Sequence[ResultFile]:
+        """Files for viewers; ``make`` makes them in the folder for temporary files if they are not kept."""
+        contents = {name: self._pieces.find(self._key(name)) for name in (MOTION, DESCRIPTION)}
+        kept = {name: content for name, content in contents.items() if content is not None}
+        if len(kept) < len(contents):
+            files = list(make())
+            for file in files:
+                self._keep(file.name, file.path.read_bytes())
+            return files
+        kept[DESCRIPTION] = with_names(kept[DESCRIPTION], take.motions)
+        for name, content in kept.items():
+            (self._scratch / name).write_bytes(content)
+        return files_in(self._scratch)
+
+    def _key(self, name: str) -> str:
+        return self._pieces.key(name, self._edits)
+
+    def _keep(self, name: str, content: bytes) -> None:
+        piece = self._scratch / f"piece-{name}"
+        piece.write_bytes(content)
+        self._pieces.keep(self._key(name), piece)

@@ -36,6 +36,11 @@ def test_an_empty_result_says_so() -> None:
     assert [check.code for check in all_checks(report)] == ["nobody_found"]
 
 
+def test_a_take_without_people_after_edits_is_no_take_without_people() -> None:
+    report = quality_report(replace(reconstruction(), is_emptied=True))
+    assert [check.code for check in all_checks(report)] == ["everybody_removed"]
+
+
 def nobody(check: SessionCheck) -> tuple[str, str, list[str]]:
     """Sentence and reason of an empty result, and the codes of all findings."""
     found = all_checks(quality_report(replace(reconstruction(), check=check)))

@@ -171,6 +171,7 @@ results = Table(
     Column("num_bytes", BigInteger, nullable=False),
     Column("sha256", String(64), nullable=False),
     Column("revision", Integer, nullable=False, server_default="0"),  # of the edits that the file shows
+    Column("person_name", String),  # null: not of a single person, or of an older version
 )
 
 # Outputs of finished chunks. They stay when their job is deleted, until their session is.

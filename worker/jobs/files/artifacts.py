@@ -6,10 +6,12 @@
     sessions/<session>/record
     sessions/<session>/thumbnails/<camera number>-<picture number>.jpg
     sessions/<session>/stages/<output key>
-    jobs/<job>/results/<name>                 of the reconstruction
-    jobs/<job>/revisions/<revision>/<name>    after edits of its people
-    jobs/<job>/visuals/<revision>/<name>      overlay videos and the report
+    jobs/<job>/results/<name>/<name>                 of the reconstruction
+    jobs/<job>/revisions/<revision>/<name>/<name>    after edits of its people
+    jobs/<job>/visuals/<revision>/<name>/<name>      overlay videos and the report
     jobs/<job>/interim/<attempt>/<output key>
+
+A result file has a folder of its own: it stays as long as a revision lists it, whatever becomes of the files beside it.
 """
 
 import contextlib
@@ -97,7 +99,7 @@ def visuals_prefix(job_id: str, revision: int = 0) -> str:
 def result_key(job_id: str, name: str, revision: int = 0, kind: str = "") -> str:
     """Key of a result file of a kind."""
     prefix = visuals_prefix(job_id, revision) if kind in VISUAL_KINDS else results_prefix(job_id, revision)
-    return f"{prefix}{name}"
+    return f"{prefix}{name}/{name}"
 
 
 class ArtifactStore(Protocol):

@@ -44,6 +44,13 @@ class Results:
             raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
         return found
 
+    def listed(self, job_id: str, name: str) -> Result | None:
+        """Result of a job by name, in whatever state the job is; ``None`` if there is none of this name."""
+        query = select(results).where(results.c.job_id == job_id, results.c.name == name)
+        with self._access.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else result_of(row)
+
     def proxy(self, session_id: str, name: str) -> Result | None:
         """Proxy of a session by its name, as soon as it is made; ``None`` before, and without a session."""
         query = (

@@ -15,9 +15,9 @@ from pipeline.skeleton.model import SKELETON
 def encoded(of: Reconstruction) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         paths: list[Path] = []
-        for track, motion in zip(of.tracks, of.motions, strict=True):
+        for one in of.tracks:
             paths.append(Path(folder) / str(len(paths)))
-            paths[-1].write_bytes(b"".join(skeletons_json.encode_track(track, motion.name)))
+            paths[-1].write_bytes(b"".join(skeletons_json.encode_track(one)))
         return b"".join(skeletons_json.join(of, paths))
 
 

@@ -403,4 +403,5 @@ def test_any_name_makes_a_key(name: str, number: int, tmp_path_factory: pytest.T
 def test_keys() -> None:
     assert input_key("s", 2, "cam 1 (left).mp4") == "sessions/s/inputs/2-cam_1_left_.mp4"
     assert stage_key("s", "k") == "sessions/s/stages/k"
-    assert result_key("j", "person-1.bvh") == "jobs/j/results/person-1.bvh"
+    assert result_key("j", "person-1.bvh") == "jobs/j/results/person-1.bvh/person-1.bvh"
+    assert result_key("j", "person-1.bvh", 3) == "jobs/j/revisions/3/person-1.bvh/person-1.bvh"
