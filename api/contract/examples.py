@@ -238,6 +238,7 @@ _RESULTS: dict[str, Any] = {
             "name": "person-1.bvh",
             "kind": "bvh",
             "person": "person-1",
+            "person_name": "person-1",
             "format": "bvh",
             "preset": "default",
             "download_name": "handshake-take-3_person-1.bvh",

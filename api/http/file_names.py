@@ -6,6 +6,8 @@ from urllib.parse import quote
 _MAX_BYTES = 120
 """Longest name of a take; file systems take names of 255 bytes."""
 
+_MAX_PERSON_BYTES = 60
+
 _KEPT = frozenset(
     "LNM"
 )  # first letters of the Unicode categories of letters, numbers, and marks that belong to letters
@@ -17,10 +19,14 @@ def take_name(session_name: str) -> str:
     >>> take_name("Handshake, take 3")
     'handshake-take-3'
     """
-    text = unicodedata.normalize("NFC", session_name.lower())
-    words = "".join(one if unicodedata.category(one)[0] in _KEPT else " " for one in text).split()
-    short = "-".join(words).encode()[:_MAX_BYTES].decode(errors="ignore").rstrip("-")
-    return short or "take"
+    return _words(session_name, _MAX_BYTES) or "take"
+
+
+def _words(text: str, max_bytes: int) -> str:
+    """Letters and digits of a text in lower case, hyphens between words; empty without any."""
+    lower = unicodedata.normalize("NFC", text.lower())
+    words = "".join(one if unicodedata.category(one)[0] in _KEPT else " " for one in lower).split()
+    return "-".join(words).encode()[:max_bytes].decode(errors="ignore").rstrip("-")
 
 
 def stem_of(session_name: str, revision: int = 0) -> str:
@@ -34,19 +40,34 @@ def stem_of(session_name: str, revision: int = 0) -> str:
     return take_name(session_name) + (f"_revision-{revision}" if revision else "")
 
 
-def result_name(session_name: str, name: str, revision: int = 0) -> str:
+def named_person(person: str, person_name: str | None = None) -> str:
+    """Person in the name of a file: the number, and the name that edits gave.
+
+    >>> named_person("person-1", "Anna K.")
+    'person-1-anna-k'
+    """
+    words = "" if person_name in {None, person} else _words(person_name or "", _MAX_PERSON_BYTES)
+    return f"{person}-{words}" if words else person
+
+
+def result_name(session_name: str, name: str, revision: int = 0, person_name: str | None = None) -> str:
     """Name under which clients save a result file of a session.
 
     >>> result_name("Handshake, take 3", "person-1.bvh")
     'handshake-take-3_person-1.bvh'
+    >>> result_name("Handshake, take 3", "person-1.bvh", 2, "Anna")
+    'handshake-take-3_revision-2_person-1-anna.bvh'
     """
-    return f"{stem_of(session_name, revision)}_{name}"
+    stem, _, suffix = name.rpartition(".")
+    return f"{stem_of(session_name, revision)}_{named_person(stem, person_name)}.{suffix}"
 
 
-def archived_name(session_name: str, name: str, person: str | None, revision: int = 0) -> str:
+def archived_name(
+    session_name: str, name: str, folder: str | None, revision: int = 0, person_name: str | None = None
+) -> str:
     """Path of a result file in the archive of all of them: a folder for each person."""
-    folder = "" if person is None else f"{take_name(person)}/"
-    return folder + result_name(session_name, name, revision)
+    inside = "" if folder is None else f"{take_name(named_person(folder, person_name))}/"
+    return inside + result_name(session_name, name, revision, person_name)
 
 
 def disposition_of(name: str, disposition: str = "attachment") -> dict[str, str]:

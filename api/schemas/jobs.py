@@ -278,6 +278,10 @@ class ResultOut(ResponseModel):
     name: str = Field(description="Name of the file.")
     kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.")
     person: str | None = Field(description="Person in the file; null if it concerns all people.")
+    person_name: str | None = Field(
+        description="Name of the person, such as `Anna`, or `person-1` if no edit gave one; null if it concerns all "
+        "people."
+    )
     format: str | None = Field(description="Format of a person's or of all people's motion, a value of `exports`.")
     preset: str | None = Field(description="Preset of a BVH file; null of other files.")
     download_name: str = Field(
@@ -295,7 +299,7 @@ class ResultOut(ResponseModel):
         return cls(
             format=result.kind if result.kind in FILE_FORMATS else None,
             preset=job.spec.bvh if result.kind == "bvh" else None,
-            download_name=result_name(job.session_name, result.name, result.revision),
+            download_name=result_name(job.session_name, result.name, result.revision, result.person_name),
             link=f"/v1/jobs/{job.id}/results/{result.name}",
             **fields_of(result, cls, without=("format", "preset", "download_name", "link")),
         )

@@ -71,7 +71,7 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) 
     for result in results:
         is_video = result.media_type.startswith("video/")
         folder = result.kind if is_video else result.person
-        name = archived_name(job.session_name, result.name, folder, result.revision)
+        name = archived_name(job.session_name, result.name, folder, result.revision, result.person_name)
         # Videos are compressed already.
         archive.add(_content(services, result), name, compress_type=ZIP_STORED if is_video else ZIP_DEFLATED)
     headers = {
@@ -120,9 +120,11 @@ def get_result(
     """Download a result file: the whole file, or a range, such as the rest of an interrupted download.
 
     Clients save it under a name that begins with that of the take, such as `handshake-take-3_person-1.bvh`. After
-    edits of its people the name tells their revision: `handshake-take-3_revision-2_person-1.bvh`.
+    edits of its people the name tells their revision, and the name of a person who was given one:
+    `handshake-take-3_revision-2_person-1-anna.bvh`.
     """
     result = records.results.get(job_id, name)
     job = records.jobs.get(job_id)
-    download = Download.of(result, result_name(job.session_name, result.name, result.revision))
+    name = result_name(job.session_name, result.name, result.revision, result.person_name)
+    download = Download.of(result, name)
     return send_file(request, services, download, conditions)

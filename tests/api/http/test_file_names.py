@@ -50,6 +50,24 @@ def test_a_header_holds_every_character(session: str) -> None:
     assert header.partition("filename=")[2].split(";")[0].count('"') == 2
 
 
+@given(st.text(max_size=200), st.text(max_size=200))
+def test_names_of_people_are_safe_too(session: str, person: str) -> None:
+    name = result_name(session, "person-12.bvh", 3, person)
+    assert "_revision-3_person-12" in name
+    assert name.endswith(".bvh")
+    assert len(name.encode()) <= 255
+    assert not _FORBIDDEN & set(name)
+
+
+def test_people_have_their_number_and_the_name_that_was_given() -> None:
+    assert result_name("Walk 2", "person-1.bvh", 3, "Anna K.") == "walk-2_revision-3_person-1-anna-k.bvh"
+    assert result_name("Walk 2", "person-1.bvh", 0, "person-1") == "walk-2_person-1.bvh"
+    assert result_name("Walk 2", "person-1.bvh", 3, "...") == "walk-2_revision-3_person-1.bvh"
+    assert archived_name("Walk 2", "person-1.glb", "person-1", 3, "Zoë") == (
+        "person-1-zoë/walk-2_revision-3_person-1-zoë.glb"
+    )
+
+
 def test_archives_have_a_folder_for_each_person() -> None:
     assert archived_name("Walk 2", "person-1.bvh", "person-1") == "person-1/walk-2_person-1.bvh"
     assert archived_name("Walk 2", "person-1.bvh", "person-1", 3) == "person-1/walk-2_revision-3_person-1.bvh"

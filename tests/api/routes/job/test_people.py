@@ -168,7 +168,7 @@ def test_files_stay_until_those_of_the_next_revision_are_made(live: Live, job_id
     assert read() == before
 
     again = live.client.post(f"/v1/jobs/{job_id}/retry").json()
-    assert "edit" in [stage["name"] for stage in again["stages"]]
+    assert "export" in [stage["name"] for stage in again["stages"]]
     assert read() == before
     live.finish(job_id, b"edited", people=FOUND)
     assert read() == (1, [1], b"edited", 200)
