@@ -74,6 +74,18 @@ def page(portal: Portal) -> Iterator[Page]:
         yield page
 
 
+def expect_in_one_screen(page: Page) -> None:
+    """The buttons of the play head, both 3D views and all pictures of cameras are in sight together."""
+    page.locator(".look-pair").evaluate("one => one.scrollIntoView()")
+    parts = [page.get_by_role("button", name="Play (Space)"), *page.locator(".look-view").all()]
+    assert len(parts) == 3
+    for part in (*parts, *page.locator(".look-tile").all(), *page.locator(".look-range").all()):
+        box = part.bounding_box()
+        assert box is not None
+        assert box["y"] >= 0, part
+        assert box["y"] + box["height"] <= 800, part
+
+
 def sign_in(page: Page, portal: Portal) -> None:
     page.get_by_label("Key").fill(portal.key)
     page.get_by_role("button", name="Sign in").click()
@@ -114,12 +126,31 @@ def expect_in_view(page: Page, *names: str) -> None:
     expect(rows).to_have_text(names, timeout=30_000)
 
 
+def frames_of_both(portal: Portal, one: int, other: int) -> int:
+    """Number of frames in which two people who were found are there."""
+    spans = {person["id"]: person for person in portal.people()["found"]}
+    frames = [
+        set(range(spans[id_]["start_frame"], spans[id_]["start_frame"] + spans[id_]["num_frames"]))
+        for id_ in (one, other)
+    ]
+    return len(frames[0] & frames[1])
+
+
 def test_people_are_merged_and_the_merge_is_undone(page: Page, portal: Portal) -> None:
     revision = portal.people()["revision"]
     frame = 40
     choose(page, "person-2", frame)
     page.get_by_role("button", name="Top").click()
     press(page, "Merge into person-1")
+    question = page.get_by_role("dialog", name="Merge person-2 into person-1?")
+    shared = frames_of_both(portal, 2, 1)
+    expect(question).to_contain_text(f"Both are there in {shared} frames")
+    expect(question).to_contain_text(f"{shared} of the 100 frames of person-2 are lost")
+    question.get_by_role("button", name="Keep both").click()
+    expect(question).to_have_count(0)
+    assert portal.people()["edits"] == []
+    press(page, "Merge into person-1")
+    question.get_by_role("button", name="Merge", exact=True).click()
     edits = panel(page).get_by_role("list", name="Edits").get_by_role("listitem")
     expect(edits).to_have_text([re.compile("Merge person-2 into person-1")])
     expect(panel(page).get_by_text(re.compile(f"Files of revision {revision + 1} are being made"))).to_be_visible()
@@ -193,6 +224,32 @@ def test_split_exchange_rename_delete_and_cut(page: Page, portal: Portal) -> Non
     assert portal.people()["edits"] == after["edits"]
 
 
+def test_people_who_never_meet_are_merged_at_once(page: Page, portal: Portal) -> None:
+    revision = portal.people()["revision"]
+    choose(page, "person-1", 50)
+    press(page, "Split here")
+    made(page, revision + 1)
+    choose(page, "person-4")
+    panel(page).get_by_label("Other person").select_option("person-1")
+    press(page, "Merge into person-1")
+    made(page, revision + 2)
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    expect(panel(page).get_by_role("radio")).to_have_count(3)
+
+
+def test_a_take_without_people_is_said_to_be_emptied(page: Page, portal: Portal) -> None:
+    portal.edit(*({"action": "remove", "person": person} for person in (1, 2, 3)))
+    page.reload()
+    look_at(page, portal)
+    expect(page.get_by_text("Done: the edits leave nobody")).to_be_visible()
+    expect(panel(page).get_by_text("You deleted everybody.")).to_be_visible()
+    expect(page.get_by_text("was found")).to_have_count(0)
+    press(page, "Undo, so that people come back")
+    expect(panel(page).get_by_text("You deleted everybody.")).to_have_count(0)
+    made(page, portal.people()["revision"])
+    expect_in_view(page, "person-3")
+
+
 def test_impossible_edits_say_what_to_do(page: Page, portal: Portal) -> None:
     revision = portal.people()["revision"]
     choose(page, "person-1", 0)
@@ -231,8 +288,14 @@ def test_another_job_is_compared_on_the_same_clock(page: Page, portal: Portal) -
     wait_for(lambda: portal.client.get(f"/v1/jobs/{answer['id']}").json()["state"] == "succeeded", timeout_s=240)
     page.reload()
     look_at(page, portal)
+    # The jobs differ in one choice alone.
+    expect(page.get_by_label("Compare with").locator("option")).to_have_text(
+        ["no other job", "Smoothing: None, joints as they were located"]
+    )
     page.get_by_label("Compare with").select_option(answer["id"])
     expect(page.locator(".look-viewer[data-ready=true]")).to_have_count(2, timeout=60_000)
+    expect(page.get_by_role("region", name="Smoothing: None, joints as they were located")).to_be_visible()
+    expect_in_one_screen(page)
     choose(page, "person-1", 60)
     for slider in page.get_by_label("Play head").all():
         expect(slider).to_have_value("60")

@@ -149,6 +149,39 @@ def test_people_are_drawn_and_named(shown: Shown) -> None:
     assert shown.page.evaluate("() => globalThis.viewer.view.stage.renderer.info.render.calls") <= 10
 
 
+def test_a_take_without_people_draws_none(shown: Shown) -> None:
+    shown.page.evaluate(
+        """async (job) => {
+          const { mount } = await import("/portal/viewer/mount.js");
+          const { ApiSource } = await import("/portal/viewer/source.js");
+          const place = document.createElement("div");
+          for (const child of document.body.children) child.hidden = true;
+          document.body.prepend(place);
+          const source = new ApiSource(job);
+          const read = source.description.bind(source);
+          source.description = async () => {
+            const description = await read();
+            description.people = [];
+            description.strips.people = [];
+            return description;
+          };
+          source.frames = async () => new ArrayBuffer(0);
+          globalThis.viewer = await mount(place, source);
+        }""",
+        shown.job_ids[0],
+    )
+    expect(shown.page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=30_000)
+    expect(shown.page.get_by_text("There is nobody in this take.")).to_be_visible()
+    triangles = shown.page.evaluate(
+        """() => {
+          const { stage } = globalThis.viewer.view;
+          stage.renderer.render(stage.scene, stage.camera);
+          return stage.renderer.info.render.triangles;
+        }"""
+    )
+    assert triangles == 0  # cameras, ground and axes are lines
+
+
 def test_the_keyboard_moves_the_play_head(shown: Shown) -> None:
     shown.mount()
     shown.page.locator(".look-canvas").focus()

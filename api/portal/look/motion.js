@@ -2,15 +2,17 @@
 
 import { addressed, call, Problem } from "../shared/api.js";
 import { persistently, reached } from "../shared/away.js";
-import { moment } from "../shared/format.js";
 import { html, nothing, render } from "../shared/lit.js";
+import { readOptions } from "../shared/options.js";
 import { problemBox } from "../shared/problem.js";
+import { titlesOf } from "./titles.js";
 
 // Event `time`: the play head has moved, or another viewer is shown.
 export class Motion extends EventTarget {
   #viewer = null;
   #startFrame = 0; // frame of the whole reconstruction at which the shown take starts
   #others = [];
+  #titles = new Map(); // by id, of the job and the others
   #chosen = null; // job beside this one
   #number = 0; // of what is being opened, so that a slow answer does not open over a later one
 
@@ -40,6 +42,7 @@ export class Motion extends EventTarget {
     if (isGuest) return;
     const { jobs } = await call(`/v1/sessions/${session.id}/jobs?state=succeeded`);
     this.#others = jobs.filter((one) => one.id !== job.id && one.kind === "reconstruction");
+    this.#titles = titlesOf([job, ...this.#others], await readOptions());
     this.#drawChoice();
   }
 
@@ -81,7 +84,7 @@ export class Motion extends EventTarget {
       const sourceOf = ({ id }) => new ApiSource(id, cameras, addressed);
       return other === null
         ? await mount(this.stage, sourceOf(this.job))
-        : await mountPair(this.stage, [this.job, other].map(sourceOf), [this.job, other].map(titleOf));
+        : await mountPair(this.stage, [this.job, other].map(sourceOf), [this.job, other].map(({ id }) => this.#titles.get(id)));
     } catch (error) {
       throw await reached() ? error : new Problem(null);
     }
@@ -101,12 +104,7 @@ export class Motion extends EventTarget {
     const choose = (event) => this.#show(this.#others.find(({ id }) => id === event.target.value) ?? null);
     render(this.#others.length === 0 ? nothing : html`<label class="compare">Compare with
       <select @change=${choose}><option value="">no other job</option>
-        ${this.#others.map((one) => html`<option value=${one.id} .selected=${one.id === this.#chosen?.id}>${titleOf(one)}</option>`)}
+        ${this.#others.map((one) => html`<option value=${one.id} .selected=${one.id === this.#chosen?.id}>${this.#titles.get(one.id)}</option>`)}
       </select></label>`, this.choice);
   }
-}
-
-/** Title of a job among those of its session: when it was started, and the choices that differ most often. */
-function titleOf({ created_at: created, spec, revision }) {
-  return [moment(created), spec?.method, spec?.profile, spec?.smoothing, revision ? `revision ${revision}` : null].filter(Boolean).join(", ");
 }

@@ -1,8 +1,8 @@
-// A question before something is deleted. The focus returns to where it was.
+// A question before something is lost. The focus returns to where it was.
 
 import { html, render } from "./lit.js";
 
-export function confirm({ title, text, action }) {
+export function confirm({ title, text, action, refusal = "Keep" }) {
   return new Promise((resolve) => {
     const dialog = document.createElement("dialog");
     dialog.setAttribute("aria-labelledby", "dialog-title");
@@ -12,7 +12,7 @@ export function confirm({ title, text, action }) {
       <h2 id="dialog-title">${title}</h2>
       <p>${text}</p>
       <div class="actions end">
-        <button class="button" value="no" autofocus>Keep</button>
+        <button class="button" value="no" autofocus>${refusal}</button>
         <button class="button danger" value="yes">${action}</button>
       </div>
     </form>`, dialog);

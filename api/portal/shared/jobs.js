@@ -10,11 +10,13 @@ const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 const STEADY_S = 2; // before that a rate says little
 
 export const hasEnded = (job) => ENDED.has(job.state);
-export const foundNobody = (job) => job.result_warnings.some(({ code }) => code === "nobody_found");
+const hasWarning = (job, wanted) => job.result_warnings.some(({ code }) => code === wanted);
+export const foundNobody = (job) => hasWarning(job, "nobody_found");
 
 // Words and tone of a job's state. A result without people, or with doubts, is no plain success.
 export function stateOf(job) {
   if (job.state === "succeeded" && foundNobody(job)) return { words: "Done: nobody was found", tone: "empty" };
+  if (job.state === "succeeded" && hasWarning(job, "everybody_removed")) return { words: "Done: the edits leave nobody", tone: "empty" };
   if (job.state === "succeeded" && job.result_warnings.length) return { words: "Done, with warnings", tone: "warn" };
   const [words, tone] = STATES[job.state] ?? [job.state, "mute"];
   return { words: job.state === "running" ? `${words} ${percent(job.progress)}` : words, tone };

@@ -15,7 +15,8 @@ export async function readOptions() {
   return options;
 }
 
-function wordsOf(choice, value) {
+/** Value of a choice as words. */
+export function valueOf(choice, value) {
   const label = (one) => choice.values.find(({ name }) => name === one)?.label ?? String(one);
   return Array.isArray(value) ? value.map((one) => label(one ?? "…")).join(", ") : label(value);
 }
@@ -25,7 +26,7 @@ export function describeSpec(spec, { choices }) {
   const differs = (choice) => JSON.stringify(spec[choice.name] ?? null) !== JSON.stringify(choice.default ?? null);
   const describe = (choice) => (choice.kind === "flag"
     ? { label: spec[choice.name] ? "With" : "Without", value: choice.label }
-    : { label: choice.label, value: wordsOf(choice, spec[choice.name]) });
+    : { label: choice.label, value: valueOf(choice, spec[choice.name]) });
   return choices
     .filter((choice) => choice.name in spec && differs(choice))
     .map(describe);

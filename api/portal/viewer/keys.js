@@ -14,7 +14,7 @@ export function listenToKeys(viewer) {
   if (!viewer.isLeader) return () => {};
   const listen = (event) => {
     const { target } = event;
-    const isElsewhere = target !== document.body && !viewer.element.closest(".look-pair, .look-viewer").contains(target);
+    const isElsewhere = target !== document.body && !(viewer.element.closest(".look-pair") ?? viewer.element).contains(target);
     if (isElsewhere || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
     if (isBusy(target, event.key)) return;
     if (act(viewer, event)) event.preventDefault();

@@ -1,6 +1,7 @@
 // Entry of the viewer: `mount(element, source)` shows a job's motion, `mountPair` two jobs on the same clock.
 
 import { el } from "./dom.js";
+import { transport } from "./panels/transport.js";
 import { Player } from "./player.js";
 import { Viewer } from "./viewer.js";
 
@@ -24,8 +25,9 @@ export async function mountPair(element, sources, titles) {
   const descriptions = await describe(element, sources);
   const player = playerOf(descriptions);
   const places = titles.map((title) => el("section", { class: "look-side", "aria-label": title }, el("h2", {}, title), el("div")));
-  element.replaceChildren(el("div", { class: "look-pair" }, places));
-  const viewers = places.map((place, number) => new Viewer(place.lastChild, sources[number], descriptions[number], player, { isLeader: number === 0 }));
+  // One play head, one row of buttons: above both, so that they are in sight with the pictures.
+  element.replaceChildren(el("div", { class: "look-pair" }, el("div", { class: "look-viewer look-shared" }, transport(player)), places));
+  const viewers = places.map((place, number) => new Viewer(place.lastChild, sources[number], descriptions[number], player, { isLeader: number === 0, hasTransport: false }));
   player.mustWait = (now) => viewers.some((viewer) => viewer.isLate(now));
   linkOrbits(viewers);
   const [first, second] = viewers;

@@ -23,9 +23,9 @@ export class Viewer {
   #orbit = null; // of the viewer before this one, for the first picture
   #listening = new AbortController();
 
-  /** A leader moves the play head and listens to the keys; the other viewers of a pair follow. */
-  constructor(element, source, description, player, { isLeader = true } = {}) {
-    Object.assign(this, { description, player, isLeader });
+  /** A leader moves the play head and listens to the keys; the other viewers of a pair follow, and share its buttons. */
+  constructor(element, source, description, player, { isLeader = true, hasTransport = true } = {}) {
+    Object.assign(this, { description, player, isLeader, hasTransport });
     this.store = new MotionStore(description, source);
     this.seen = null;
     this.follower = null; // viewer of another job that shares the play head
@@ -128,7 +128,7 @@ export class Viewer {
     const clocks = clocksPanel(description);
     this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" },
       el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.status), this.wall.element),
-      this.isLeader ? transport(player) : null, this.strips.element,
+      this.hasTransport ? transport(player) : null, this.strips.element,
       tabs([
         { id: "people", label: "People", element: peopleTable(description, player, this.strips.spots) },
         { id: "plots", label: "Plots", element: this.plots.element, onshow: () => this.plots.draw(true) },

@@ -1,7 +1,10 @@
 // What can be done with the chosen person and with the take, at the play head.
 
 import { announce } from "../../shared/announce.js";
+import { confirm } from "../../shared/dialog.js";
+import { count } from "../../shared/format.js";
 import { html, nothing, typed } from "../../shared/lit.js";
+import { framesOf, sharedFrames } from "./words.js";
 
 const MAX_NAME = 100;
 
@@ -15,7 +18,7 @@ export function actions(panel) {
           @change=${(event) => seek(panel, event.target)} @keydown=${(event) => { if (event.key === "Enter") seek(panel, event.target); }}></label>
       <p class="quiet">The frame at the play head. ${isCut ? `Frames count from the start of the whole take; ${people.start_frame} to ${people.stop_frame - 1} are kept.` : ""}</p>
     </div>
-    ${selected === null ? html`<p class="quiet">There is nobody. Undo an edit to get people back.</p>` : ofPerson(panel)}
+    ${selected === null ? nothing : ofPerson(panel)}
     <fieldset class="doing"><legend>The take</legend><div class="actions">
       ${panel.button("Start the take here", () => cut(panel, panel.frame, people.stop_frame))}
       ${panel.button("End the take here", () => cut(panel, people.start_frame, panel.frame + 1))}
@@ -66,8 +69,15 @@ function exchange(panel) {
   return panel.add({ action: "exchange", person: panel.selected, other: panel.other, start_frame: panel.frame });
 }
 
+// One person is in one place: in frames of both, the frames of the one who is merged are lost.
 async function merge(panel) {
   const { selected, other } = panel;
+  const [lost, kept] = [selected, other].map((id) => panel.people.people.find((person) => person.id === id));
+  const shared = sharedFrames(lost, kept);
+  if (shared.num > 0) {
+    const text = `Both are there in ${count(shared.num, "frame")}, from ${shared.first} to ${shared.last}. There ${kept.name} counts, and ${shared.num} of the ${count(framesOf(lost), "frame")} of ${lost.name} are lost. Undo brings them back.`;
+    if (!await confirm({ title: `Merge ${lost.name} into ${kept.name}?`, text, action: "Merge", refusal: "Keep both" })) return;
+  }
   await panel.add({ action: "merge", person: other, other: selected });
   if (panel.people.people.every(({ id }) => id !== selected)) panel.select(other);
 }

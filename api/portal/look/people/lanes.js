@@ -1,4 +1,4 @@
-// Identity timeline: a lane a person with the frames of the people who were found, the cut, and the play head.
+// Identity timeline: a lane a person with their frames, the cut, and the play head.
 
 import { html, nothing, repeat, styled } from "../../shared/lit.js";
 import { colorOf } from "./words.js";
@@ -35,11 +35,12 @@ function lane(panel, person) {
       <span class="look-swatch" ${styled({ "--tint": colorOf(id) })}></span>
       <span class="lane-text"><b>${name}</b> <span class="quiet">frames ${first} to ${last}</span></span>
     </label>
-    <div class="lane-track" aria-hidden="true" @click=${go}>${pieces.map((piece) => bar(piece, people))}</div>
+    <div class="lane-track" aria-hidden="true" @click=${go}>${pieces.map((piece) => bar(id, piece, people))}</div>
   </div>`;
 }
 
-function bar({ person, start_frame: start, stop_frame: stop }, { num_frames: numFrames }) {
-  const place = { "--from": start / numFrames, "--share": (stop - start) / numFrames, "--tint": colorOf(person) };
-  return html`<span class="bar-of" title="Frames ${start} to ${stop - 1}: person ${person} as found" ${styled(place)}></span>`;
+// Frames of a person in their one colour; hatched where they were another person's as found.
+function bar(id, { person, start_frame: start, stop_frame: stop }, { num_frames: numFrames }) {
+  const place = { "--from": start / numFrames, "--share": (stop - start) / numFrames, "--tint": colorOf(id) };
+  return html`<span class="bar-of ${person === id ? "" : "of-other"}" title="Frames ${start} to ${stop - 1}: person ${person} as found" ${styled(place)}></span>`;
 }

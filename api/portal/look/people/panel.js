@@ -105,6 +105,8 @@ export class PeoplePanel {
         <div class="actions">${conflict.change ? this.button("Do it on their edits", () => editing.repeat()) : nothing}
           <button type="button" class="button small" @click=${() => editing.dismiss()}>Leave it</button></div></div>` : nothing}
       ${notice ? html`<p class="notice">${notice}</p>` : nothing}
+      ${this.people.people.length === 0 && this.people.found.length > 0 ? html`<div class="notice emptied"><p>You deleted everybody.</p>
+        ${this.button("Undo", () => editing.undo(), { name: "Undo, so that people come back" })}</div>` : nothing}
       ${isBroken ? html`<div class="problem" role="alert"><p>The files of these edits were not made. Retry, or undo the last edit.</p>
         ${job.links.retry ? html`<div class="actions">${this.button("Retry", () => this.#retry())}</div>` : nothing}</div>` : nothing}`;
   }

@@ -37,6 +37,25 @@ function during({ start_frame: start, stop_frame: stop }) {
   return stop === null || stop === undefined ? `from frame ${start} on` : `in frames ${start} to ${stop - 1}`;
 }
 
+// Number of frames of a person, of the whole reconstruction.
+export function framesOf({ pieces }) {
+  return pieces.reduce((sum, { start_frame: start, stop_frame: stop }) => sum + stop - start, 0);
+}
+
+// Frames in which two people are there: how many, the first and the last one.
+export function sharedFrames(one, other) {
+  let [num, first, last] = [0, Infinity, -Infinity];
+  for (const piece of one.pieces) {
+    for (const theirs of other.pieces) {
+      const [start, stop] = [Math.max(piece.start_frame, theirs.start_frame), Math.min(piece.stop_frame, theirs.stop_frame)];
+      if (start >= stop) continue;
+      num += stop - start;
+      [first, last] = [Math.min(first, start), Math.max(last, stop - 1)];
+    }
+  }
+  return { num, first, last };
+}
+
 // Whether the edits after this one would be of other people without it: a split gives the next free number.
 export function isNumbering(edits, index) {
   return edits[index].action === "split" && edits.slice(index + 1).some(({ action }) => action !== "cut");

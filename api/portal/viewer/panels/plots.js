@@ -23,6 +23,7 @@ export class Plots {
   #kind = "cameras";
   #person = 0;
   #place;
+  #swatch = el("span", { class: "look-swatch", "aria-hidden": "true" }); // colour of the person
   #resizing;
 
   constructor(store, player) {
@@ -34,9 +35,10 @@ export class Plots {
     this.#place = el("div", { class: "look-plot" });
     this.element = el("div", { class: "look-plots" },
       el("div", { class: "look-choices" },
-        choose("Person", people.map(({ name }, number) => [number, name]), (event) => this.#choose({ person: Number(event.target.value) })),
+        this.#swatch, choose("Person", people.map(({ name }, number) => [number, name]), (event) => this.#choose({ person: Number(event.target.value) })),
         choose("Plot", Object.entries(KINDS).map(([kind, { label }]) => [kind, label]), (event) => this.#choose({ kind: event.target.value }))),
       this.#place);
+    this.#showTint();
     this.#resizing = new ResizeObserver(() => this.#fit());
     this.#resizing.observe(this.#place);
     player.addEventListener("time", () => this.draw());
@@ -63,9 +65,14 @@ export class Plots {
 
   #choose({ kind = this.#kind, person = this.#person }) {
     [this.#kind, this.#person] = [kind, person];
+    this.#showTint();
     this.#plot?.destroy();
     this.#plot = null;
     this.draw(true);
+  }
+
+  #showTint() {
+    this.#swatch.style.setProperty("--tint", this.#store.description.people[this.#person]?.color ?? "transparent");
   }
 
   #fill() {

@@ -36,7 +36,7 @@ export class Strips {
     this.element = el("div", { class: "look-timeline" },
       el("div", { class: "look-line" }, el("span", { class: "look-line-name" }), el("div", { class: "look-track" }, this.#range)),
       el("div", { class: "look-rows", role: "group", "aria-label": "Quality of each person over time" }, rows, this.#head),
-      rows.length === 0 ? el("p", { class: "look-quiet" }, "Nobody was found in this take.") : this.#legend());
+      rows.length === 0 ? el("p", { class: "look-quiet" }, "There is nobody in this take.") : this.#legend());
     player.addEventListener("time", () => this.draw());
     this.draw();
   }

@@ -86,6 +86,8 @@ export class People {
     this.capsules = new THREE.InstancedMesh(capsule(), new THREE.MeshLambertMaterial(), numPeople * numBones);
     const disc = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.75, depthWrite: false });
     this.discs = new THREE.InstancedMesh(new THREE.RingGeometry(0.55, 1, 20), disc, numPeople * FEET.length);
+    // Without people nothing of them is drawn: an instance that was never placed is a ball around the origin.
+    [this.capsules.count, this.discs.count] = [this.#people.length * numBones, this.#people.length * FEET.length];
     this.#people.forEach(({ tint }, number) => {
       for (let bone = 0; bone < numBones; bone++) this.capsules.setColorAt(number * numBones + bone, tint);
       for (let foot = 0; foot < FEET.length; foot++) this.discs.setColorAt(number * FEET.length + foot, tint);

