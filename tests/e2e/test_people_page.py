@@ -1,20 +1,23 @@
 """View Look in a real browser: people are put right, edits undone, and a public link shows one job."""
 
+import contextlib
 import json
 import re
+import sqlite3
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import httpx2
 import pytest
-from playwright.sync_api import Locator, Page, ViewportSize, expect
+from playwright.sync_api import Locator, Page, Route, ViewportSize, expect
 
 from tests.e2e.browsing import axe_findings, opened, opened_by_a_stranger
 from tests.e2e.captures import keypoint_capture
-from tests.e2e.serving import serving
+from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files
 from tests.waiting import wait_for
 
@@ -26,9 +29,13 @@ NARROW: ViewportSize = {"width": 390, "height": 844}
 class Portal:
     """Service with a key, and a finished job of three people of 100 frames."""
 
-    client: httpx2.Client
+    served: Served
     key: str
     job_id: str
+
+    @property
+    def client(self) -> httpx2.Client:
+        return self.served.client
 
     @property
     def url(self) -> str:
@@ -42,6 +49,35 @@ class Portal:
         self.wait()
         self.client.patch(path, json={"edits": edits}).raise_for_status()
         self.wait()
+
+    @contextlib.contextmanager
+    def workers_stopped(self) -> Iterator[None]:
+        """Let the processes that run chunks stand still during the block."""
+        workers = self.served.part("worker").children(recursive=True)
+        try:
+            # A process that stands still within a transaction would hold up the whole service.
+            for _ in range(100):
+                for worker in workers:
+                    worker.suspend()
+                if self._can_be_written():
+                    break
+                for worker in workers:
+                    worker.resume()
+                time.sleep(0.05)
+            yield
+        finally:
+            for worker in workers:
+                worker.resume()
+
+    def _can_be_written(self) -> bool:
+        connection = sqlite3.connect(self.served.data_dir / "multicap.db", timeout=0.5, isolation_level=None)
+        with contextlib.closing(connection):
+            try:
+                connection.execute("BEGIN IMMEDIATE")
+            except sqlite3.OperationalError:
+                return False
+            connection.execute("ROLLBACK")
+            return True
 
     def wait(self) -> None:
         wait_for(lambda: self.client.get(f"/v1/jobs/{self.job_id}").json()["state"] == "succeeded", timeout_s=240)
@@ -59,7 +95,7 @@ def portal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Portal]:
         manifest = ("manifest", (None, json.dumps({"name": "Room, take 1"})))
         answer = served.client.post("/v1/jobs", files=[*files(folder), manifest])
         assert answer.status_code == 202, answer.text
-        found = Portal(served.client, made["key"], answer.json()["id"])
+        found = Portal(served, made["key"], answer.json()["id"])
         found.wait()
         yield found
 
@@ -112,6 +148,13 @@ def choose(page: Page, person: str, frame: int | None = None) -> None:
 
 def press(page: Page, name: str) -> None:
     panel(page).get_by_role("button", name=name, exact=True).click()
+
+
+def rename(page: Page, person: str, name: str) -> None:
+    choose(page, person)
+    field = panel(page).get_by_label(f"New name of {person}")
+    field.fill(name)
+    field.press("Enter")
 
 
 def made(page: Page, revision: int) -> None:
@@ -250,6 +293,68 @@ def test_a_take_without_people_is_said_to_be_emptied(page: Page, portal: Portal)
     expect_in_view(page, "person-3")
 
 
+def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: Portal) -> None:
+    """While no worker runs, edits show at once, and the files of the last revision stay listed."""
+    revision = portal.people()["revision"]
+    files = page.get_by_role("region", name="Files")
+    expect(files.get_by_role("link", name="person-1.bvh")).to_be_visible()
+    video = page.locator(".look-canvas").element_handle()
+    with portal.workers_stopped():
+        choose(page, "person-1", 30)
+        press(page, "Split here")
+        rename(page, "person-2", "Anna")
+        choose(page, "person-3")
+        press(page, "Delete person-3")
+        press(page, "Undo: Rename person-2 to Anna")
+        rename(page, "person-2", "Eve")
+        # The viewer and the lists show them.
+        expect_in_view(page, "person-1", "Eve", "person-4")
+        expect(page.locator(".look-label-person")).to_have_text(["person-1", "Eve", "person-4"])
+        swatches = page.get_by_role("table", name="People").locator(".look-swatch")
+        lanes = panel(page).locator(".lane .look-swatch")
+        tint = "all => all.map((one) => getComputedStyle(one).getPropertyValue('--tint').trim())"
+        assert swatches.evaluate_all(tint) == lanes.evaluate_all(tint)
+        expect(panel(page).get_by_role("list", name="Edits").get_by_role("listitem")).to_have_count(3)
+        wait_for(lambda: len(portal.people()["edits"]) == 3)
+        assert [edit["action"] for edit in portal.people()["edits"]] == ["split", "remove", "rename"]
+        expect(files).to_contain_text(f"Those of revision {revision + 5} are being made.")
+        expect(files.get_by_role("link", name="person-3.bvh")).to_be_visible()
+        with page.expect_download() as download:
+            files.get_by_role("link", name="person-3.bvh").click()
+        assert download.value.path().read_bytes().startswith(b"HIERARCHY")
+    made(page, revision + 5)
+    expect(files.get_by_role("heading", name="Eve", exact=True)).to_be_visible()
+    expect(files.get_by_role("link", name=f"room-take-1_revision-{revision + 5}_person-2-eve.bvh")).to_be_visible()
+    expect(files.get_by_text("are being made")).to_have_count(0)
+    expect_in_view(page, "person-1", "Eve", "person-4")
+    # The viewer stays open all the time.
+    assert video.evaluate("one => one.isConnected")
+
+
+def test_an_edit_that_is_refused_takes_no_other_with_it(page: Page, portal: Portal) -> None:
+    revision = portal.people()["revision"]
+    held: list[Route] = []
+
+    def hold_the_first(route: Route) -> None:
+        if route.request.method == "PATCH" and not held:
+            held.append(route)
+        else:
+            route.continue_()
+
+    page.route("**/people", hold_the_first)
+    choose(page, "person-1", 0)
+    press(page, "Split here")  # in its first frame
+    rename(page, "person-2", "Anna")
+    edits = panel(page).get_by_role("list", name="Edits").get_by_role("listitem")
+    expect(edits).to_have_count(2)
+    held[0].continue_()
+    expect(panel(page).get_by_role("alert")).to_contain_text("Person 1 can't be split at frame 0.")
+    made(page, revision + 1)
+    expect(edits).to_have_count(1)
+    expect_in_view(page, "person-1", "Anna", "person-3")
+    assert portal.people()["edits"] == [{"action": "rename", "person": 2, "name": "Anna"}]
+
+
 def test_impossible_edits_say_what_to_do(page: Page, portal: Portal) -> None:
     revision = portal.people()["revision"]
     choose(page, "person-1", 0)
@@ -271,8 +376,9 @@ def test_two_people_who_edit_at_once(page: Page, portal: Portal) -> None:
     expect(problem).to_contain_text("Not done: Split person-1 at frame 30.")
     expect(panel(page).get_by_role("list", name="Edits")).to_contain_text("Rename person-3 to Theirs")
     assert portal.people()["edits"] == [theirs]
+    revision = portal.people()["revision"]
     press(page, "Do it on their edits")
-    made(page, portal.people()["revision"])
+    made(page, revision + 1)
     assert portal.people()["edits"] == [theirs, {"action": "split", "person": 1, "frame": 30}]
     # A change that nothing was done against shows as well.
     portal.edit()

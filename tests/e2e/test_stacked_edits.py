@@ -83,7 +83,7 @@ def edit(served: Served, job_id: str, edits: list[dict[str, Any]]) -> dict[str, 
 
 def kill_a_worker(served: Served) -> int:
     """Kill a process that runs chunks; returns how many were killed."""
-    children = served.part("--worker").children()
+    children = served.part("worker").children()
     try:
         children[-1].kill()
     except (psutil.NoSuchProcess, IndexError):

@@ -2,6 +2,7 @@
 
 import { addressed } from "../shared/api.js";
 import { size } from "../shared/format.js";
+import { hasEnded } from "../shared/jobs.js";
 import { html, nothing } from "../shared/lit.js";
 
 // Files of all people by their kind, in the order of the page.
@@ -32,16 +33,47 @@ function group(title, results, options) {
     <ul class="results">${results.map((one) => fileLink(one, options))}</ul></div>`;
 }
 
-export function downloads(job, results, options) {
-  const people = [...new Set(results.map(({ person }) => person).filter((person) => person !== null))]
-    .sort((one, other) => one.localeCompare(other, "en", { numeric: true }));
+/**
+ * Files of the job's last revision that has some. `makeVisuals` makes the report and the overlay videos of the present edits;
+ * null for those who may not.
+ */
+export function downloads(job, results, options, makeVisuals) {
+  const people = [...new Map(results.filter(({ person }) => person !== null).map(({ person, person_name: name }) => [person, name])).entries()]
+    .sort(([one], [other]) => one.localeCompare(other, "en", { numeric: true }));
   const ofAll = results.filter(({ person }) => person === null).sort((one, other) => ORDER.indexOf(one.kind) - ORDER.indexOf(other.kind));
   const isShown = ({ kind }) => kind === "report" || kind === "overlay";
   return html`<section class="panel downloads" aria-labelledby="files-title">
-    <div class="head"><h2 id="files-title">Files</h2>
+    <div class="head"><h2 id="files-title" tabindex="-1">Files</h2>
       <a class="button small primary" href=${addressed(job.links.results_zip)} download>All as ZIP</a></div>
+    ${revisionNote(job)}
+    ${visualsNote(job, ofAll.filter(isShown), makeVisuals)}
     ${group("To show", ofAll.filter(isShown), options)}
-    ${people.map((person) => group(person, results.filter((one) => one.person === person), options))}
+    ${people.map(([person, name]) => group(name, results.filter((one) => one.person === person), options))}
     ${group("Everybody", ofAll.filter((one) => !isShown(one)), options)}
   </section>`;
+}
+
+const of = (revision) => (revision === 0 ? "the take as found" : `revision ${revision}`);
+
+function revisionNote({ revision, results_revision: shown, state }) {
+  if (shown === revision) return nothing;
+  const next = hasEnded({ state }) ? `Those of revision ${revision} were not made.` : `Those of revision ${revision} are being made.`;
+  return html`<p class="notice">These are the files of ${of(shown)}. ${next}</p>`;
+}
+
+// Report and overlay videos follow edits by a job of their own: on request, or when edits rest.
+function visualsNote(job, visuals, makeVisuals) {
+  const earlier = visuals.filter(({ revision }) => revision < job.revision);
+  if (earlier.length === 0) return nothing;
+  const shown = `The report and the overlay videos show ${of(Math.min(...earlier.map(({ revision }) => revision)))}.`;
+  const { state } = job.visuals_job ?? { state: null };
+  if (state === "failed") return visualsBox(job, `${shown} Those of revision ${job.revision} could not be made.`, "Try again", makeVisuals);
+  if (state !== null && !hasEnded({ state })) return visualsBox(job, `${shown} Those of revision ${job.revision} are being made.`);
+  return visualsBox(job, `${shown} They are made anew when you ask for it, or when nobody has edited for a while.`, "Make them now", makeVisuals);
+}
+
+function visualsBox(job, words, action = null, makeVisuals = null) {
+  const canMake = action !== null && makeVisuals !== null && job.links.visuals !== null;
+  return html`<div class="notice visuals"><p>${words}</p>
+    ${canMake ? html`<button type="button" class="button small" @click=${makeVisuals}>${action}</button>` : nothing}</div>`;
 }

@@ -5,16 +5,19 @@ import { persistently, reached } from "../shared/away.js";
 import { html, nothing, render } from "../shared/lit.js";
 import { readOptions } from "../shared/options.js";
 import { problemBox } from "../shared/problem.js";
+import { EditedStore } from "../viewer/motion/edited.js";
 import { titlesOf } from "./titles.js";
 
 // Event `time`: the play head has moved, or another viewer is shown.
 export class Motion extends EventTarget {
   #viewer = null;
-  #startFrame = 0; // frame of the whole reconstruction at which the shown take starts
+  #source = null; // of the job's motion
+  #store = null; // frames of the files, also while a preview of edits is shown
   #others = [];
   #titles = new Map(); // by id, of the job and the others
   #chosen = null; // job beside this one
   #number = 0; // of what is being opened, so that a slow answer does not open over a later one
+  #edited = null; // people who are shown before their files are there
 
   constructor(place) {
     super();
@@ -26,19 +29,19 @@ export class Motion extends EventTarget {
   /** Frame of the whole reconstruction at the play head; null outside of the job's take. */
   get frame() {
     const frame = this.#viewer?.frame ?? null;
-    return frame === null ? null : frame + this.#startFrame;
+    return frame === null ? null : frame + this.#viewer.description.first_frame;
   }
 
   /** Move the play head to a frame of the whole reconstruction. */
   seek(frame) {
-    this.#viewer?.goTo(frame - this.#startFrame);
+    this.#viewer?.goTo(frame - this.#viewer.description.first_frame);
   }
 
-  /** Show a job of a session; `startFrame` as edits cut it. `isGuest`: by a link, which opens no other job. */
-  async open(job, session, { startFrame = 0, isGuest = false } = {}) {
+  /** Show a job of a session, or its new files. `isGuest`: by a link, which opens no other job. */
+  async open(job, session, { isGuest = false } = {}) {
     Object.assign(this, { job, session });
-    this.#startFrame = startFrame;
-    await this.#show(this.#chosen);
+    if (this.#viewer === null) await this.#show(this.#chosen);
+    else await this.#renew();
     if (isGuest) return;
     const { jobs } = await call(`/v1/sessions/${session.id}/jobs?state=succeeded`);
     this.#others = jobs.filter((one) => one.id !== job.id && one.kind === "reconstruction");
@@ -46,10 +49,50 @@ export class Motion extends EventTarget {
     this.#drawChoice();
   }
 
+  /**
+   * Show the people of edits whose files are not there yet, `{ before, after }` as of `EditedStore`: those of the files, and
+   * those of the edits. Null: show the files.
+   */
+  preview(edited) {
+    if (edited?.before === this.#edited?.before && edited?.after === this.#edited?.after) return;
+    this.#edited = edited;
+    this.#showPeople();
+  }
+
   close() {
     this.#number += 1;
     this.#viewer?.close();
-    this.#viewer = null;
+    if (this.#viewer?.store !== this.#store) this.#store?.close();
+    this.#viewer = this.#store = null;
+  }
+
+  // Show new files of the job in the viewer that is open: videos and view stay.
+  async #renew() {
+    const number = ++this.#number;
+    const isOver = () => number !== this.#number;
+    const read = async () => {
+      const { MotionStore } = await import("../viewer/motion/store.js");
+      return new MotionStore(await this.#source.description(), this.#source);
+    };
+    const store = await persistently(() => orAway(read), { isOver });
+    // Nobody disappears until the frames are there.
+    await store.loaded(this.frame === null ? 0 : this.frame - store.description.first_frame);
+    if (isOver()) return store.close();
+    const earlier = this.#store;
+    this.#store = store;
+    this.#edited = null;
+    this.#showPeople();
+    earlier.close();
+  }
+
+  #showPeople() {
+    if (this.#viewer === null) return;
+    const before = this.#viewer.store;
+    const store = this.#edited === null ? this.#store : new EditedStore(this.#store, this.#edited.before, this.#edited.after);
+    if (store === before) return;
+    this.#viewer.replace(store);
+    if (before instanceof EditedStore) before.close();
+    this.#moved();
   }
 
   async #show(other) {
@@ -65,6 +108,8 @@ export class Motion extends EventTarget {
       const viewer = await persistently(() => this.#mounted(other), { isOver, away: (problem) => this.#tell(problem) });
       if (number !== this.#number) return viewer.close();
       this.#viewer = viewer;
+      this.#store = viewer.store;
+      this.#showPeople();
       if (before !== null) viewer.resume(before);
       if (hadFocus) this.stage.querySelector("canvas, button")?.focus({ preventScroll: true });
       viewer.player.addEventListener("time", () => this.#moved());
@@ -77,17 +122,16 @@ export class Motion extends EventTarget {
   }
 
   // Viewer of the job, or of it and another one.
-  async #mounted(other) {
-    try {
+  #mounted(other) {
+    return orAway(async () => {
       const [{ mount, mountPair }, { ApiSource }] = await Promise.all([import("../viewer/mount.js"), import("../viewer/source.js")]);
       const { cameras } = this.session.preflight;
       const sourceOf = ({ id }) => new ApiSource(id, cameras, addressed);
+      this.#source = sourceOf(this.job);
       return other === null
-        ? await mount(this.stage, sourceOf(this.job))
-        : await mountPair(this.stage, [this.job, other].map(sourceOf), [this.job, other].map(({ id }) => this.#titles.get(id)));
-    } catch (error) {
-      throw await reached() ? error : new Problem(null);
-    }
+        ? mount(this.stage, this.#source)
+        : mountPair(this.stage, [this.#source, sourceOf(other)], [this.job, other].map(({ id }) => this.#titles.get(id)));
+    });
   }
 
   #tell(problem) {
@@ -106,5 +150,14 @@ export class Motion extends EventTarget {
       <select @change=${choose}><option value="">no other job</option>
         ${this.#others.map((one) => html`<option value=${one.id} .selected=${one.id === this.#chosen?.id}>${this.#titles.get(one.id)}</option>`)}
       </select></label>`, this.choice);
+  }
+}
+
+// Result of a task; its problem, or that the service is away.
+async function orAway(task) {
+  try {
+    return await task();
+  } catch (error) {
+    throw await reached() ? error : new Problem(null);
   }
 }

@@ -1,9 +1,10 @@
 // View Look: one job, its motion, its people, its files and its public links. A guest, who has a link alone, reads only.
 
+import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
 import { persistently } from "../shared/away.js";
 import { feed } from "../shared/feed.js";
-import { factsOf, hasEnded, stateOf } from "../shared/jobs.js";
+import { factsOf, hasEnded, hasFiles, stateOf } from "../shared/jobs.js";
 import { html, nothing, render } from "../shared/lit.js";
 import { readOptions } from "../shared/options.js";
 import { problemBox, warningList } from "../shared/problem.js";
@@ -11,6 +12,7 @@ import { choiceList, errorBox, stageList, waitingBox } from "../watch/job.js";
 import { downloads } from "./downloads.js";
 import { Motion } from "./motion.js";
 import { PeoplePanel } from "./people/panel.js";
+import { colorOf } from "./people/words.js";
 import { Sharing } from "./sharing.js";
 
 export function open(place, route, caller) {
@@ -25,7 +27,8 @@ class Look {
   results = null;
   options = null;
   problem = null;
-  #viewed = ""; // attempt that the files are of
+  #listed = ""; // what the list of files was read for
+  #shown = null; // revision of the motion that is shown
   #panel = null; // to edit the people
   #sharing = null; // public links
   #isClosed = false;
@@ -86,24 +89,49 @@ class Look {
   async #showResults() {
     const { job } = this;
     const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.links.people !== null;
-    if (canEdit) this.#panel ??= new PeoplePanel(this.people, job, this.motion);
+    if (canEdit) this.#panel ??= new PeoplePanel(this.people, job, this.motion, () => this.#showPeople());
     await this.#panel?.follow(job);
-    if (job.state !== "succeeded" || this.session === null || this.#viewed === `${job.attempt}`) return;
-    this.#viewed = `${job.attempt}`;
+    // The files of an earlier revision can be read until those of the present one are there.
+    if (!hasFiles(job) || this.session === null) return;
+    await this.#list(job);
+    if (job.kind !== "reconstruction" || this.#shown === job.results_revision) return;
+    const before = this.#shown;
+    this.#shown = job.results_revision;
     try {
-      await this.#openResults(job);
+      if (this.caller.scopes.includes("write")) this.#sharing ??= new Sharing(this.links, job);
+      await this.motion.open(job, this.session, { isGuest: this.caller.isGuest });
+      this.#showPeople();
     } catch (problem) {
-      this.#viewed = "";
+      this.#shown = before;
       throw problem;
     }
   }
 
-  async #openResults(job) {
+  // List the files, unless they are listed: those of a revision, and the visuals, which follow.
+  async #list(job) {
+    const listed = `${job.results_revision} ${job.visuals_job?.id} ${job.visuals_job?.state}`;
+    if (this.#listed === listed) return;
     this.results = (await call(job.links.results)).results;
+    this.#listed = listed;
     this.draw();
-    if (job.kind !== "reconstruction") return;
-    if (this.caller.scopes.includes("write")) this.#sharing ??= new Sharing(this.links, job);
-    await this.motion.open(job, this.session, { startFrame: this.#panel?.people.start_frame ?? 0, isGuest: this.caller.isGuest });
+  }
+
+  // Show people in the viewer as edits have put them, also before the files of these edits are there.
+  #showPeople() {
+    const people = this.#panel?.editing.people ?? null;
+    if (people === null || this.#shown === null) return;
+    const before = this.#panel.editing.peopleOf(this.#shown) ?? null;
+    const isNewer = before !== null && people.revision > this.#shown;
+    this.motion.preview(isNewer ? { before, after: colored(people) } : null);
+  }
+
+  async #makeVisuals() {
+    await this.#persist(async () => {
+      await call(this.job.links.visuals, { method: "POST" });
+      announce("The report and the overlay videos are being made.");
+      await feed.refresh();
+      this.below.querySelector("#files-title").focus(); // the button is gone
+    });
   }
 
   draw() {
@@ -130,7 +158,14 @@ class Look {
 
   #files() {
     if (this.job === null || !this.results) return nothing;
-    if (this.job.state === "succeeded") return downloads(this.job, this.results, this.options);
-    return html`<section class="panel" aria-labelledby="files-title"><h2 id="files-title">Files</h2><p class="quiet">The files are being made anew.</p></section>`;
+    return downloads(this.job, this.results, this.options, this.caller.scopes.includes("write") ? () => this.#makeVisuals() : null);
   }
+}
+
+// The same people object for the same people, so that the viewer is changed only when they are.
+const coloredOf = new WeakMap();
+
+function colored(people) {
+  if (!coloredOf.has(people)) coloredOf.set(people, { ...people, people: people.people.map((person) => ({ ...person, color: colorOf(person.id) })) });
+  return coloredOf.get(people);
 }

@@ -1,7 +1,7 @@
 // The jobs that the page knows, kept up to date: by event streams of a few running jobs, by polling for all others.
 
 import { addressed, call } from "./api.js";
-import { hasEnded } from "./jobs.js";
+import { hasEnded, isAtWork } from "./jobs.js";
 
 const POLL_MS = 1500;
 const QUIET_POLL_MS = 10_000;
@@ -102,7 +102,7 @@ class Feed extends EventTarget {
     clearTimeout(this.#timer);
     if (!this.#isRunning || document.hidden) return;
     const isLive = ({ id }) => this.#streams.get(id)?.readyState === EventSource.OPEN;
-    const isUnseen = [...this.jobs.values()].some((job) => !hasEnded(job) && !isLive(job));
+    const isUnseen = [...this.jobs.values()].some((job) => isAtWork(job) && !(isLive(job) && !hasEnded(job)));
     this.#timer = setTimeout(() => this.refresh(), isUnseen ? POLL_MS : QUIET_POLL_MS);
   }
 

@@ -2,7 +2,7 @@
 
 import { el } from "./dom.js";
 import { transport } from "./panels/transport.js";
-import { Player } from "./player.js";
+import { Player, rangeOf } from "./player.js";
 import { Viewer } from "./viewer.js";
 
 /**
@@ -13,7 +13,7 @@ import { Viewer } from "./viewer.js";
  */
 export async function mount(element, source) {
   const [description] = await describe(element, [source]);
-  return new Viewer(element, source, description, playerOf([description]));
+  return new Viewer(element, source, description, new Player(rangeOf([description])));
 }
 
 /**
@@ -23,7 +23,7 @@ export async function mount(element, source) {
  */
 export async function mountPair(element, sources, titles) {
   const descriptions = await describe(element, sources);
-  const player = playerOf(descriptions);
+  const player = new Player(rangeOf(descriptions));
   const places = titles.map((title) => el("section", { class: "look-side", "aria-label": title }, el("h2", {}, title), el("div")));
   // One play head, one row of buttons: above both, so that they are in sight with the pictures.
   element.replaceChildren(el("div", { class: "look-pair" }, el("div", { class: "look-viewer look-shared" }, transport(player)), places));
@@ -43,13 +43,6 @@ async function describe(element, sources) {
     element.replaceChildren(el("p", { class: "look-problem", role: "alert" }, error.message));
     throw error;
   }
-}
-
-function playerOf(descriptions) {
-  const rateHz = Math.max(...descriptions.map((one) => one.frame_rate_hz));
-  const startS = Math.min(...descriptions.map((one) => one.start_time_s));
-  const endS = Math.max(...descriptions.map((one) => one.start_time_s + (one.num_frames - 1) / one.frame_rate_hz));
-  return new Player({ startS, rateHz, numFrames: Math.round((endS - startS) * rateHz) + 1 });
 }
 
 /** Turn the other view when one is turned. */

@@ -12,13 +12,23 @@ export class Player extends EventTarget {
   /** Frames `0` to `numFrames - 1` are at `startS + frame / rateHz`. */
   constructor({ startS, rateHz, numFrames }) {
     super();
-    Object.assign(this, { startS, rateHz, numFrames });
+    this.#setRange({ startS, rateHz, numFrames });
     // Whether time has to stand still for a moment; viewers set it.
     this.mustWait = () => false;
     this.isPlaying = false;
     this.isLooping = true;
     this.speed = 1;
     this.#timeS = startS;
+  }
+
+  /** Play other frames from now on; the play head stays at its time as far as it is among them. */
+  setRange(range) {
+    this.#setRange(range);
+    this.seekTime(this.#timeS);
+  }
+
+  #setRange({ startS, rateHz, numFrames }) {
+    Object.assign(this, { startS, rateHz, numFrames });
   }
 
   /** Exact time, which runs on between frames. */
@@ -96,4 +106,12 @@ export class Player extends EventTarget {
     Object.assign(this, values);
     this.dispatchEvent(new Event("change"));
   }
+}
+
+/** Frames of takes on the session's clock, from the first to the last. */
+export function rangeOf(descriptions) {
+  const rateHz = Math.max(...descriptions.map((one) => one.frame_rate_hz));
+  const startS = Math.min(...descriptions.map((one) => one.start_time_s));
+  const endS = Math.max(...descriptions.map((one) => one.start_time_s + (one.num_frames - 1) / one.frame_rate_hz));
+  return { startS, rateHz, numFrames: Math.round((endS - startS) * rateHz) + 1 };
 }

@@ -11,7 +11,7 @@ import { Strips } from "./panels/strips.js";
 import { tabs } from "./panels/tabs.js";
 import { transport } from "./panels/transport.js";
 import { viewControls } from "./panels/view_controls.js";
-import { SPEEDS } from "./player.js";
+import { rangeOf, SPEEDS } from "./player.js";
 import { View } from "./scene/view.js";
 import { Wall } from "./video/wall.js";
 
@@ -22,10 +22,12 @@ export class Viewer {
   #lastTick = performance.now();
   #orbit = null; // of the viewer before this one, for the first picture
   #listening = new AbortController();
+  #ofStore = new AbortController(); // of what listens to the store
+  #figuresEnd = new AbortController(); // of what listens to the play head for the figures
 
   /** A leader moves the play head and listens to the keys; the other viewers of a pair follow, and share its buttons. */
   constructor(element, source, description, player, { isLeader = true, hasTransport = true } = {}) {
-    Object.assign(this, { description, player, isLeader, hasTransport });
+    Object.assign(this, { player, isLeader, hasTransport });
     this.store = new MotionStore(description, source);
     this.seen = null;
     this.follower = null; // viewer of another job that shares the play head
@@ -34,10 +36,39 @@ export class Viewer {
     const { signal } = this.#listening;
     player.addEventListener("time", () => this.#show(), { signal });
     player.addEventListener("change", () => this.#show(), { signal });
-    this.store.addEventListener("load", () => this.#show(true));
-    this.store.addEventListener("problem", () => this.say(`The frames could not be loaded: ${this.store.problem.message}`));
+    this.#listenToStore();
     this.#show(true);
     requestAnimationFrame((now) => this.#tick(now));
+  }
+
+  get description() {
+    return this.store.description;
+  }
+
+  /**
+   * Show another store of the same capture, such as that of an edited take: its people in the 3D view, over the videos, in the
+   * time line and in the figures. Videos, view and play head stay. The earlier store is not closed.
+   */
+  replace(store) {
+    const hidden = new Set(this.description.people.filter((_, person) => !this.shown[person]).map(({ id }) => id));
+    const hadFocus = this.element.contains(document.activeElement) && document.activeElement;
+    this.#ofStore.abort();
+    this.store = store;
+    this.shown = store.description.people.map(({ id }) => !hidden.has(id));
+    this.view?.replace(store);
+    this.wall.replace(store);
+    const [strips, figures, kind] = [this.strips, this.figures, this.plots.kind];
+    this.plots.close();
+    this.#buildFigures({ tab: figures.dataset.shown, kind });
+    strips.element.replaceWith(this.strips.element);
+    figures.replaceWith(this.figures);
+    this.canvas.setAttribute("aria-label", this.#sceneName());
+    this.shown.forEach((isShown, person) => { if (!isShown) this.view?.setShown(person, false); });
+    if (hadFocus && !hadFocus.isConnected) this.figures.querySelector("[aria-selected=true]").focus({ preventScroll: true });
+    this.#listenToStore();
+    this.player.setRange(rangeOf([this, this.follower].filter((one) => one !== null).map((one) => one.description)));
+    this.#show(true);
+    this.wall.redraw();
   }
 
   /** Output frame of this take at the play head; null before its start and after its end. */
@@ -103,12 +134,21 @@ export class Viewer {
     this.follower?.close();
     this.#isOpen = false;
     this.#listening.abort();
+    this.#ofStore.abort();
+    this.#figuresEnd.abort();
     this.player.pause();
     this.unlisten();
     this.plots.close();
     this.wall.close();
     this.store.close();
     this.view?.close();
+  }
+
+  #listenToStore() {
+    this.#ofStore = new AbortController();
+    const { signal } = this.#ofStore;
+    this.store.addEventListener("load", () => this.#show(true), { signal });
+    this.store.addEventListener("problem", () => this.say(`The frames could not be loaded: ${this.store.problem.message}`), { signal });
   }
 
   #build(element, source) {
@@ -122,23 +162,33 @@ export class Viewer {
     const drawn = draws ? [this.canvas, layer, this.controls.element]
       : [el("p", { class: "look-no-3d" }, "This browser draws no 3D (WebGL 2). The videos, the time line and the figures below work without it.")];
     this.wall = new Wall(this.store, player, source, { onthrough: (number) => this.see(this.seen === number ? null : number), isShown: (person) => this.shown[person] });
-    this.strips = new Strips(description, player, { announce: (text) => this.say(text), onperson: (person, isShown) => this.#setShown(person, isShown) });
-    this.plots = new Plots(this.store, player);
-    const warnings = warningList(description);
-    const clocks = clocksPanel(description);
+    this.#buildFigures();
     this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" },
       el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.status), this.wall.element),
-      this.hasTransport ? transport(player) : null, this.strips.element,
-      tabs([
-        { id: "people", label: "People", element: peopleTable(description, player, this.strips.spots) },
-        { id: "plots", label: "Plots", element: this.plots.element, onshow: () => this.plots.draw(true) },
-        { id: "cameras", label: "Cameras", element: camerasTable(description) },
-        ...(clocks ? [{ id: "clocks", label: "Clocks", element: clocks }] : []),
-        ...(warnings ? [{ id: "warnings", label: `Warnings (${description.warnings.length})`, element: warnings }] : []),
-      ]));
+      this.hasTransport ? transport(player) : null, this.strips.element, this.figures);
     element.replaceChildren(this.element);
     this.view = draws ? new View(this.canvas, layer, this.store) : null;
     this.unlisten = listenToKeys(this);
+  }
+
+  /** Time line and figures of the store's people; `tab` and `kind` of plot are shown first. */
+  #buildFigures({ tab = null, kind } = {}) {
+    const { description, player } = this;
+    this.#figuresEnd.abort();
+    this.#figuresEnd = new AbortController();
+    const { signal } = this.#figuresEnd;
+    const onperson = (person, isShown) => this.#setShown(person, isShown);
+    this.strips = new Strips(description, player, { announce: (text) => this.say(text), onperson, isShown: (person) => this.shown[person], signal });
+    this.plots = new Plots(this.store, player, { kind });
+    const warnings = warningList(description);
+    const clocks = clocksPanel(description);
+    this.figures = tabs([
+      { id: "people", label: "People", element: peopleTable(description, player, this.strips.spots) },
+      { id: "plots", label: "Plots", element: this.plots.element, onshow: () => this.plots.draw(true) },
+      { id: "cameras", label: "Cameras", element: camerasTable(description) },
+      ...(clocks ? [{ id: "clocks", label: "Clocks", element: clocks }] : []),
+      ...(warnings ? [{ id: "warnings", label: `Warnings (${description.warnings.length})`, element: warnings }] : []),
+    ], tab);
   }
 
   #sceneName() {

@@ -4,7 +4,7 @@ import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
 import { confirm } from "../shared/dialog.js";
 import { feed } from "../shared/feed.js";
-import { countOf, factsOf, hasEnded, stateOf } from "../shared/jobs.js";
+import { countOf, factsOf, hasEnded, hasFiles, stateOf } from "../shared/jobs.js";
 import { html, nothing } from "../shared/lit.js";
 import { describeSpec } from "../shared/options.js";
 import { problemBox, warningList } from "../shared/problem.js";
@@ -63,9 +63,9 @@ export function jobRow(view, job, number) {
       ${choiceList(job, view.options)}
       <p class="quiet facts">${factsOf(job).map((fact) => html`<span>${fact}</span>`)}</p>
       <div class="actions">
-        ${isOpenable && job.state === "succeeded" ? html`<a class="button small primary" href=${address("jobs", job.id)} aria-label="Look at ${name}">Look</a>
+        ${isOpenable && hasFiles(job) ? html`<a class="button small primary" href=${address("jobs", job.id)} aria-label="Look at ${name}">Look</a>
           <a class="button small" href=${job.links.results_zip} download aria-label="All as ZIP: ${name}">All as ZIP</a>` : nothing}
-        ${isOpenable && job.state !== "succeeded" ? html`<a class="button small" href=${address("jobs", job.id)} aria-label="Details of ${name}">Details</a>` : nothing}
+        ${isOpenable && !hasFiles(job) ? html`<a class="button small" href=${address("jobs", job.id)} aria-label="Details of ${name}">Details</a>` : nothing}
         ${view.canWrite && job.links.cancel ? html`<button type="button" class="button small" aria-label="Cancel ${name}" @click=${() => act(job.links.cancel, "POST", `${name} is being canceled.`)}>Cancel</button>` : nothing}
         ${view.canWrite && job.links.retry ? html`<button type="button" class="button small" aria-label="Retry ${name}" @click=${() => act(job.links.retry, "POST", `${name} waits for another attempt.`)}>Retry</button>` : nothing}
         ${view.canWrite && hasEnded(job) ? html`<button type="button" class="button small ghost" aria-label="Delete job of ${name}" @click=${remove}>Delete job</button>` : nothing}

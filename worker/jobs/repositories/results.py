@@ -45,9 +45,16 @@ class Results:
         return found
 
     def listed(self, job_id: str, name: str) -> Result | None:
-        """Result of a job by name, in whatever state the job is; ``None`` if there is none of this name."""
+        """Result of a job by name, in whatever state the job is; ``None`` if there is none of this name.
+
+        Raises
+        ------
+        NotFound
+            There is no such job.
+        """
         query = select(results).where(results.c.job_id == job_id, results.c.name == name)
         with self._access.reading() as connection:
+            job_row(connection, self._access, job_id)
             row = connection.execute(query).one_or_none()
         return None if row is None else result_of(row)
 

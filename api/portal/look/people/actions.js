@@ -38,7 +38,7 @@ function ofPerson(panel) {
     <form class="actions" @submit=${(event) => rename(panel, event)}>
       <label class="field"><span class="unseen">New name of ${name}</span>
         <input name="name" maxlength=${MAX_NAME} required autocomplete="off" .value=${typed(name)}></label>
-      <button class="button small" aria-disabled=${panel.editing.isBusy ? "true" : "false"} aria-label="Rename ${name}">Rename</button>
+      <button class="button small" aria-label="Rename ${name}">Rename</button>
     </form>
     <div class="actions">
       ${panel.button("Split here", () => split(panel))}

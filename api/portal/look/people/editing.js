@@ -1,7 +1,8 @@
-// Edits of a job's people: sent as a whole list, undone, redone, and told when somebody else has changed them.
+// Edits of a job's people: shown at once, sent one after the other, undone, redone, and told when somebody else has changed them.
 
 import { announce } from "../../shared/announce.js";
 import { call, readTagged } from "../../shared/api.js";
+import { persistently } from "../../shared/away.js";
 import { feed } from "../../shared/feed.js";
 import { hasEnded } from "../../shared/jobs.js";
 import { describe } from "./words.js";
@@ -10,46 +11,60 @@ import { describe } from "./words.js";
 export class Editing extends EventTarget {
   people = null; // as of GET /v1/jobs/{id}/people
   problem = null;
-  conflict = null; // change that was refused because of somebody else's: { words, change }
+  conflict = null; // changes that were refused because of somebody else's: { words, changes }
   notice = null; // of somebody else's change
   #etag = null;
+  #waiting = []; // changes that the service does not have yet: { words, change }; the first one is being sent
   #undone = []; // lists before each undo, the last one at the end
-  #isSending = false;
   #own = new Set(); // revisions that were made here
+  #earlier = new Map(); // people by revision, as far as they were read here
+  #isClosed = false;
 
   constructor(job) {
     super();
     this.job = job;
   }
 
+  // List of edits with all changes that wait.
   get edits() {
-    return this.people.edits;
+    return this.#waiting.reduce((edits, { change }) => change(edits) ?? edits, this.people.edits);
   }
 
-  // Whether the files of an earlier change are being made.
-  get isBusy() {
-    return this.#isSending || !hasEnded(this.job);
+  // Whether a change is on its way to the service.
+  get isSending() {
+    return this.#waiting.length > 0;
+  }
+
+  close() {
+    this.#isClosed = true;
   }
 
   get canUndo() {
-    return !this.isBusy && this.edits.length > 0;
+    return this.edits.length > 0;
   }
 
   get canRedo() {
-    return !this.isBusy && this.#undone.length > 0;
+    return this.#undone.length > 0;
+  }
+
+  // People of an earlier revision; undefined if it was not read here.
+  peopleOf(revision) {
+    return this.#earlier.get(revision);
   }
 
   // Take notice of the job as it is now; somebody else may have changed its people.
   async follow(job) {
     const before = this.job;
     this.job = job;
-    if (this.people === null || (job.revision > this.people.revision && !this.#isSending)) await this.#read();
+    for (const revision of this.#earlier.keys()) if (revision < job.results_revision) this.#earlier.delete(revision);
+    if (this.people === null || (job.revision > this.people.revision && !this.isSending)) await this.#read();
     if (before.state !== job.state && hasEnded(job) && job.revision > 0) this.#tellEnd(job);
     this.#changed();
   }
 
   // Make another edit.
   add(edit) {
+    this.#undone = [];
     return this.#make(describe(edit, this.people), (edits) => [...edits, edit]);
   }
 
@@ -61,23 +76,23 @@ export class Editing extends EventTarget {
   // Undo an edit, or it and all that follow.
   remove(index, { withLater = false } = {}) {
     const before = this.edits;
-    const words = `Undo: ${describe(before[index], this.people)}`;
     const isSame = (edits) => JSON.stringify(edits) === JSON.stringify(before);
     const change = (edits) => (isSame(edits) ? edits.filter((_, number) => number < index || (number > index && !withLater)) : null);
-    return this.#make(words, change, () => this.#undone.push(before));
+    this.#undone.push(before);
+    return this.#make(`Undo: ${describe(before[index], this.people)}`, change);
   }
 
   // Make again what was undone last.
   redo() {
-    const list = this.#undone.at(-1);
-    return this.#make("Redo", () => list, () => this.#undone.pop());
+    const list = this.#undone.pop();
+    return this.#make("Redo", () => list);
   }
 
-  // Make the refused change on somebody else's edits.
+  // Make the refused changes on somebody else's edits.
   repeat() {
-    const { words, change } = this.conflict;
+    const { changes } = this.conflict;
     this.conflict = null;
-    return this.#make(words, change);
+    return Promise.all(changes.map(({ words, change }) => this.#make(words, change)));
   }
 
   dismiss() {
@@ -85,63 +100,87 @@ export class Editing extends EventTarget {
     this.#changed();
   }
 
-  // Send the list that `change` makes of the present one. Without `done` the change ends what can be redone.
-  async #make(words, change, done = () => { this.#undone = []; }) {
+  // Show a change of the list, and send it after those that wait. Returns a promise that is kept when the service has answered.
+  #make(words, change) {
     Object.assign(this, { problem: null, conflict: null, notice: null });
-    if (this.isBusy) return this.#fail({ message: "The files of the last change are being made.", hint: "Wait until they are there." });
-    const edits = change(this.edits);
-    this.#isSending = true;
+    const made = new Promise((settle) => this.#waiting.push({ words, change, settle }));
     this.#changed();
-    try {
-      const job = await call(this.job.links.people, { method: "PATCH", body: { edits }, headers: { "If-Match": this.#etag } });
-      this.#own.add(job.revision);
-      done();
-      await this.#read();
-      this.job = job;
-      announce(`${words}. The files are being made anew.`);
-      feed.put(job);
-    } catch (problem) {
-      await this.#refused(problem, words, change, edits);
-    } finally {
-      this.#isSending = false;
+    if (this.#waiting.length === 1) this.#sendAll();
+    return made;
+  }
+
+  async #sendAll() {
+    while (this.#waiting.length > 0) {
+      const [{ words, change, settle }] = this.#waiting;
+      const edits = change(this.people.edits);
+      try {
+        if (edits !== null) await this.#send(edits, words);
+        else this.#waiting.shift(); // of a list that never came to be, since a change before it was refused
+      } catch (problem) {
+        await this.#refused(problem, edits);
+      }
+      settle();
       this.#changed();
     }
   }
 
-  async #refused(problem, words, change, edits) {
+  // Send a list as soon as the service can be reached.
+  async #send(edits, words) {
+    const request = { method: "PATCH", body: { edits }, headers: { "If-Match": this.#etag } };
+    const isOver = () => this.#isClosed;
+    const job = await persistently(() => call(this.job.links.people, request), { isOver });
+    this.#own.add(job.revision);
+    await persistently(() => this.#read(), { isOver });
+    this.#waiting.shift();
+    this.job = job;
+    announce(`${words}. The files follow.`);
+    feed.put(job);
+  }
+
+  // Give the change up that was sent. If somebody else has changed the edits, those that wait are given up with it.
+  async #refused(problem, edits) {
     const known = this.people.revision;
     if (problem.status === 409) {
       await this.#read().catch(() => null);
       await feed.refresh();
     }
-    if (this.people.revision === known) return this.#fail(this.#explained(problem, edits));
+    // The answer to the same request was lost.
+    if (JSON.stringify(this.people.edits) === JSON.stringify(edits) && this.people.revision > known) {
+      this.#waiting.shift();
+      this.notice = null;
+      return;
+    }
     this.#undone = [];
+    if (this.people.revision === known) {
+      this.#waiting.shift();
+      this.problem = this.#explained(problem, edits);
+      return;
+    }
+    const given = this.#waiting.splice(0);
+    for (const { settle } of given) settle();
     this.notice = null;
-    this.conflict = { words, change: change(this.edits) === null ? null : change };
+    const words = given.map((one) => one.words).join("; ");
+    this.conflict = { words, changes: given.filter(({ change }) => change(this.people.edits) !== null) };
     announce(`Somebody else has changed the edits meanwhile. Not done: ${words}.`);
   }
 
   // Problem whose parts name the edit that can't be made in words.
   #explained(problem, edits) {
-    for (const item of problem.items) {
+    for (const item of problem.items ?? []) {
       const edit = edits[Number(/^\/edits\/(\d+)/.exec(item.pointer ?? "")?.[1])];
       if (edit) item.field = describe(edit, this.people);
     }
     return problem;
   }
 
-  #fail(problem) {
-    this.problem = problem;
-    this.#changed();
-  }
-
   async #read() {
     const known = this.people;
     ({ record: this.people, etag: this.#etag } = await readTagged(this.job.links.people));
+    this.#earlier.set(this.people.revision, this.people);
     if (known === null || this.people.revision === known.revision || this.#own.has(this.people.revision)) return;
     this.#undone = [];
     this.notice = "Somebody else has changed the edits. These are theirs.";
-    if (!this.#isSending) announce(this.notice);
+    if (!this.isSending) announce(this.notice);
   }
 
   #tellEnd(job) {

@@ -17,11 +17,14 @@ export class PeoplePanel {
   other = null; // id of the second person of a merge or an exchange
   #isOpen = true;
 
-  // `motion` is what the viewer shows; its play head says which frame is meant.
-  constructor(place, job, motion) {
+  // `motion` is what the viewer shows; its play head says which frame is meant. `onpeople` is called when the people may be others.
+  constructor(place, job, motion, onpeople) {
     Object.assign(this, { place, motion });
     this.editing = new Editing(job);
-    this.editing.addEventListener("change", () => this.draw());
+    this.editing.addEventListener("change", () => {
+      this.draw();
+      onpeople();
+    });
     this.onTime = () => this.#showHead();
     motion.addEventListener("time", this.onTime);
   }
@@ -41,6 +44,7 @@ export class PeoplePanel {
 
   close() {
     this.#isOpen = false;
+    this.editing.close();
     this.motion.removeEventListener("time", this.onTime);
   }
 
@@ -58,7 +62,6 @@ export class PeoplePanel {
   }
 
   add(edit) {
-    if (this.#mustWait()) return null;
     return this.editing.add(edit);
   }
 
@@ -78,7 +81,7 @@ export class PeoplePanel {
 
   #panel() {
     const { editing } = this;
-    return html`<section class="panel people" aria-labelledby="people-title" aria-busy=${editing.isBusy ? "true" : "false"} @keydown=${(event) => this.#key(event)}>
+    return html`<section class="panel people" aria-labelledby="people-title" @keydown=${(event) => this.#key(event)}>
       <div class="head"><h2 id="people-title">Put right who is who</h2>${this.#state()}</div>
       ${this.#notices()}
       ${lanes(this)}
@@ -87,9 +90,10 @@ export class PeoplePanel {
     </section>`;
   }
 
-  // Revision that is shown, and how far the files of the next one are.
+  // Revision that is shown, and how far its files are. Edits need not wait for them.
   #state() {
-    const { job } = this.editing;
+    const { job, isSending } = this.editing;
+    if (isSending) return html`<p class="quiet">Being sent …</p>`;
     if (hasEnded(job)) return html`<p class="quiet">${job.revision === 0 ? "As found, no edits" : `Revision ${job.revision}`}</p>`;
     const label = `Files of revision ${job.revision} are being made`;
     return html`<div class="making"><span>${label}: ${percent(job.progress)}</span><progress max="1" .value=${job.progress} aria-label=${label}></progress></div>`;
@@ -98,11 +102,11 @@ export class PeoplePanel {
   #notices() {
     const { editing } = this;
     const { conflict, notice, job } = editing;
-    const isBroken = job.revision > 0 && (job.state === "failed" || job.state === "canceled");
+    const isBroken = !editing.isSending && job.revision > 0 && (job.state === "failed" || job.state === "canceled");
     return html`${problemBox(editing.problem)}
       ${conflict ? html`<div class="problem" role="alert"><p>Somebody else has changed the edits meanwhile. The list shows theirs.
-          Not done: <b>${conflict.words}</b>. ${conflict.change ? "Check the timeline, then do it on their edits, or leave it." : "Check the list before you undo something of theirs."}</p>
-        <div class="actions">${conflict.change ? this.button("Do it on their edits", () => editing.repeat()) : nothing}
+          Not done: <b>${conflict.words}</b>. ${conflict.changes.length ? "Check the timeline, then do it on their edits, or leave it." : "Check the list before you undo something of theirs."}</p>
+        <div class="actions">${conflict.changes.length ? this.button("Do it on their edits", () => editing.repeat()) : nothing}
           <button type="button" class="button small" @click=${() => editing.dismiss()}>Leave it</button></div></div>` : nothing}
       ${notice ? html`<p class="notice">${notice}</p>` : nothing}
       ${this.people.people.length === 0 && this.people.found.length > 0 ? html`<div class="notice emptied"><p>You deleted everybody.</p>
@@ -112,7 +116,8 @@ export class PeoplePanel {
   }
 
   #list() {
-    const { editing, people: { edits } } = this;
+    const { editing } = this;
+    const { edits } = editing;
     return html`<div class="edits">
       <div class="head"><h3 id="edits-title" tabindex="-1">Edits</h3><div class="actions">
         ${this.button("Undo", () => editing.undo(), { isOff: edits.length === 0, why: "There is no edit to undo." })}
@@ -124,7 +129,7 @@ export class PeoplePanel {
 
   #item(edit, index) {
     const words = describe(edit, this.people);
-    const withLater = isNumbering(this.people.edits, index);
+    const withLater = isNumbering(this.editing.edits, index);
     const label = withLater ? "Undo from here on" : "Undo";
     return html`<li><span>${words}</span>
       ${this.button(label, () => this.editing.remove(index, { withLater }), { name: `${label}: ${words}`, style: "ghost" })}</li>`;
@@ -133,17 +138,11 @@ export class PeoplePanel {
   // Button that keeps the focus while it can't be used, and says why.
   button(label, onClick, { name = null, isOff = false, why = "", style = "" } = {}) {
     const click = () => {
-      if (this.#mustWait()) return;
       if (isOff) announce(why);
       else onClick();
     };
     return html`<button type="button" class="button small ${style}" aria-label=${name ?? nothing}
-      aria-disabled=${this.editing.isBusy || isOff ? "true" : "false"} title=${isOff && why ? why : nothing} @click=${click}>${label}</button>`;
-  }
-
-  #mustWait() {
-    if (this.editing.isBusy) announce("The files of the last change are being made. Wait until they are there.");
-    return this.editing.isBusy;
+      aria-disabled=${isOff ? "true" : "false"} title=${isOff && why ? why : nothing} @click=${click}>${label}</button>`;
   }
 
   async #retry() {
@@ -156,7 +155,6 @@ export class PeoplePanel {
     const isRedo = key === "y" || (key === "z" && event.shiftKey);
     if (!isRedo && key !== "z") return;
     event.preventDefault();
-    if (this.#mustWait()) return;
     if (isRedo && this.editing.canRedo) this.editing.redo();
     else if (!isRedo && this.editing.canUndo) this.editing.undo();
     else announce(isRedo ? "Nothing was undone." : "There is no edit to undo.");

@@ -39,6 +39,18 @@ export class MotionStore extends EventTarget {
     if ((number + 1) * this.pieceFrames < this.description.num_frames) this.#fetch(number + 1);
   }
 
+  /** Fetch a frame; returns a promise that is kept when it is here, or could not be fetched. */
+  async loaded(frame) {
+    const wanted = Math.min(this.description.num_frames - 1, Math.max(0, frame));
+    this.want(wanted);
+    while (!this.has(wanted) && this.problem === null && !this.#closed.signal.aborted) {
+      await new Promise((resolve) => {
+        for (const type of ["load", "problem"]) this.addEventListener(type, resolve, { once: true });
+        this.#closed.signal.addEventListener("abort", resolve, { once: true });
+      });
+    }
+  }
+
   /** Whether the frame is here, with all people in it. */
   has(frame) {
     return this.#pieces.has(Math.floor(frame / this.pieceFrames));

@@ -1,6 +1,6 @@
 // Heat strips of people, and the spots in them that deserve a look.
 
-const UNKNOWN_ERROR = 255;
+export const UNKNOWN_ERROR = 255;
 const MIN_IDENTITY = 0.99;
 const MIN_CAMERAS = 2;
 const MAX_PREDICTED = 0.25;

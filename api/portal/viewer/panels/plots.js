@@ -20,13 +20,17 @@ export class Plots {
   #player;
   #plot = null;
   #window = null;
-  #kind = "cameras";
+  #kind;
   #person = 0;
   #place;
   #swatch = el("span", { class: "look-swatch", "aria-hidden": "true" }); // colour of the person
   #resizing;
+  #closing = new AbortController();
+  #listening = { signal: this.#closing.signal };
 
-  constructor(store, player) {
+  /** `kind` is the plot that is shown first. */
+  constructor(store, player, { kind = "cameras" } = {}) {
+    this.#kind = kind;
     this.#store = store;
     this.#player = player;
     const { people } = store.description;
@@ -41,8 +45,9 @@ export class Plots {
     this.#showTint();
     this.#resizing = new ResizeObserver(() => this.#fit());
     this.#resizing.observe(this.#place);
-    player.addEventListener("time", () => this.draw());
-    store.addEventListener("load", () => this.draw(true));
+    this.element.querySelector("[aria-label=Plot]").value = kind;
+    player.addEventListener("time", () => this.draw(), this.#listening);
+    store.addEventListener("load", () => this.draw(true), this.#listening);
   }
 
   /** Draw what is around the play head, if the plot can be seen. */
@@ -58,7 +63,12 @@ export class Plots {
     this.#point(frame);
   }
 
+  get kind() {
+    return this.#kind;
+  }
+
   close() {
+    this.#closing.abort();
     this.#resizing.disconnect();
     this.#plot?.destroy();
   }

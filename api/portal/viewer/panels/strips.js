@@ -22,7 +22,8 @@ export class Strips {
   #announce;
   #current = null;
 
-  constructor(description, player, { announce, onperson }) {
+  /** `isShown` says whether a person is shown at first; `signal` ends that the strips follow the play head. */
+  constructor(description, player, { announce, onperson, isShown = () => true, signal }) {
     this.#description = description;
     this.#player = player;
     this.#announce = announce;
@@ -32,12 +33,12 @@ export class Strips {
       "aria-label": "Play head", oninput: () => { player.pause(); player.seek(Number(this.#range.value)); },
     });
     this.#head = el("div", { class: "look-head", "aria-hidden": "true" });
-    const rows = description.people.map((person, number) => this.#row(person, number, onperson));
+    const rows = description.people.map((person, number) => this.#row(person, number, onperson, isShown(number)));
     this.element = el("div", { class: "look-timeline" },
       el("div", { class: "look-line" }, el("span", { class: "look-line-name" }), el("div", { class: "look-track" }, this.#range)),
       el("div", { class: "look-rows", role: "group", "aria-label": "Quality of each person over time" }, rows, this.#head),
       rows.length === 0 ? el("p", { class: "look-quiet" }, "There is nobody in this take.") : this.#legend());
-    player.addEventListener("time", () => this.draw());
+    player.addEventListener("time", () => this.draw(), { signal });
     this.draw();
   }
 
@@ -67,7 +68,7 @@ export class Strips {
     this.#announce(`${name}, frame ${found.from}: ${found.reason}.`);
   }
 
-  #row(person, number, onperson) {
+  #row(person, number, onperson, isShown) {
     const strips = decodeStrips(this.#description, number);
     const canvas = el("canvas", {
       class: "look-strip", height: HEIGHT, width: strips.measured.length, role: "img",
@@ -75,7 +76,7 @@ export class Strips {
     });
     paint(canvas.getContext("2d"), this.#description, strips, person, badErrorPx(this.#description, number));
     this.#listen(canvas);
-    const swatch = el("input", { type: "checkbox", checked: true, "aria-label": `Show ${person.name}`, onchange: () => onperson(number, swatch.checked) });
+    const swatch = el("input", { type: "checkbox", checked: isShown, "aria-label": `Show ${person.name}`, onchange: () => onperson(number, swatch.checked) });
     const name = el("label", { class: "look-line-name" }, swatch, el("span", { class: "look-swatch" }), el("span", { class: "look-ellipsis" }, person.name));
     name.style.setProperty("--tint", person.color);
     const numSpots = this.spots[number].length;
@@ -90,7 +91,8 @@ export class Strips {
   #summary(number) {
     const { coverage } = this.#description.people[number];
     const numSpots = this.spots[number].length;
-    return `${Math.round(100 * (coverage ?? 0))} % of the joints measured, ${numSpots} ${numSpots === 1 ? "spot deserves" : "spots deserve"} a look`;
+    const measured = coverage === null ? "" : `${Math.round(100 * coverage)} % of the joints measured, `;
+    return `${measured}${numSpots} ${numSpots === 1 ? "spot deserves" : "spots deserve"} a look`;
   }
 
   #listen(canvas) {

@@ -4,8 +4,8 @@ import { el } from "../dom.js";
 
 let numGroups = 0;
 
-/** Tabs of `{ id, label, element, onshow }`; the first one is shown. */
-export function tabs(items) {
+/** Tabs of `{ id, label, element, onshow }`; `data-shown` of the element is the id of the one that is shown: at first `first`, or else the first. */
+export function tabs(items, first = null) {
   const group = `look-tabs-${++numGroups}`;
   const buttons = items.map(({ id, label }, number) => el("button", {
     type: "button", role: "tab", id: `${group}-${id}`, "aria-controls": `${group}-panel-${id}`, class: "look-tab", onclick: () => show(number),
@@ -18,6 +18,7 @@ export function tabs(items) {
       button.tabIndex = number === chosen ? 0 : -1;
       panels[number].hidden = number !== chosen;
     });
+    element.dataset.shown = items[chosen].id;
     items[chosen].onshow?.();
   };
   list.addEventListener("keydown", (event) => {
@@ -29,6 +30,7 @@ export function tabs(items) {
     show(chosen);
     buttons[chosen].focus();
   });
-  show(0);
-  return el("div", { class: "look-tabs" }, list, panels);
+  const element = el("div", { class: "look-tabs" }, list, panels);
+  show(Math.max(0, items.findIndex(({ id }) => id === first)));
+  return element;
 }

@@ -23,6 +23,12 @@ export class Labels {
     return item;
   }
 
+  /** Remove a name. */
+  remove(item) {
+    item.element.remove();
+    this.#items = this.#items.filter((other) => other !== item);
+  }
+
   /** Put all names where their points are in the picture. */
   draw() {
     for (const { element, point, isShown } of this.#items) {

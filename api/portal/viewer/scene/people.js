@@ -80,6 +80,16 @@ export class People {
     return box;
   }
 
+  /** Remove everybody from the scene. */
+  close() {
+    for (const mesh of [this.capsules, this.discs, this.lines, this.trails]) {
+      this.stage.scene.remove(mesh);
+      mesh.geometry.dispose();
+      mesh.material.dispose();
+      mesh.dispose?.();
+    }
+  }
+
   #build() {
     const numPeople = Math.max(1, this.#people.length);
     const numBones = Math.max(1, this.#bones.length);

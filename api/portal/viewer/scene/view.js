@@ -23,11 +23,24 @@ export class View {
     this.cameras = description.cameras;
     this.seen = null;
     this.stage = new Stage(canvas, description.floor);
-    this.people = new People(this.stage, store);
     this.rig = new Rig(this.stage, description.cameras);
     this.labels = new Labels(this.stage, layer);
-    this.names = description.people.map(({ name, color }, number) => this.labels.add(name, this.people.anchors[number], { color, kind: "person" }));
+    this.#add(store);
     this.cameraNames = description.cameras.map(({ name }, number) => this.labels.add(name, this.rig.centers[number], { kind: "camera" }));
+  }
+
+  /** Show the people of another store from now on; ground, cameras and the view stay. */
+  replace(store) {
+    const { options } = this.people;
+    this.people.close();
+    for (const name of this.names) this.labels.remove(name);
+    this.#add(store);
+    Object.assign(this.people.options, options);
+  }
+
+  #add(store) {
+    this.people = new People(this.stage, store);
+    this.names = store.description.people.map(({ name, color }, number) => this.labels.add(name, this.people.anchors[number], { color, kind: "person" }));
   }
 
   /** First picture: the ground below everybody and all cameras, and everybody in view. */

@@ -43,7 +43,6 @@ export class Tile {
 
   constructor(camera, number, store, player, { onenlarge, onthrough, isShown }) {
     Object.assign(this, { camera, number });
-    this.#store = store;
     this.#player = player;
     this.#isShown = isShown;
     this.#clock = new CameraClock(camera.clock);
@@ -59,8 +58,15 @@ export class Tile {
     this.#pictures = graphics().isSoftware ? new Pictures(this.video, store.description.cameras.length) : null;
     this.element.classList.toggle("look-kept", this.#pictures !== null);
     this.#overlay = new Overlay(this.canvas, camera, store.description);
-    [this.#before, this.#after] = [0, 1].map(() => new Float32Array(3 * store.records.numJoints));
+    this.replace(store);
     this.#listen();
+  }
+
+  /** Take the people of another store from now on. */
+  replace(store) {
+    this.#store = store;
+    [this.#before, this.#after] = [0, 1].map(() => new Float32Array(3 * store.records.numJoints));
+    this.#drawn = "";
   }
 
   /** Time on the session's clock of what the tile shows: that of the video's picture, or the play head without a video. */

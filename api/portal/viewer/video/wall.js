@@ -19,6 +19,11 @@ export class Wall {
     this.element.style.setProperty("--columns", 2);
   }
 
+  /** Take the people of another store from now on; the videos go on. */
+  replace(store) {
+    for (const tile of this.tiles) tile.replace(store);
+  }
+
   /** Bring all videos to the play head, and draw. */
   follow() {
     for (const tile of this.tiles) tile.follow();

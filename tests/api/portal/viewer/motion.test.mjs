@@ -5,6 +5,7 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
 import { parsePieces, Records } from "../../../../api/portal/viewer/motion/records.js";
+import { EditedStore } from "../../../../api/portal/viewer/motion/edited.js";
 import { MotionStore } from "../../../../api/portal/viewer/motion/store.js";
 import { badSpots, bucketErrorPx, decodeStrips } from "../../../../api/portal/viewer/motion/strips.js";
 
@@ -138,4 +139,84 @@ test("angles and speeds", () => {
   assert.ok(Math.abs(speedMS(straight, right, 2, 0.5) - Math.hypot(2, 2) / 0.5) < 1e-6);
   assert.deepEqual([...between(straight, right, 0.5, new Float32Array(9))], [0, 0, 0, 0, 0, 1, 1, 0, 2]);
   assert.ok(standing([[0, 0, 10, 5]], 0, 14) && !standing([[0, 0, 10, 5]], 0, 15) && !standing([[0, 0, 10, 5]], 1, 12));
+});
+
+// People of the fixtures as found: person 1 in frames 0 to 39, person 4 in frames 30 to 89 of 90 or more.
+const NUM_FRAMES = description.num_frames;
+const piece = (person, start_frame, stop_frame) => ({ person, start_frame, stop_frame });
+const peopleOf = (people, [start_frame, stop_frame] = [0, NUM_FRAMES]) => ({
+  start_frame, stop_frame, people: people.map(([id, name, ...pieces]) => ({ id, name, color: `#00000${id}`, pieces })),
+});
+const FOUND = peopleOf([[1, "person-1", piece(1, 0, 40)], [4, "person-4", piece(4, 30, 90)]]);
+
+async function edited(after, before = FOUND) {
+  const base = new MotionStore(description, new FakeService());
+  base.want(0);
+  await until(() => base.has(0) && base.has(NUM_FRAMES - 1));
+  return [new EditedStore(base, before, after), base];
+}
+
+function firstJoint(store, person, frame) {
+  const out = new Float32Array(3 * store.records.numJoints);
+  return store.positions(person, frame, "joints", out) ? [...out.slice(0, 3)] : null;
+}
+
+test("a rename changes the name alone", async () => {
+  const [store] = await edited(peopleOf([[1, "Anna", piece(1, 0, 40)], [4, "person-4", piece(4, 30, 90)]]));
+  const plain = structuredClone(description);
+  plain.people[0].name = "Anna";
+  for (const person of plain.people) person.color = `#00000${person.id}`;
+  assert.deepEqual(store.description, plain);
+});
+
+test("people of edits are put together from those of the files", async () => {
+  // Person 1 is split at frame 20; the second half, person 5, is exchanged with person 4 from frame 35 on.
+  const [store, base] = await edited(peopleOf([
+    [1, "person-1", piece(1, 0, 20)], [4, "person-4", piece(4, 30, 35), piece(1, 35, 40)], [5, "Eve", piece(1, 20, 35), piece(4, 35, 90)],
+  ]));
+  const { people, num_frames: numFrames } = store.description;
+  assert.equal(numFrames, NUM_FRAMES);
+  assert.deepEqual(people.map(({ id, name, start_frame: start, num_frames: count }) => [id, name, start, count]), [[1, "person-1", 0, 20], [4, "person-4", 30, 10], [5, "Eve", 20, 70]]);
+  assert.deepEqual(firstJoint(store, 2, 34), firstJoint(base, 0, 34));
+  assert.deepEqual(firstJoint(store, 2, 35), firstJoint(base, 1, 35));
+  assert.deepEqual(firstJoint(store, 1, 35), firstJoint(base, 0, 35));
+  assert.equal(firstJoint(store, 0, 20), null);
+  // What is known with the new files only is not claimed; strips are those of the frames.
+  assert.equal(people[2].coverage, null);
+  const strips = decodeStrips(store.description, 2);
+  const [one, other] = [0, 1].map((person) => decodeStrips(description, person));
+  assert.equal(strips.measured[34], one.measured[34]);
+  assert.equal(strips.cameras[60], other.cameras[60]);
+  assert.equal(strips.cameras[10], 0);
+  assert.ok(Number.isNaN(bucketErrorPx(store.description, strips, 10)));
+  for (const [side, part, first, count] of people[2].contacts) assert.ok(side <= 1 && part <= 2 && first >= 20 && first + count <= 90);
+});
+
+test("a cut numbers the frames anew, and people outside of it are gone", async () => {
+  const [store, base] = await edited(peopleOf([[1, "person-1", piece(1, 0, 40)], [4, "person-4", piece(4, 30, 90)]], [50, 80]));
+  assert.deepEqual([store.description.num_frames, store.description.first_frame], [30, 50]);
+  assert.equal(store.description.start_time_s, description.start_time_s + 50 / description.frame_rate_hz);
+  assert.deepEqual(store.description.people.map(({ id, start_frame: start, num_frames: count }) => [id, start, count]), [[4, 0, 30]]);
+  assert.deepEqual(firstJoint(store, 0, 3), firstJoint(base, 1, 53));
+  assert.equal(store.description.people[0].identity.doubts.length, 0);
+});
+
+test("frames that an earlier cut left out are not waited for", async () => {
+  const whole = peopleOf([[1, "person-1", piece(1, 0, 40)], [4, "person-4", piece(4, 0, 100 + NUM_FRAMES)]], [0, 100 + NUM_FRAMES]);
+  const before = peopleOf([[4, "person-4", piece(4, 0, 100 + NUM_FRAMES)]], [100, 100 + NUM_FRAMES]);
+  const [store, base] = await edited(whole, before);
+  assert.ok(store.has(10) && firstJoint(store, 0, 10) === null);
+  assert.deepEqual(firstJoint(store, 0, 140), firstJoint(base, 1, 40));
+});
+
+test("frames that come are told", async () => {
+  const base = new MotionStore(description, new FakeService());
+  const store = new EditedStore(base, FOUND, FOUND);
+  let numLoads = 0;
+  store.addEventListener("load", () => { numLoads += 1; });
+  await base.loaded(5);
+  assert.ok(store.has(5) && numLoads >= 1);
+  store.close();
+  base.dispatchEvent(new Event("load"));
+  assert.equal(numLoads, 1);
 });

@@ -47,6 +47,7 @@ def test_list(live: Live, job_id: str, path: str) -> None:
                 "name": "person-1.bvh",
                 "kind": "bvh",
                 "person": "person-1",
+                "person_name": "person-1",
                 "format": "bvh",
                 "preset": "default",
                 "download_name": "untitled_person-1.bvh",

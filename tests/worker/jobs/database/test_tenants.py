@@ -50,6 +50,7 @@ ACTS: dict[str, Act] = {
     "jobs.attempts": lambda records, session_id, job_id: records.jobs.attempts(job_id),
     "results.of_job": lambda records, session_id, job_id: records.results.of_job(job_id),
     "results.all_of_job": lambda records, session_id, job_id: records.results.all_of_job(job_id),
+    "results.listed": lambda records, session_id, job_id: records.results.listed(job_id, "person-1.bvh"),
     "results.get": lambda records, session_id, job_id: records.results.get(job_id, "person-1.bvh"),
     "links.add": lambda records, session_id, job_id: records.links.add(job_id, LinkScope.JOB, None, 60.0),
     "links.of_job": lambda records, session_id, job_id: records.links.of_job(job_id),
