@@ -39,7 +39,7 @@ _WAIT = "Send the request again after the time of Retry-After."
 # Wait for a tenant at its quota of unfinished jobs, until one of them has probably ended.
 _QUOTA_RETRY_AFTER_S = 30
 # As many as a check of files reports, and some of the request itself.
-_MAX_LISTED = 80
+MAX_LISTED = 80
 _MAX_POINTER = 500
 
 _CODES: Mapping[int, str] = {
@@ -81,6 +81,12 @@ class ErrorItem(BaseModel):
     camera: str | None = Field(default=None, description="Name of the camera.")
     field: str | None = Field(default=None, description="Field of the file, such as `matrix`.")
     hint: str | None = Field(default=None, description="Advice to the caller.")
+
+
+class MoreProblems(ErrorItem):
+    """Entry that stands for problems that are not listed."""
+
+    num_problems: int = Field(exclude=True, description="Number of the problems.")
 
 
 class ProblemDetails(BaseModel):
@@ -140,17 +146,22 @@ class ApiError(Exception):
 
 def unprocessable(errors: Sequence[ErrorItem]) -> ApiError:
     """Error 422 for a request with wrong fields, parts or files."""
-    count = "One thing is" if len(errors) == 1 else f"{len(errors)} things are"
-    return ApiError("invalid_request", f"{count} wrong with the request.", errors=_listed(errors))
+    num_problems = sum(error.num_problems if isinstance(error, MoreProblems) else 1 for error in errors)
+    count = "One thing is" if num_problems == 1 else f"{num_problems} things are"
+    return ApiError("invalid_request", f"{count} wrong with the request.", errors=_listed(errors, num_problems))
 
 
-def _listed(errors: Sequence[ErrorItem]) -> list[ErrorItem]:
+def more_problems(num_problems: int) -> "MoreProblems":
+    """Entry that stands for a number of problems that are not listed."""
+    message = f"{num_problems:,} more problems are not listed."
+    return MoreProblems(code="more_problems", message=message, hint="Correct these first.", num_problems=num_problems)
+
+
+def _listed(errors: Sequence[ErrorItem], num_problems: int) -> list[ErrorItem]:
     """Limit the number of errors; the last entry says how many more there are."""
-    shown = [_with_short_pointer(error) for error in errors[:_MAX_LISTED]]
-    if more := len(errors) - len(shown):
-        message = f"{more:,} more problems are not listed."
-        shown.append(ErrorItem(code="more_problems", message=message, hint="Correct these first."))
-    return shown
+    each = [error for error in errors if not isinstance(error, MoreProblems)]
+    shown = [_with_short_pointer(error) for error in each[:MAX_LISTED]]
+    return [*shown, more_problems(more)] if (more := num_problems - len(shown)) else shown
 
 
 def _with_short_pointer(error: ErrorItem) -> ErrorItem:

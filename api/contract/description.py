@@ -1,6 +1,6 @@
 """OpenAPI document of the web API, and helpers with which routes declare responses, forms and webhooks."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, FastAPI
@@ -9,19 +9,13 @@ from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 from starlette.routing import BaseRoute
 
-from api.contract import examples
+from api.contract import bodies, examples
+from api.contract.bodies import SCHEMA_REF
 from api.errors import ErrorItem, ProblemDetails
 from api.http.rates import RATE_HEADERS
-from api.requests.form import CALIBRATION, CALIBRATION_ID, IMAGES, INTRINSICS, KEYPOINTS, TIMESTAMPS, VIDEOS
-from api.schemas.calibrations import CalibrationSpec, UploadedCalibration
-from api.schemas.captures import Manifest, UploadedCapture, UploadedSession
 from api.schemas.jobs import JobEnded
-from worker.jobs.spec import JobSpec
 
 Responses = dict[int | str, dict[str, Any]]
-
-_SCHEMA_REF = "#/components/schemas/{model}"
-_DOCUMENTS: dict[str, type[BaseModel]] = {"manifest": Manifest, "spec": JobSpec}
 
 _ENDED = "Receive a job's end"
 _GONE: Responses = {410: {"description": "The receiver is gone; the message is not sent again."}}
@@ -100,102 +94,10 @@ def problems(*statuses: int) -> Responses:
     return {status: {"$ref": f"#/components/responses/{_problem_name(status)}"} for status in statuses}
 
 
-def session_body(*documents: str) -> dict[str, Any]:
-    """Declare the body that creates a session: a form of files and JSON parts, or JSON that names uploads."""
-    # `format` is OpenAPI 3.0's notation, which generators of clients support; `contentMediaType` is that of 3.1.
-    file = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
-    parts = {part: {"$ref": _SCHEMA_REF.format(model=_DOCUMENTS[part].__name__)} for part in documents}
-    properties = {
-        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos, one for each camera."},
-        KEYPOINTS: {
-            "type": "array",
-            "items": file,
-            "minItems": 1,
-            "description": "Keypoints in place of videos: for each camera a zip of its keypoint files, named as the "
-            "camera.",
-        },
-        CALIBRATION: file | {"description": "Calibration of all cameras; or `calibration_id`."},
-        CALIBRATION_ID: {
-            "type": "string",
-            "format": "uuid",
-            "description": "Id of a stored calibration, in place of `calibration`.",
-        },
-        TIMESTAMPS: file | {"description": "Timestamps of keypoints: CSV with the columns camera, frame and time_s."},
-        **parts,
-    }
-    return {
-        "requestBody": {
-            "required": True,
-            "content": {
-                "multipart/form-data": {
-                    "schema": {
-                        "type": "object",
-                        "properties": properties,
-                        "additionalProperties": False,
-                    },
-                    "encoding": {part: {"contentType": "application/json"} for part in documents},
-                    "example": {
-                        VIDEOS: ["cam_0.mp4", "cam_1.mp4"],
-                        CALIBRATION: "calibration.toml",
-                        **{part: examples.DOCUMENTS[part] for part in documents},
-                    },
-                },
-                "application/json": {
-                    "schema": {"$ref": _SCHEMA_REF.format(model=_uploaded(documents).__name__)},
-                    "example": {
-                        VIDEOS: examples.UPLOAD_IDS[:2],
-                        CALIBRATION: examples.UPLOAD_IDS[2],
-                        **{part: examples.DOCUMENTS[part] for part in documents},
-                    },
-                },
-            },
-        }
-    }
-
-
-def calibration_body() -> dict[str, Any]:
-    """Body of a calibration, as a form or as JSON that names uploads, for ``openapi_extra``."""
-    file = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
-    properties = {
-        CALIBRATION: file | {"description": "Calibration file, for the method `file`."},
-        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos of a board or of people."},
-        IMAGES: {
-            "type": "array",
-            "items": file,
-            "minItems": 1,
-            "description": "Photographs of a board in place of videos: for each camera a zip, named as the camera.",
-        },
-        INTRINSICS: file | {"description": "Calibration file whose intrinsics are kept, and poses ignored."},
-        "spec": {"$ref": _SCHEMA_REF.format(model=CalibrationSpec.__name__)},
-    }
-    spec = examples.DOCUMENTS["calibration_spec"]
-    form = {"type": "object", "properties": properties, "additionalProperties": False}
-    return {
-        "requestBody": {
-            "required": True,
-            "content": {
-                "multipart/form-data": {
-                    "schema": form,
-                    "encoding": {"spec": {"contentType": "application/json"}},
-                    "example": {VIDEOS: ["cam_0.mp4", "cam_1.mp4"], "spec": spec},
-                },
-                "application/json": {
-                    "schema": {"$ref": _SCHEMA_REF.format(model=UploadedCalibration.__name__)},
-                    "example": {VIDEOS: examples.UPLOAD_IDS[:2], **spec},
-                },
-            },
-        }
-    }
-
-
-def _uploaded(documents: Collection[str]) -> type[BaseModel]:
-    return UploadedCapture if "spec" in documents else UploadedSession
-
-
 def _job_ended(
     message: Annotated[JobEnded, Body(openapi_examples={"default": {"value": examples.JOB_ENDED}})],
 ) -> None:
-    """The service sends this message to `callback_url` when the job has ended.
+    """The service sends this message to the `callback_url` of the job's spec when the job has ended.
 
     It repeats the message for a day, until the receiver answers with 2xx or 410.
     """
@@ -236,17 +138,11 @@ def describe(app: FastAPI) -> dict[str, Any]:
         for name in ("HTTPValidationError", "ValidationError"):
             schema["components"]["schemas"].pop(name, None)
         models = schema["components"]["schemas"]
-        sent: list[type[BaseModel]] = [
-            *_DOCUMENTS.values(),
-            UploadedSession,
-            UploadedCapture,
-            CalibrationSpec,
-            UploadedCalibration,
-        ]
         for model in (ErrorItem, ProblemDetails):
             _describe(models, model, "serialization")
-        for part_model in sent:
+        for part_model in bodies.models():
             _describe(models, part_model, "validation")
+        models |= bodies.form_schemas()
         schema["components"] |= {
             "examples": {name: {"value": value} for name, value in examples.ANSWERS.items()},
             "responses": {_problem_name(status): _problem(status) for status in _MEANINGS},
@@ -293,7 +189,7 @@ def _plain_tuples(node: Any) -> None:
 
 def _describe(models: dict[str, Any], model: type[BaseModel], mode: JsonSchemaMode) -> None:
     """Add the schema of a model, and the schemas that it contains."""
-    described = model.model_json_schema(ref_template=_SCHEMA_REF, mode=mode)
+    described = model.model_json_schema(ref_template=SCHEMA_REF, mode=mode)
     parts = described.pop("$defs", {})
     for name, schema in {**parts, model.__name__: described}.items():
         models.setdefault(name, schema)
@@ -304,7 +200,7 @@ def _problem_name(status: int) -> str:
 
 
 def _problem(status: int) -> dict[str, Any]:
-    schema = {"$ref": _SCHEMA_REF.format(model=ProblemDetails.__name__)}
+    schema = {"$ref": SCHEMA_REF.format(model=ProblemDetails.__name__)}
     content = {"application/problem+json": {"schema": schema, "example": examples.problem(status)}}
     headers = {"headers": _PROBLEM_HEADERS[status]} if status in _PROBLEM_HEADERS else {}
     return {"description": _MEANINGS[status], **headers, "content": content}

@@ -7,14 +7,15 @@ from fastapi import Request
 
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to, unprocessable
-from api.requests.form import CALIBRATION, CALIBRATION_FORM, IMAGES, INTRINSICS, VIDEOS, Form, ReceivedFile
+from api.requests.form import Form, ReceivedFile
+from api.requests.form_kinds import CALIBRATION, IMAGES, INTRINSICS, SPEC, VIDEOS
 from api.requests.intake import (
-    SPEC,
     CheckedSession,
     Sent,
     adopted,
     arguments_of,
     document,
+    form_of,
     located,
     record_path_in,
 )
@@ -100,11 +101,11 @@ async def check_calibration(
     if isinstance(sent.content, UploadedCalibration):
         spec: CalibrationSpec | None = sent.content
         # Large files are read once, for their digests, in the turn of the checks.
-        form = await services.checks.run(owner, adopted, services, records, sent.folder, sent.content, CALIBRATION_FORM)
+        form = await services.checks.run(owner, adopted, services, records, sent, sent.content)
         part, upload_ids, errors = "", sent.content.upload_ids(), [*form.errors]
     else:
-        form = _form_of(sent)
-        spec, spec_problems = document(form, SPEC, CalibrationSpec)
+        form = form_of(sent)
+        spec, spec_problems = document(sent, SPEC, CalibrationSpec)
         part, upload_ids, errors = SPEC, (), [*form.errors, *spec_problems]
     if spec is None:
         raise unprocessable(errors)
@@ -138,12 +139,6 @@ def _of_session(
     if errors:
         raise unprocessable(errors)
     return CheckedCalibration(spec, spec.name or f"people, {session.name}", session, has_intrinsics=True)
-
-
-def _form_of(sent: Sent) -> Form:
-    if not isinstance(sent.content, Form):
-        raise TypeError("a calibration is a form or names uploads")
-    return sent.content
 
 
 def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorItem]:

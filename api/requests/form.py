@@ -8,26 +8,18 @@ import contextlib
 import hashlib
 import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from io import BufferedWriter
 from pathlib import Path
 from typing import BinaryIO
 
 from api.errors import ApiError, ErrorItem, pointer_to
-
-VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
-INTRINSICS, IMAGES = "intrinsics", "images"
-VIEWS = (VIDEOS, KEYPOINTS, IMAGES)
-"""Parts with a file for each camera; the other parts have one file."""
-
-CALIBRATION_ID = "calibration_id"
-"""Document that names a stored calibration in place of a file."""
-
-SESSION_ID = "session_id"
-"""Field that names a stored session whose footage is used in place of files."""
+from api.requests.field_places import FieldPlaces
+from api.requests.form_kinds import IMAGES, KEYPOINTS, VIDEOS, VIEWS, FormKind
 
 _MAX_NAME_BYTES = 200
+_MAX_SHOWN = 100
 # Limit on the parts beside the files of cameras: the errors of any number of wrong parts would fill the memory.
 _MAX_OTHER_PARTS = 32
 _BLOCK_BYTES = 2**20
@@ -43,44 +35,6 @@ class Limits:
     max_calibration_bytes: int
     max_json_bytes: int
     max_videos: int
-
-
-@dataclass(frozen=True, slots=True)
-class FormKind:
-    """Kind of a form.
-
-    Parameters
-    ----------
-    noun
-        What is sent, for problems.
-    parts
-        Names of the parts with files.
-    faults
-        Code, sentence and part of each fault of a complete form, by the numbers of its files and documents.
-    """
-
-    noun: str
-    parts: tuple[str, ...]
-    faults: Callable[[Mapping[str, int]], Iterable[tuple[str, str, str]]]
-
-
-def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[str, str, str]]:
-    if not any(counts[part] for part in VIEWS):
-        yield "missing_part", "There are no videos and no keypoints: a session needs either.", VIDEOS
-    if not counts[CALIBRATION] and not counts[CALIBRATION_ID]:
-        yield "missing_part", "There is no calibration: a session needs one.", CALIBRATION
-    if counts[CALIBRATION] and counts[CALIBRATION_ID]:
-        message = "There is a calibration and a calibration_id: a session needs one of both."
-        yield "part_not_allowed", message, CALIBRATION_ID
-    if counts[VIDEOS]:
-        for part in (KEYPOINTS, TIMESTAMPS):
-            if counts[part]:
-                yield "part_not_allowed", "A session of videos has no such files.", part
-
-
-SESSION_FORM = FormKind("session", (VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS), _session_faults)
-# What a calibration needs depends on its method, which is in a document: checked when that is parsed.
-CALIBRATION_FORM = FormKind("calibration", (CALIBRATION, VIDEOS, IMAGES, INTRINSICS), lambda counts: ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,11 +106,11 @@ class _OpenFile:
 class Parts:
     """Receiver of the parts of a form: files go to disk, JSON to memory; refused parts are dropped."""
 
-    def __init__(self, folder: Path, limits: Limits, documents: frozenset[str], kind: FormKind = SESSION_FORM) -> None:
+    def __init__(self, folder: Path, limits: Limits, kind: FormKind, places: FieldPlaces) -> None:
         self._folder = folder
         self._limits = limits
-        self._document_names = documents
         self._kind = kind
+        self._places = places
         of_views = {VIDEOS: limits.max_file_bytes, IMAGES: limits.max_file_bytes, KEYPOINTS: limits.max_keypoints_bytes}
         self._max_file_bytes = {part: of_views.get(part, limits.max_calibration_bytes) for part in kind.parts}
         self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
@@ -185,14 +139,16 @@ class Parts:
             if self._admit(part, self._file_name):
                 self._open = _OpenFile(self._file_name, (self._folder / self._file_name).open("xb"))
                 self._write = self._open.write
-        elif part in self._document_names and part not in self._documents:
+        elif part in self._kind.documents and part not in self._documents:
             self._max_bytes = self._limits.max_json_bytes
             self._write = self._documents.setdefault(part, bytearray()).extend
         elif part in self._documents:
             self._add_error("duplicate_part", "The form has this part more than once.", f"/{part}")
         else:
-            known = ", ".join([*self._files, *sorted(self._document_names)])
-            self._add_error("unknown_part", f"The form has a part that is not one of: {known}.", pointer_to(part[:100]))
+            known = ", ".join([*self._files, *self._kind.documents])
+            message, name = f"The form has a part that is not one of: {known}.", part[:_MAX_SHOWN]
+            hint = self._places.hint(name, "")
+            self._errors.append(ErrorItem(code="unknown_part", message=message, pointer=pointer_to(name), hint=hint))
 
     def write(self, data: bytes) -> None:
         """Receive the next bytes of the part."""

@@ -5,10 +5,10 @@ import hashlib
 import json
 import shutil
 import uuid
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import anyio
 import uuid_utils
@@ -20,25 +20,28 @@ from starlette.concurrency import run_in_threadpool
 from api.dependencies import Services
 from api.errors import ApiError, ErrorItem, pointer_to, unprocessable
 from api.requests.bodies import announced_bytes, limited
-from api.requests.form import (
+from api.requests.field_places import FieldPlaces
+from api.requests.form import Form, Parts, ReceivedFile
+from api.requests.form_kinds import (
     CALIBRATION,
     CALIBRATION_ID,
+    CAPTURE_FORM,
+    FORM_TYPE,
     INTRINSICS,
+    JSON_TYPE,
     KEYPOINTS,
-    SESSION_FORM,
+    MANIFEST,
     SESSION_ID,
+    SPEC,
     TIMESTAMPS,
     VIDEOS,
-    Form,
     FormKind,
-    Parts,
-    ReceivedFile,
 )
 from api.requests.idempotency import IdempotentRequest
 from api.requests.multipart import receive_form
 from api.requests.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.requests.spec_checks import callback_errors, for_session, limit_errors, network_errors, spec_errors
-from api.requests.validation import model_items
+from api.requests.validation import MALFORMED, model_items
 from api.schemas.captures import Manifest, UploadedCapture, UploadedFiles, UploadedSession
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.jobs.errors import NotFound
@@ -47,8 +50,6 @@ from worker.jobs.model import InputFile
 from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
-
-MANIFEST, SPEC = "manifest", "spec"
 
 # Kinds of files that differ from the name of the form's part.
 _KINDS = {VIDEOS: "video", INTRINSICS: CALIBRATION}
@@ -72,18 +73,26 @@ class Sent:
     ----------
     folder
         Holds the files of a form; gone with the request.
+    kind
+        Kind of the form, or of the JSON in its place.
     content
         Received form, or names of uploads.
     parts
         JSON of the content, for the fingerprint of the request.
-    with_job
-        Whether a session is to be reconstructed at once.
+    places
+        Places of the fields of the body, for hints.
     """
 
     folder: Path
+    kind: FormKind
     content: Form | UploadedFiles
     parts: object
-    with_job: bool
+    places: FieldPlaces
+
+    @property
+    def with_job(self) -> bool:
+        """Whether a session is to be reconstructed at once."""
+        return self.kind is CAPTURE_FORM
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,29 +160,30 @@ async def received(
     request: Request,
     services: Services,
     idempotent: IdempotentRequest,
-    documents: frozenset[str],
-    model: type[UploadedFiles],
-    kind: FormKind = SESSION_FORM,
+    kind: FormKind,
+    types: Collection[str],
 ) -> AsyncIterator[Sent]:
     """Receive a session or a calibration as a form, or as JSON that names uploads; its files are there in the block.
 
     Parameters
     ----------
-    documents
-        JSON parts of the form; a session with ``spec`` is to be reconstructed at once.
-    model
-        Model of the JSON that names uploads.
     kind
-        Kind of the form.
+        Kind of the form, or of the JSON in its place.
+    types
+        Content types that the operation takes: ``FORM_TYPE``, ``JSON_TYPE`` or both.
 
     Raises
     ------
     ApiError
         If there is no room for it, or the request can't be read.
     """
-    names_uploads = request.headers.get("content-type", "").partition(";")[0].strip().lower() == "application/json"
+    content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if content_type not in types:
+        raise _unsupported(types)
+    names_uploads = content_type == JSON_TYPE
+    places = FieldPlaces.of(request, content_type)
     to_come = 0 if names_uploads else announced_bytes(request)
-    with_job = kind is SESSION_FORM and SPEC in documents
+    with_job = kind is CAPTURE_FORM
     # A request that comes again may need no more room than there is.
     is_answered = await run_in_threadpool(idempotent.is_answered)
     if not is_answered:
@@ -183,11 +193,17 @@ async def received(
         if names_uploads:
             if not is_answered:
                 services.disk.require_room()
-            names = await _receive_names(request, services, model)
-            yield Sent(folder, names, names.model_dump(mode="json"), with_job)
+            names = await _receive_names(request, services, kind.uploaded, places)
+            yield Sent(folder, kind, names, names.model_dump(mode="json"), places)
         else:
-            form = await receive_form(request, folder, services.limits, documents, services.disk, kind)
-            yield Sent(folder, form, _parts_of(form), with_job)
+            form = await receive_form(request, folder, services.limits, services.disk, kind, places)
+            yield Sent(folder, kind, form, _parts_of(form), places)
+
+
+def _unsupported(types: Collection[str]) -> ApiError:
+    """Error 415 that names the content types of an operation."""
+    ways = {FORM_TYPE: f"Files are sent as {FORM_TYPE}", JSON_TYPE: f"Uploads are named by {JSON_TYPE}"}
+    return ApiError("unsupported_media_type", f"{'. '.join(ways[content_type] for content_type in types)}.")
 
 
 async def check(request: Request, services: Services, records: TenantRecords, sent: Sent) -> CheckedSession:
@@ -201,9 +217,9 @@ async def check(request: Request, services: Services, records: TenantRecords, se
     owner = request.state.caller.owner
     if isinstance(sent.content, UploadedSession):
         # Large files are read once, for their digests, in the turn of the checks.
-        arrival = await services.checks.run(owner, _named, services, records, sent.folder, sent.content)
+        arrival = await services.checks.run(owner, _named, services, records, sent, sent.content)
     else:
-        arrival = _parsed(cast("Form", sent.content))
+        arrival = _parsed(sent)
     arrival = await run_in_threadpool(_with_calibration, records, arrival, sent.folder)
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
     if form.keypoints and arrival.manifest and arrival.manifest.cameras:
@@ -300,10 +316,11 @@ async def _folder(spool_dir: Path) -> AsyncIterator[Path]:
             await run_in_threadpool(shutil.rmtree, folder)
 
 
-def _parsed(form: Form) -> Arrival:
+def _parsed(sent: Sent) -> Arrival:
     """Parse the documents of a form."""
-    manifest, manifest_errors = document(form, MANIFEST, Manifest)
-    spec, spec_problems = document(form, SPEC, JobSpec)
+    form = form_of(sent)
+    manifest, manifest_errors = document(sent, MANIFEST, Manifest)
+    spec, spec_problems = document(sent, SPEC, JobSpec)
     arrival = Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
     if (text := form.documents.get(CALIBRATION_ID)) is None:
         return arrival
@@ -314,12 +331,19 @@ def _parsed(form: Form) -> Arrival:
         return arrival.with_error(ErrorItem(code="wrong_format", message=message, pointer=pointer_to(CALIBRATION_ID)))
 
 
-def document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
-    """Parse a JSON part; a missing part has all defaults."""
+def form_of(sent: Sent) -> Form:
+    """Form that a client sent."""
+    if not isinstance(sent.content, Form):
+        raise TypeError("uploads are named")
+    return sent.content
+
+
+def document(sent: Sent, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
+    """Parse a JSON part of a form; a missing part has all defaults."""
     try:
-        return model.model_validate_json(form.documents.get(part, b"{}")), []
+        return model.model_validate_json(form_of(sent).documents.get(part, b"{}")), []
     except ValidationError as error:
-        return None, model_items(error.errors(), model, part)
+        return None, model_items(error, model, sent.places, part)
 
 
 def _parts_of(form: Form) -> object:
@@ -328,20 +352,23 @@ def _parts_of(form: Form) -> object:
     return files, {name: content.decode(errors="replace") for name, content in form.documents.items()}
 
 
-async def _receive_names(request: Request, services: Services, model: type[UploadedFiles]) -> UploadedFiles:
+async def _receive_names(
+    request: Request, services: Services, model: type[UploadedFiles], places: FieldPlaces
+) -> UploadedFiles:
     body = await limited(request, services.settings.max_json_bytes).body()
     try:
         return model.model_validate_json(body)
     except ValidationError as error:
-        if any(detail["type"] == "json_invalid" for detail in error.errors()):
+        items = model_items(error, model, places)
+        if any(item.code == MALFORMED for item in items):
             raise ApiError("malformed_json", "The body is not JSON.") from None
-        raise unprocessable(model_items(error.errors(), model)) from None
+        raise unprocessable(items) from None
 
 
-def adopted(services: Services, records: TenantRecords, folder: Path, sent: UploadedFiles, kind: FormKind) -> Form:
+def adopted(services: Services, records: TenantRecords, sent: Sent, names: UploadedFiles) -> Form:
     """Build the form from uploads, whose files stay on their spool."""
-    parts = Parts(folder, services.limits, frozenset(), kind)
-    for part, upload_id in sent.uploads():
+    parts = Parts(sent.folder, services.limits, sent.kind, sent.places)
+    for part, upload_id in names.uploads():
         try:
             upload = records.uploads.get(str(upload_id))
             num_bytes = services.uploads.offset(upload)
@@ -357,9 +384,9 @@ def adopted(services: Services, records: TenantRecords, folder: Path, sent: Uplo
             parts.lack(part, "upload_unfinished", message, "Send the rest of it first.", upload.name)
         else:
             parts.adopt(part, upload.name, services.uploads.path(upload.id))
-    if (source_id := sent.source_id()) is not None:
+    if (source_id := names.source_id()) is not None:
         _copy_footage(services, records, source_id, parts)
-    return parts.form(sent.named())
+    return parts.form(names.named())
 
 
 def _copy_footage(services: Services, records: TenantRecords, session_id: str, parts: Parts) -> None:
@@ -383,12 +410,12 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
         parts.reject_field(SESSION_ID, "session_unknown", "There is no such session.", "GET /v1/sessions lists them.")
 
 
-def _named(services: Services, records: TenantRecords, folder: Path, sent: UploadedSession) -> Arrival:
+def _named(services: Services, records: TenantRecords, sent: Sent, names: UploadedSession) -> Arrival:
     """Build the arrival of a session that names uploads."""
-    form = adopted(services, records, folder, sent, SESSION_FORM)
-    spec = sent.spec if isinstance(sent, UploadedCapture) else JobSpec()
-    calibration_id = str(sent.calibration_id) if sent.calibration_id else None
-    return Arrival(form, sent.manifest, spec, calibration_id=calibration_id, upload_ids=sent.upload_ids())
+    form = adopted(services, records, sent, names)
+    spec = names.spec if isinstance(names, UploadedCapture) else JobSpec()
+    calibration_id = str(names.calibration_id) if names.calibration_id else None
+    return Arrival(form, names.manifest, spec, calibration_id=calibration_id, upload_ids=names.upload_ids())
 
 
 def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) -> Arrival:

@@ -13,21 +13,17 @@ from starlette.requests import Request
 
 from api.errors import ApiError
 from api.requests.bodies import announced_bytes, blocks, drain
-from api.requests.form import SESSION_FORM, Form, FormKind, Limits, Parts, too_large
+from api.requests.field_places import FieldPlaces
+from api.requests.form import Form, Limits, Parts, too_large
+from api.requests.form_kinds import FORM_TYPE, FormKind
 from worker.jobs.files.disk import DiskSpace
 
 # Boundaries and headers of the parts, in addition to the bytes of the files.
 _ENVELOPE_BYTES = 2**20
-_TAKEN = "Files are sent as multipart/form-data, or named as uploads by application/json."
 
 
 async def receive_form(
-    request: Request,
-    folder: Path,
-    limits: Limits,
-    documents: frozenset[str],
-    disk: DiskSpace,
-    kind: FormKind = SESSION_FORM,
+    request: Request, folder: Path, limits: Limits, disk: DiskSpace, kind: FormKind, places: FieldPlaces
 ) -> Form:
     """Stream a request's form to disk.
 
@@ -35,12 +31,12 @@ async def receive_form(
     ----------
     folder
         Empty folder, which the caller removes in any case.
-    documents
-        Names of the allowed JSON parts.
     disk
         Disk of the folder, whose free space is checked.
     kind
         What is sent.
+    places
+        Places of the fields of the form, for hints.
 
     Raises
     ------
@@ -56,7 +52,7 @@ async def receive_form(
     try:
         _check_announced_length(request, limits)
         disk.require_room(announced_bytes(request))
-        parts = Parts(folder, limits, documents, kind)
+        parts = Parts(folder, limits, kind, places)
         reader = _Reader(boundary, parts)
         try:
             async for block in blocks(stream):
@@ -72,8 +68,8 @@ async def receive_form(
 
 def _boundary_of(request: Request) -> str:
     content_type, options = parse_options_header(request.headers.get("content-type"))
-    if content_type != b"multipart/form-data":
-        raise ApiError("unsupported_media_type", _TAKEN)
+    if content_type != FORM_TYPE.encode():
+        raise ApiError("unsupported_media_type", f"Files are sent as {FORM_TYPE}.")
     boundary = options.get(b"boundary", b"").decode("latin-1")
     if not boundary:
         raise _malformed()

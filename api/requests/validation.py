@@ -1,28 +1,32 @@
 """Errors of fields and parameters, translated from Pydantic's errors.
 
 Each wrong field gets one entry with a code of ``api.errors.MEANINGS``, a JSON pointer and a sentence with all allowed
-values. The sentence is made from the JSON Schema of the contract, never taken from the library.
+values. The sentence is made from the JSON Schema of the contract, never taken from the library. A body may have as many
+wrong fields as it has room for: of those that no answer lists, only the number is found out.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cache
+from itertools import islice
 from typing import Any, get_args
 
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 from pydantic_core.core_schema import ErrorType
 from starlette.requests import Request
 from starlette.responses import Response
 
-from api.errors import ApiError, ErrorItem, pointer_to, problem_response, unprocessable
+from api.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
+from api.requests.field_places import FieldPlaces, path_of
 from worker.requirements import Schema, branches_of, requirement, resolve
 
 UNKNOWN, MISSING, MALFORMED = "unknown_field", "missing_field", "malformed_json"
 
 _CODES: Mapping[str, str] = {
     "extra_forbidden": UNKNOWN,
+    "unexpected_keyword_argument": UNKNOWN,
     "missing": MISSING,
     "json_invalid": MALFORMED,
     "literal_error": "value_not_allowed",
@@ -51,10 +55,20 @@ _NOUNS: Mapping[str, str] = {"query": "parameter", "path": "parameter", "header"
 Steps = tuple[str | int, ...]
 
 
-def model_items(errors: Sequence[ErrorDetails], model: type[BaseModel], part: str = "") -> list[ErrorItem]:
-    """Translate Pydantic's errors of a model, which is the body or a part of the form."""
+def model_items(error: ValidationError, model: type[BaseModel], places: FieldPlaces, part: str = "") -> list[ErrorItem]:
+    """Translate Pydantic's errors of a model, which is the body or a part of the form.
+
+    Parameters
+    ----------
+    places
+        Places of all fields of the body.
+    part
+        Name of the part; empty for the body.
+    """
     schema = _schema_of(model)
-    return _items(errors, schema, schema, part)
+    # Errors with their inputs would copy a large object once for each field that it lacks.
+    errors = error.errors(include_url=False, include_context=False, include_input=False)
+    return _items(errors, schema, schema, places, part)
 
 
 def install(app: FastAPI) -> None:
@@ -80,7 +94,7 @@ def _from_validation(request: Request, error: RequestValidationError) -> ApiErro
     items = _parameter_items([detail for detail in details if detail["loc"][0] != "body"], operation, contract)
     if in_body:
         schema = operation["requestBody"]["content"]["application/json"]["schema"]
-        items += _items(in_body, schema, contract, "")
+        items += _items(in_body, schema, contract, FieldPlaces.of(request, "application/json"))
     return unprocessable(items)
 
 
@@ -100,61 +114,88 @@ def _parameter_items(errors: Iterable[ErrorDetails], operation: Schema, contract
     return list(items.values())
 
 
-def _items(errors: Iterable[ErrorDetails], schema: Schema, root: Schema, part: str) -> list[ErrorItem]:
-    """Translate errors in JSON, one entry for each field, with pointers below ``part``."""
-    by_field: dict[Steps, list[tuple[str, str]]] = {}
+def _items(
+    errors: Iterable[ErrorDetails], schema: Schema, root: Schema, places: FieldPlaces, part: str = ""
+) -> list[ErrorItem]:
+    """Translate errors in JSON, one entry for each field, with pointers below ``part``.
+
+    Only as many fields are translated as an answer lists; an entry at the end says how many more are wrong.
+    """
+    fields = _Fields(schema, root)
+    by_field: dict[Steps, list[ErrorDetails]] = {}
     for error in errors:
-        steps, code, message = _translated(error, schema, root, part)
-        by_field.setdefault(steps, []).append((code, message))
-    start = (part,) if part else ()
+        by_field.setdefault(fields.of(error), []).append(error)
     items = []
-    for steps, translations in by_field.items():
-        codes = {code for code, _ in translations}
+    for steps, of_field in islice(by_field.items(), MAX_LISTED):
+        codes = {_code(error) for error in of_field}
         if codes == {"value_not_allowed", "wrong_format"}:  # neither a named value nor a name of the user's own
             code = "value_not_allowed"
         else:
             code = codes.pop() if len(codes) == 1 else "invalid_value"
-        items.append(ErrorItem(code=code, message=translations[0][1], pointer=pointer_to(*start, *steps)))
-    return items
+        items.append(_item(of_field[0], code, steps, fields, places, part))
+    return [*items, more_problems(more)] if (more := len(by_field) - len(items)) else items
 
 
-def _translated(error: ErrorDetails, schema: Schema, root: Schema, part: str) -> tuple[Steps, str, str]:
-    """Steps to the field, code and sentence of an error."""
-    code, where = _code(error), error["loc"]
-    if code == UNKNOWN:
-        steps, holder = _follow(where[:-1], schema, root)
-        known = ", ".join(_properties(holder, root))
-        name = _name((*steps, str(where[-1])[:_MAX_SHOWN]), "")
-        return (*steps, where[-1]), code, f"There is no field {name} here. The fields are {known}."
-    if code == MISSING and where and isinstance(where[-1], int):  # an item of a list with a fixed number of items
-        code, where = "wrong_length", where[:-1]
-    steps, node = _follow(where, schema, root)
-    name = _name(steps, part)
-    if error["type"] not in _LIBRARY_TYPES:  # raised by our own validators with a code and a sentence
-        return steps, code, error["msg"]
-    if code == MALFORMED:
-        return steps, code, f"{name} is not JSON."
-    if code == MISSING:
-        return steps, code, f"{name} is missing. It must be {requirement(node, root)}."
-    return steps, code, f"{name} must be {requirement(node, root)}."
+class _Fields:
+    """Fields that Pydantic's errors are about, with their schemas."""
+
+    def __init__(self, schema: Schema, root: Schema) -> None:
+        self.root = root
+        self._followed: dict[Steps, tuple[Steps, Schema]] = {(): ((), schema)}
+
+    def of(self, error: ErrorDetails) -> Steps:
+        """Steps to the field of an error."""
+        if _code(error) == UNKNOWN:
+            *holder, name = error["loc"]
+            return (*self.follow(tuple(holder))[0], name)
+        return self.follow(_where(error))[0]
+
+    def follow(self, where: Steps) -> tuple[Steps, Schema]:
+        """Follow Pydantic's location; omit steps that name branches of a union instead of fields."""
+        if where not in self._followed:
+            steps, schema = self.follow(where[:-1])
+            inner = _inner(schema, where[-1], self.root)
+            self._followed[where] = (steps, schema) if inner is None else ((*steps, where[-1]), inner)
+        return self._followed[where]
+
+
+def _item(error: ErrorDetails, code: str, steps: Steps, fields: _Fields, places: FieldPlaces, part: str) -> ErrorItem:
+    """Entry for a wrong field, by one of its errors."""
+    start = (part,) if part else ()
+    pointer, hint = pointer_to(*start, *steps), None
+    if _code(error) == UNKNOWN:
+        unknown = str(steps[-1])[:_MAX_SHOWN]
+        known = ", ".join(_properties(fields.follow(error["loc"][:-1])[1], fields.root))
+        message = f"There is no field {_name((*steps[:-1], unknown), '')} here. The fields are {known}."
+        hint = places.hint(unknown, path_of((*start, *steps[:-1])))
+    elif error["type"] not in _LIBRARY_TYPES:  # raised by our own validators with a code and a sentence
+        message = error["msg"]
+    elif _code(error) == MALFORMED:
+        message = f"{_name(steps, part)} is not JSON."
+    else:
+        allowed = requirement(fields.follow(_where(error))[1], fields.root)
+        missing = " is missing. It" if _code(error) == MISSING else ""
+        message = f"{_name(steps, part)}{missing} must be {allowed}."
+    return ErrorItem(code=code, message=message, pointer=pointer, hint=hint)
+
+
+def _where(error: ErrorDetails) -> Steps:
+    """Location of a wrong field; of a list that is too short the list, not the item that it lacks."""
+    where = error["loc"]
+    return where[:-1] if _lacks_item(error) else where
+
+
+def _lacks_item(error: ErrorDetails) -> bool:
+    """Whether an error is about a list with a fixed number of items that is too short."""
+    return error["type"] == "missing" and bool(error["loc"]) and isinstance(error["loc"][-1], int)
 
 
 def _code(error: ErrorDetails) -> str:
-    kind = error["type"]
+    kind = "too_short" if _lacks_item(error) else error["type"]
     if kind not in _LIBRARY_TYPES:
         return kind
     is_type = kind.endswith(("_type", "_parsing"))
     return _CODES.get(kind, "wrong_type" if is_type else "invalid_value")
-
-
-def _follow(where: Sequence[str | int], schema: Schema, root: Schema) -> tuple[Steps, Schema]:
-    """Follow Pydantic's location; omit steps that name branches of a union instead of fields."""
-    steps: Steps = ()
-    for step in where:
-        inner = _inner(schema, step, root)
-        if inner is not None:
-            steps, schema = (*steps, step), inner
-    return steps, schema
 
 
 def _inner(schema: Schema, step: str | int, root: Schema) -> Schema | None:
@@ -173,7 +214,7 @@ def _inner(schema: Schema, step: str | int, root: Schema) -> Schema | None:
 def _properties(schema: Schema, root: Schema) -> Iterable[str]:
     schema = resolve(schema, root)
     inner = (name for branch in branches_of(schema) for name in _properties(branch, root))
-    return [*schema.get("properties", ()), *inner]
+    return dict.fromkeys([*schema.get("properties", ()), *inner])
 
 
 def _name(steps: Steps, part: str) -> str:

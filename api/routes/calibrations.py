@@ -1,6 +1,6 @@
 """Calibrations: send a file, make one from a board or from people, list, read, download, rename, delete."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Annotated, Any
 from urllib.parse import quote
 
@@ -9,22 +9,22 @@ from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
 from api.contract import examples
-from api.contract.description import RETRY_AFTER, answer, calibration_body, location, problems
+from api.contract.bodies import body_of
+from api.contract.description import RETRY_AFTER, answer, location, problems
 from api.dependencies import POLL_AFTER_S, CalibrationId, Cursor, Limit, Services, ServicesDep
 from api.errors import ApiError
 from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.requests.bodies import SmallBodyRoute
 from api.requests.calibration_intake import CheckedCalibration, ReadFile, check_calibration
-from api.requests.form import CALIBRATION_FORM
+from api.requests.form_kinds import CALIBRATION_FORM, EITHER_TYPE, FORM_TYPE, JSON_TYPE
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
-from api.requests.intake import SPEC, received, stored
+from api.requests.intake import received, stored
 from api.schemas.calibrations import (
     MEDIA_TYPES,
     CalibrationChanges,
     CalibrationOut,
     CalibrationPage,
     Format,
-    UploadedCalibration,
 )
 from api.schemas.jobs import JobOut
 from worker.jobs.files.removals import remove_files
@@ -47,32 +47,71 @@ _FILE: dict[str, Any] = {
 }
 
 
+def _creates_calibration(types: Collection[str]) -> dict[str, Any]:
+    """Declare an operation that creates a calibration."""
+    job = {
+        "description": "Job that makes the calibration, which has the same id.",
+        "model": JobOut,
+        "headers": {"Location": location("job", "/v1/jobs/{job_id}"), **RETRY_AFTER},
+    }
+    return {
+        "status_code": status.HTTP_201_CREATED,
+        "response_model": CalibrationOut,
+        "responses": {
+            201: _ONE | _LOCATION,
+            202: answer("CalibrationJob") | job,
+            **problems(400, 404, 408, 409, 413, 415, 422, 507),
+        },
+        "openapi_extra": body_of(CALIBRATION_FORM, types),
+    }
+
+
 @router.post(
     "",
     operation_id="createCalibration",
     summary="Send or make a calibration",
-    status_code=status.HTTP_201_CREATED,
-    response_model=CalibrationOut,
-    responses={
-        201: _ONE | _LOCATION,
-        202: answer("CalibrationJob")
-        | {
-            "description": "Job that makes the calibration, which has the same id.",
-            "model": JobOut,
-            "headers": {"Location": location("job", "/v1/jobs/{job_id}"), **RETRY_AFTER},
-        },
-        **problems(400, 404, 408, 409, 413, 415, 422, 507),
-    },
-    openapi_extra=calibration_body(),
+    **_creates_calibration(EITHER_TYPE),
 )
 async def create_calibration(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Send a calibration file, or have a calibration made from videos of a board, or from people who walk about.
 
-    A file is checked and stored at once. Otherwise the answer is a job, whose id is that of the calibration.
+    A file is checked and stored at once. Otherwise the answer is a job, whose id is that of the calibration. Generated
+    clients use `createCalibrationFromFiles` and `createCalibrationFromUploads`, which do the same with one kind of body
+    each.
     """
-    async with received(
-        request, services, idempotent, frozenset({SPEC}), UploadedCalibration, CALIBRATION_FORM
-    ) as sent:
+    return await _create_calibration(request, services, idempotent, EITHER_TYPE)
+
+
+@router.post(
+    "/from-files",
+    operation_id="createCalibrationFromFiles",
+    summary="Send or make a calibration from files",
+    **_creates_calibration({FORM_TYPE}),
+)
+async def create_calibration_from_files(
+    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
+) -> Response:
+    """Send or make a calibration by a form with files; otherwise as `createCalibration`."""
+    return await _create_calibration(request, services, idempotent, {FORM_TYPE})
+
+
+@router.post(
+    "/from-uploads",
+    operation_id="createCalibrationFromUploads",
+    summary="Send or make a calibration from uploads",
+    **_creates_calibration({JSON_TYPE}),
+)
+async def create_calibration_from_uploads(
+    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
+) -> Response:
+    """Send or make a calibration by JSON that names uploads, or a session; otherwise as `createCalibration`."""
+    return await _create_calibration(request, services, idempotent, {JSON_TYPE})
+
+
+async def _create_calibration(
+    request: Request, services: Services, idempotent: IdempotentRequest, types: Collection[str]
+) -> Response:
+    async with received(request, services, idempotent, CALIBRATION_FORM, types) as sent:
         if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
             return earlier
         async with idempotent.held():

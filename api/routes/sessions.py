@@ -1,20 +1,22 @@
 """Capture sessions: send, list, search, read, rename, delete."""
 
-from typing import Annotated
+from collections.abc import Collection
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.auth import JobViewDep, RecordsDep, ViewerDep
 from api.contract import examples
-from api.contract.description import answer, location, problems, session_body
+from api.contract.bodies import body_of
+from api.contract.description import answer, location, problems
 from api.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
 from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.requests.bodies import SmallBodyRoute
-from api.requests.form import CALIBRATION_ID
+from api.requests.form_kinds import EITHER_TYPE, FORM_TYPE, JSON_TYPE, SESSION_FORM
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
-from api.requests.intake import MANIFEST, CheckedSession, check, received, stored
-from api.schemas.captures import SessionChanges, SessionOut, SessionPage, UploadedSession
+from api.requests.intake import CheckedSession, check, received, stored
+from api.schemas.captures import SessionChanges, SessionOut, SessionPage
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import Capture, JobState
 
@@ -31,22 +33,57 @@ State = Annotated[JobState | None, Query(description="Only sessions whose newest
 _LOCATION = {"headers": {"Location": location("session", "/v1/sessions/{session_id}")}}
 
 
-@router.post(
-    "",
-    operation_id="createSession",
-    summary="Send a session",
-    status_code=status.HTTP_201_CREATED,
-    response_model=SessionOut,
-    responses={201: _ONE | _LOCATION, **problems(400, 408, 409, 413, 415, 422, 507)},
-    openapi_extra=session_body(MANIFEST),
-)
+def _creates_session(types: Collection[str]) -> dict[str, Any]:
+    """Declare an operation that creates a session."""
+    return {
+        "status_code": status.HTTP_201_CREATED,
+        "response_model": SessionOut,
+        "responses": {201: _ONE | _LOCATION, **problems(400, 408, 409, 413, 415, 422, 507)},
+        "openapi_extra": body_of(SESSION_FORM, types),
+    }
+
+
+@router.post("", operation_id="createSession", summary="Send a session", **_creates_session(EITHER_TYPE))
 async def create_session(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Send a session: its videos, or what another program found in them, and the cameras' calibration.
 
     As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
-    found, or all that is wrong.
+    found, or all that is wrong. Generated clients use `createSessionFromFiles` and `createSessionFromUploads`, which do
+    the same with one kind of body each.
     """
-    async with received(request, services, idempotent, frozenset({MANIFEST, CALIBRATION_ID}), UploadedSession) as sent:
+    return await _create_session(request, services, idempotent, EITHER_TYPE)
+
+
+@router.post(
+    "/from-files",
+    operation_id="createSessionFromFiles",
+    summary="Send a session's files",
+    **_creates_session({FORM_TYPE}),
+)
+async def create_session_from_files(
+    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
+) -> Response:
+    """Send a session as a form with its files; otherwise as `createSession`."""
+    return await _create_session(request, services, idempotent, {FORM_TYPE})
+
+
+@router.post(
+    "/from-uploads",
+    operation_id="createSessionFromUploads",
+    summary="Send a session's uploads",
+    **_creates_session({JSON_TYPE}),
+)
+async def create_session_from_uploads(
+    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
+) -> Response:
+    """Send a session as JSON that names finished uploads; otherwise as `createSession`."""
+    return await _create_session(request, services, idempotent, {JSON_TYPE})
+
+
+async def _create_session(
+    request: Request, services: Services, idempotent: IdempotentRequest, types: Collection[str]
+) -> Response:
+    async with received(request, services, idempotent, SESSION_FORM, types) as sent:
         if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
             return earlier
         async with idempotent.held():

@@ -66,8 +66,10 @@ class Guarded:
     def ask(self, method: str, path: str, secret: str | None, **options: Any) -> httpx2.Response:
         headers = {"Authorization": f"Bearer {secret}"} if secret is not None else {}
         address = re.sub(r"\{(\w+)\}", lambda found: self.ids[found[1]], path)
-        if (method, path) in {("POST", "/v1/calibrations"), ("POST", "/v1/sessions"), ("POST", "/v1/jobs")}:
+        if method == "POST" and re.fullmatch("/v1/(calibrations|sessions|jobs)(/from-files)?", path):
             options.setdefault("files", form())
+        if method == "POST" and path.endswith("/from-uploads"):
+            options.setdefault("json", {})
         if (method, path) in {("PATCH", "/v1/sessions/{session_id}"), ("PATCH", "/v1/calibrations/{calibration_id}")}:
             options.setdefault("json", {"name": "walk"})
         if (method, path) == ("PATCH", "/v1/jobs/{job_id}/people"):
@@ -157,7 +159,7 @@ def test_the_tenant_s_own_is_found(guarded: Guarded, method: str, path: str) -> 
 
 def test_another_tenant_s_upload_makes_no_session(guarded: Guarded) -> None:
     files = {"videos": [guarded.ids["upload_id"]], "calibration": guarded.ids["upload_id"]}
-    for path in ("/v1/sessions", "/v1/jobs"):
+    for path in ("/v1/sessions", "/v1/jobs", "/v1/sessions/from-uploads", "/v1/jobs/from-uploads"):
         answer = guarded.ask("POST", path, guarded.mine, json=files, files=None)
         problem = problem_of(answer, 422, "invalid_request")
         assert {item["code"] for item in problem["errors"]} == {"upload_unknown"}
@@ -165,7 +167,7 @@ def test_another_tenant_s_upload_makes_no_session(guarded: Guarded) -> None:
 
 def test_another_tenant_s_footage_makes_no_session(guarded: Guarded) -> None:
     body = {"session_id": guarded.ids["session_id"], "calibration_id": guarded.ids["calibration_id"]}
-    for path in ("/v1/sessions", "/v1/jobs"):
+    for path in ("/v1/sessions", "/v1/jobs", "/v1/sessions/from-uploads", "/v1/jobs/from-uploads"):
         answer = guarded.ask("POST", path, guarded.mine, json=body, files=None)
         problem = problem_of(answer, 422, "invalid_request")
         assert {item["code"] for item in problem["errors"]} == {"session_unknown", "calibration_unknown"}

@@ -1,7 +1,8 @@
 """Jobs: reconstruct a session, follow it, cancel, retry, delete."""
 
 import uuid
-from typing import Annotated
+from collections.abc import Collection
+from typing import Annotated, Any
 
 import structlog
 from fastapi import APIRouter, Body, Query, Request, Response, status
@@ -9,25 +10,17 @@ from starlette.concurrency import run_in_threadpool
 
 from api.auth import JobViewDep, RecordsDep, ViewerDep
 from api.contract import examples
-from api.contract.description import (
-    RETRY_AFTER,
-    Responses,
-    answer,
-    job_ended_callbacks,
-    location,
-    problems,
-    session_body,
-)
+from api.contract.bodies import body_of
+from api.contract.description import RETRY_AFTER, Responses, answer, job_ended_callbacks, location, problems
 from api.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.errors import ApiError, unprocessable
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.requests.bodies import SmallBodyRoute
-from api.requests.form import CALIBRATION_ID
+from api.requests.form_kinds import CAPTURE_FORM, EITHER_TYPE, FORM_TYPE, JSON_TYPE
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
-from api.requests.intake import MANIFEST, SPEC, CheckedSession, check, received, stored
+from api.requests.intake import CheckedSession, check, received, stored
 from api.requests.proxies import queue_proxies
 from api.requests.spec_checks import callback_errors, for_session, network_errors, spec_errors
-from api.schemas.captures import UploadedCapture
 from api.schemas.jobs import AttemptList, AttemptOut, JobOut, JobPage
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import RETRYABLE, Job, JobKind, JobState
@@ -88,20 +81,62 @@ def create_job(
     return answer.response()
 
 
+def _creates_session_and_job(types: Collection[str], callback: str) -> dict[str, Any]:
+    """Declare an operation that creates a session with a job; ``callback`` is the id of its webhook."""
+    return {
+        "status_code": status.HTTP_202_ACCEPTED,
+        "response_model": JobOut,
+        "responses": {**_ACCEPTED, **problems(400, 408, 409, 413, 415, 422, 507)},
+        "openapi_extra": body_of(CAPTURE_FORM, types),
+        "callbacks": job_ended_callbacks(callback, "/spec/callback_url"),
+    }
+
+
 @router.post(
     "/jobs",
     operation_id="createSessionAndJob",
     summary="Send and reconstruct a session",
-    status_code=status.HTTP_202_ACCEPTED,
-    response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 408, 409, 413, 415, 422, 507)},
-    openapi_extra=session_body(MANIFEST, SPEC),
-    callbacks=job_ended_callbacks("jobEndedOfSession", "/spec/callback_url"),
+    **_creates_session_and_job(EITHER_TYPE, "jobEndedOfSession"),
 )
 async def create_session_and_job(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads."""
-    documents = frozenset({MANIFEST, SPEC, CALIBRATION_ID})
-    async with received(request, services, idempotent, documents, UploadedCapture) as sent:
+    """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads.
+
+    The choices of the job, its `callback_url` too, are in `spec`. Generated clients use `createSessionAndJobFromFiles`
+    and `createSessionAndJobFromUploads`, which do the same with one kind of body each.
+    """
+    return await _create_session_and_job(request, services, idempotent, EITHER_TYPE)
+
+
+@router.post(
+    "/jobs/from-files",
+    operation_id="createSessionAndJobFromFiles",
+    summary="Reconstruct a session's files",
+    **_creates_session_and_job({FORM_TYPE}, "jobEndedOfFiles"),
+)
+async def create_session_and_job_from_files(
+    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
+) -> Response:
+    """Send a session as a form with its files, and reconstruct it; otherwise as `createSessionAndJob`."""
+    return await _create_session_and_job(request, services, idempotent, {FORM_TYPE})
+
+
+@router.post(
+    "/jobs/from-uploads",
+    operation_id="createSessionAndJobFromUploads",
+    summary="Reconstruct a session's uploads",
+    **_creates_session_and_job({JSON_TYPE}, "jobEndedOfUploads"),
+)
+async def create_session_and_job_from_uploads(
+    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
+) -> Response:
+    """Send a session as JSON that names finished uploads, and reconstruct it; otherwise as `createSessionAndJob`."""
+    return await _create_session_and_job(request, services, idempotent, {JSON_TYPE})
+
+
+async def _create_session_and_job(
+    request: Request, services: Services, idempotent: IdempotentRequest, types: Collection[str]
+) -> Response:
+    async with received(request, services, idempotent, CAPTURE_FORM, types) as sent:
         if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
             return earlier
         async with idempotent.held():

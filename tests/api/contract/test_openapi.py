@@ -52,8 +52,10 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert schema["openapi"].startswith("3.1")
     names = [operation["operationId"] for operation in operations(schema)]
     assert sorted(names) == [
-        "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration", "createJob", "createLink",
-        "createSession", "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob",
+        "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration",
+        "createCalibrationFromFiles", "createCalibrationFromUploads", "createJob", "createLink",
+        "createSession", "createSessionAndJob", "createSessionAndJobFromFiles", "createSessionAndJobFromUploads",
+        "createSessionFromFiles", "createSessionFromUploads", "createUpload", "deleteCalibration", "deleteJob",
         "deleteSession", "deleteUpload", "describeUploads", "editJobPeople", "getAllResults", "getCalibration",
         "getCalibrationFile", "getCaller", "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion",
         "getMotionDescription", "getOptions", "getReadiness", "getResult", "getSample", "getSampleFile",
@@ -69,6 +71,19 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
         summary = operation["summary"]
         assert re.fullmatch(r"[A-Z][a-z]+ [a-z' ]+", summary), summary
     assert len({operation["summary"] for operation in operations(schema)}) == len(names)
+
+
+@pytest.mark.parametrize("path", ["/v1/calibrations", "/v1/jobs", "/v1/sessions"])
+def test_what_takes_two_bodies_has_an_operation_for_each(schema: dict[str, Any], path: str) -> None:
+    """Generators of clients keep one body of an operation, or mix both."""
+    content = schema["paths"][path]["post"]["requestBody"]["content"]
+    assert len(content) == 2
+    for way, content_type in (("from-files", "multipart/form-data"), ("from-uploads", "application/json")):
+        operation = schema["paths"][f"{path}/{way}"]["post"]
+        assert operation["requestBody"]["content"] == {content_type: content[content_type]}
+        assert operation["responses"] == schema["paths"][path]["post"]["responses"]
+    bodies = [operation["requestBody"]["content"] for operation in operations(schema) if "requestBody" in operation]
+    assert sum(len(body) > 1 for body in bodies) == 3
 
 
 def test_the_document_says_what_it_is_of(schema: dict[str, Any]) -> None:
@@ -109,7 +124,9 @@ def test_all_arrays_say_their_items(schema: dict[str, Any]) -> None:
 
 def test_operations_that_take_an_address_declare_what_is_sent_there(schema: dict[str, Any]) -> None:
     message = {"$ref": "#/components/schemas/JobEnded"}
-    for path, pointer in (("/v1/jobs", "/spec/callback_url"), ("/v1/sessions/{session_id}/jobs", "/callback_url")):
+    pointers = {"/v1/sessions/{session_id}/jobs": "/callback_url"}
+    pointers |= {f"/v1/jobs{way}": "/spec/callback_url" for way in ("", "/from-files", "/from-uploads")}
+    for path, pointer in pointers.items():
         ((expression, item),) = schema["paths"][path]["post"]["callbacks"]["jobEnded"].items()
         assert expression == f"{{$request.body#{pointer}}}"
         assert item["post"]["requestBody"]["content"]["application/json"]["schema"] == message

@@ -11,7 +11,7 @@ import pytest
 from api.contract.problem_codes import GROUPS, STATUSES, ProblemCode
 from api.contract.problem_codes.page import PAGE, document, main
 from api.errors import _CODES
-from api.requests.form import VIEWS
+from api.requests.form_kinds import VIEWS
 from pipeline.config import CHOICES, FILE_FORMATS
 
 ROOT = Path(__file__).parents[3]
@@ -23,7 +23,7 @@ PLACES = {"job", "waiting", "attempt", "readyz", "command", "warning", "finding"
 
 # Functions with tuples whose first items are codes.
 IN_TUPLES = {
-    "api/requests/form.py": {"_session_faults"},
+    "api/requests/form_kinds.py": {"_session_faults"},
     "api/requests/spec_checks.py": {"callback_errors"},
     "api/cli/commands/backup.py": {"_code_and_faults"},
     "pipeline/capture/session.py": {"_range_problems"},

@@ -18,7 +18,9 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.types import Message
 
 from api.errors import ApiError
+from api.requests.field_places import FieldPlaces
 from api.requests.form import Form, Limits, name_error
+from api.requests.form_kinds import SESSION_FORM
 from api.requests.multipart import receive_form
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
@@ -56,8 +58,9 @@ def request_of(blocks: list[bytes], hangs_up: bool = False) -> Request:
 
 
 def received(folder: Path, blocks: list[bytes], hangs_up: bool = False) -> Form:
+    places = FieldPlaces(lambda: ({}, {}))
     return asyncio.run(
-        receive_form(request_of(blocks, hangs_up), folder, LIMITS, frozenset({"manifest"}), DiskSpace(folder, 0))
+        receive_form(request_of(blocks, hangs_up), folder, LIMITS, DiskSpace(folder, 0), SESSION_FORM, places)
     )
 
 

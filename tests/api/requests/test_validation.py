@@ -2,15 +2,21 @@
 
 import json
 import re
+from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from api.errors import MEANINGS
+from api.errors import MAX_LISTED, MEANINGS
+from api.requests import validation
+from api.requests.field_places import FieldPlaces
 from api.schemas.captures import CameraManifest, Manifest
+from api.settings import KIB, Settings
 from pipeline.parsing import FRAME_RATE_HZ, OFFSET_S
-from tests.api.conftest import Live, form, problem_of
+from tests.api.conftest import Live, form, problem_of, running
 from worker.jobs.spec import JobSpec
+from worker.requirements import requirement
 
 SPEC_FIELDS = ", ".join(JobSpec.model_fields)
 PEOPLE = "people must be auto, or a whole number from 1 to 1000."
@@ -179,6 +185,76 @@ def test_an_answer_is_not_many_times_the_request(live: Live) -> None:
     assert found[-1] == (None, "more_problems", "25 more problems are not listed.")
 
 
+def test_only_what_is_listed_is_translated(
+    make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A small body has thousands of wrong fields; the others are counted, over all parts of a form."""
+    work: Counter[str] = Counter()
+
+    def described(*args: Any, **options: Any) -> str:
+        work["described"] += 1
+        return requirement(*args, **options)
+
+    def searched(*args: Any) -> str | None:
+        work["searched"] += 1
+        return hint(*args)
+
+    hint = FieldPlaces.hint
+    monkeypatch.setattr(FieldPlaces, "hint", searched)
+    monkeypatch.setattr(validation, "requirement", described)
+    spec = json.dumps({"exports": ["x"] * 5000, **{f"a{number}": 1 for number in range(3000)}})
+    manifest = json.dumps({f"a{number}": 1 for number in range(2000)})
+    parts = [*form(), ("manifest", (None, manifest)), ("spec", (None, spec))]
+    with running(make_settings(max_json_bytes=64 * KIB)) as live:
+        problem = problem_of(live.client.post("/v1/jobs/from-files", files=parts), 422, "invalid_request")
+    assert problem["detail"] == "10000 things are wrong with the request."
+    assert problem["errors"][-1]["message"] == "9,920 more problems are not listed."
+    assert [item["code"] for item in problem["errors"]].count("more_problems") == 1
+    assert len(problem["errors"]) == MAX_LISTED + 1
+    assert work["described"] > 0
+    assert work["searched"] > 0
+    assert work.total() <= 2 * MAX_LISTED
+
+
+@pytest.mark.parametrize(
+    ("body", "pointer", "hint"),
+    [
+        ({"callback_url": "https://x"}, "/callback_url", "callback_url belongs in spec: spec.callback_url."),
+        ({"manifest": {"method": "tracking"}}, "/manifest/method", "method belongs in spec: spec.method."),
+        ({"spec": {"videos": []}}, "/spec/videos", "videos belongs at the top of the body."),
+        (
+            {"manifest": {"offset_s": 1.0}},
+            "/manifest/offset_s",
+            "offset_s belongs in manifest.cameras[]: manifest.cameras[].offset_s.",
+        ),
+        (
+            {"name": "walk"},
+            "/name",
+            "name belongs in manifest: manifest.name, or in manifest.cameras[]: manifest.cameras[].name.",
+        ),
+        ({"colour": "red"}, "/colour", None),
+    ],
+)
+def test_a_misplaced_field_is_told_its_place(live: Live, body: dict[str, Any], pointer: str, hint: str | None) -> None:
+    answer = live.client.post("/v1/jobs/from-uploads", json=body)
+    found = {item["pointer"]: item["hint"] for item in problem_of(answer, 422, "invalid_request")["errors"]}
+    assert found[pointer] == hint
+    documents = [(name, (None, json.dumps(value))) for name, value in body.items()]
+    answer = live.client.post("/v1/jobs/from-files", files=[*form(), *documents])
+    found = {item["pointer"]: item["hint"] for item in problem_of(answer, 422, "invalid_request")["errors"]}
+    assert found[pointer] == hint
+
+
+def test_a_field_of_another_edit_is_not_sent_to_where_it_is(live: Live) -> None:
+    """Actions have different fields: the place would be right if the action were."""
+    job_id = live.job_id()
+    live.finish(job_id)
+    sent = {"edits": [{"action": "rename", "person": 1, "name": "Anna", "other": 2}]}
+    answer = live.client.patch(f"/v1/jobs/{job_id}/people", json=sent)
+    (found,) = problem_of(answer, 422, "invalid_request")["errors"]
+    assert (found["pointer"], found["code"], found["hint"]) == ("/edits/0/other", "unknown_field", None)
+
+
 def test_codes_are_those_of_the_contract(live: Live) -> None:
     spec = {
         "people": 0,
@@ -206,13 +282,16 @@ def test_codes_are_those_of_the_contract(live: Live) -> None:
     [
         ("/v1/sessions", ["multipart/form-data", "application/json"]),
         ("/v1/jobs", ["multipart/form-data", "application/json"]),
+        ("/v1/jobs/from-files", ["multipart/form-data"]),
+        ("/v1/sessions/from-uploads", ["application/json"]),
+        ("/v1/calibrations/from-uploads", ["application/json"]),
         ("/v1/browser-session", ["application/json"]),
     ],
 )
 def test_refused_types_of_content_name_those_that_are_taken(live: Live, path: str, types: list[str]) -> None:
     answer = live.client.post(path, content=b"name: x", headers={"Content-Type": "application/yaml"})
     detail = problem_of(answer, 415, "unsupported_media_type")["detail"]
-    assert all(name in detail for name in types)
+    assert {name for name in ("multipart/form-data", "application/json") if name in detail} == set(types)
 
 
 def test_the_manifest_has_the_limits_of_the_pipeline() -> None:
