@@ -5,12 +5,13 @@ BIN := $(VENV)/bin
 PORTAL := api/portal
 READERS := tests/e2e/readers
 LINTER := tests/api/linter
+CLIENTS := tests/e2e/clients
 BLENDER := .venv-blender
 LITERT := .venv-litert
 PEERS := .venv-peers
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser ffmpeg readers linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean
+.PHONY: help setup demo serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -63,6 +64,13 @@ $(READERS)/node_modules/.installed: $(READERS)/package-lock.json $(VENV)/.instal
 	@$(BIN)/npm ci --prefix $(READERS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
 		|| echo "npm's packages can't be installed here: tests with three.js, the glTF validator or tus-js-client are skipped."
 
+clients: $(CLIENTS)/node_modules/.installed  ## Install generators of TypeScript clients for the tests
+
+$(CLIENTS)/node_modules/.installed: $(CLIENTS)/package-lock.json $(VENV)/.installed
+	@mkdir -p $(@D)
+	@$(BIN)/npm ci --prefix $(CLIENTS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
+		|| echo "npm's packages can't be installed here: tests with generated TypeScript clients are skipped."
+
 linter: $(LINTER)/node_modules/.installed  ## Install the linter of the OpenAPI contract
 
 $(LINTER)/node_modules/.installed: $(LINTER)/package-lock.json $(VENV)/.installed
@@ -114,7 +122,7 @@ test-data: setup
 PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile
 
-test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (ten minutes)
+test: test-data browser ffmpeg readers clients  ## Run the tests, but for the slow ones (ten minutes)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
 test-slow: test-data  ## Run the slow tests: faults, crowds, distributed services, benchmarks' data (20 minutes)
@@ -157,4 +165,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(PORTAL)/node_modules $(PORTAL)/vendor $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(PORTAL)/node_modules $(PORTAL)/vendor $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,6 +1,6 @@
 """OpenAPI document of the web API, and helpers with which routes declare responses, forms and webhooks."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, FastAPI
@@ -81,6 +81,18 @@ _MEANINGS = {
 def answer(example: str) -> dict[str, Any]:
     """Declare the example of a response, one of ``api.contract.examples.ANSWERS``."""
     return {"content": {"application/json": {"examples": {"capture": {"$ref": f"#/components/examples/{example}"}}}}}
+
+
+def file_content(media_types: Iterable[str], example: str) -> dict[str, Any]:
+    """Declare the content of a response that is a file of one of some media types, whose bytes clients keep.
+
+    A file of JSON has no `type`: it is no text in JSON, though clients keep it as it is.
+    """
+    binary = {"format": "binary", "contentMediaType": "application/octet-stream"}
+    return {
+        name: {"schema": binary if name == "application/json" else {"type": "string", **binary}, "example": example}
+        for name in media_types
+    }
 
 
 def location(what: str, path: str) -> dict[str, Any]:

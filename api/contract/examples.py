@@ -295,7 +295,7 @@ JOB_ENDED: dict[str, Any] = {
     "data": {"id": _JOB_ID, "session_id": _SESSION_ID, "state": "succeeded", "attempt": 1, "warnings": []},
 }
 
-EVENT: dict[str, Any] = {"id": "17", "event": "job", "data": json.dumps(_JOB), "retry": 2000}
+EVENTS = f"id: 17\nevent: job\ndata: {json.dumps(_JOB)}\nretry: 2000\n\n"
 
 _CALIBRATION_JOB: dict[str, Any] = _JOB | {
     "kind": "calibration",

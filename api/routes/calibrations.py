@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from api.auth import RecordsDep
 from api.contract import examples
 from api.contract.bodies import body_of
-from api.contract.description import RETRY_AFTER, answer, location, problems
+from api.contract.description import RETRY_AFTER, answer, file_content, location, problems
 from api.dependencies import POLL_AFTER_S, CalibrationId, Cursor, Limit, Services, ServicesDep
 from api.errors import ApiError
 from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
@@ -40,11 +40,8 @@ small = APIRouter(prefix="/v1/calibrations", tags=["calibrations"], route_class=
 
 _ONE = answer("Calibration")
 _LOCATION = {"headers": {"Location": location("calibration", "/v1/calibrations/{calibration_id}")}}
-_FILE: dict[str, Any] = {
-    "application/json": {"schema": {}, "example": {"schema_version": 1, "cameras": []}},
-    "application/toml": {"schema": {"type": "string"}, "example": "[cam_0]\n"},
-    "application/yaml": {"schema": {"type": "string"}, "example": "%YAML:1.0\n"},
-}
+# JSON comes last: generators of clients read what is declared first.
+_FILE = file_content(("application/toml", "application/yaml", "application/json"), "(the file)")
 
 
 def _creates_calibration(types: Collection[str]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Path, Response
 from starlette.responses import FileResponse
 
 from api.auth import RecordsDep
-from api.contract.description import answer, problems
+from api.contract.description import answer, file_content, problems
 from api.dependencies import ServicesDep
 from api.errors import ApiError
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
@@ -105,9 +105,7 @@ def get_sample(_: RecordsDep) -> SampleOut:
     responses={
         200: {
             "description": "File of the sample capture.",
-            "content": {
-                "application/octet-stream": {"schema": {"type": "string", "format": "binary"}, "example": "..."}
-            },
+            "content": file_content(["application/octet-stream", "application/toml", "video/mp4"], "(the file)"),
         },
         **problems(404),
     },

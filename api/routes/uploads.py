@@ -14,7 +14,7 @@ from fastapi import APIRouter, Depends, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
-from api.contract.description import Responses, location, problems
+from api.contract.description import Responses, file_content, location, problems
 from api.dependencies import Services, ServicesDep, UploadId
 from api.errors import ApiError
 from api.requests.bodies import announced_bytes, drain
@@ -175,7 +175,7 @@ def get_upload(
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": {PIECE_TYPE: {"schema": {"type": "string", "format": "binary"}, "example": "..."}},
+            "content": file_content([PIECE_TYPE], "(bytes of the file)"),
         }
     },
 )

@@ -185,9 +185,9 @@ def test_a_generated_client_gets_from_files_to_animations(served: Served, captur
     for field, (name, content) in files(capture):
         sent.setdefault(field, []).append(types.File(payload=io.BytesIO(content), file_name=name))
     with generated.Client(base_url=str(served.client.base_url), raise_on_unexpected_status=True) as client:
-        job = part("api.jobs.create_session_and_job").sync(
+        job = part("api.jobs.create_session_and_job_from_files").sync(
             client=client,
-            body=models.CreateSessionAndJobFilesBody(
+            body=models.CaptureForm(
                 calibration=sent["calibration"][0],
                 timestamps=sent["timestamps"][0],
                 keypoints=sent["keypoints"],

@@ -5,12 +5,12 @@ import json
 import struct
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, BinaryIO
+from typing import Annotated, BinaryIO
 
 from fastapi import APIRouter, Header, Query, Response
 
 from api.auth import JobViewDep
-from api.contract.description import answer, problems
+from api.contract.description import answer, file_content, problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.downloads import Download, Stream, opened
 from api.errors import ApiError
@@ -25,12 +25,7 @@ router = APIRouter(prefix="/v1/jobs/{job_id}/motion", tags=["results"])
 
 MEDIA_TYPE = "application/vnd.multicap.motion"
 _BLOCK_BYTES = 2**18
-_CONTENT: dict[str, Any] = {
-    MEDIA_TYPE: {
-        "schema": {"type": "string", "format": "binary", "contentMediaType": MEDIA_TYPE},
-        "example": "(16 bytes for each person, then the records of the person's frames)",
-    }
-}
+_CONTENT = file_content([MEDIA_TYPE], "(16 bytes for each person, then the records of the person's frames)")
 _HEADERS = {**ETAG, "Accept-Ranges": {"schema": {"type": "string", "const": "bytes"}}}
 
 

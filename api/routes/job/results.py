@@ -1,13 +1,13 @@
 """Routes of results: list a job's result files, download one file, a range of it, or all files as a zip."""
 
 from collections.abc import Generator, Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Request, Response
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from api.auth import ALL_RESULTS, FileViewDep, JobViewDep
-from api.contract.description import answer, problems
+from api.contract.description import answer, file_content, problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.downloads import (
     HEADERS,
@@ -23,15 +23,22 @@ from api.downloads import (
 from api.http.byte_ranges import ByteRange
 from api.http.file_names import archived_name, disposition_of, result_name, stem_of
 from api.schemas.jobs import ResultList, ResultOut
+from pipeline.config import FILE_FORMATS
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
-_FILE: dict[str, Any] = {
-    "text/plain": {"schema": {"type": "string"}, "example": "HIERARCHY\nROOT Hips\n"},
-    "application/json": {"schema": {}, "example": {"schema_version": 1}},
-}
+# A file whose type is not known is declared first: generators of clients read what is declared first.
+_TYPES = (
+    "application/octet-stream",
+    *(one.media_type.partition(";")[0] for one in FILE_FORMATS.values()),
+    "application/json",
+    "image/svg+xml",
+    "text/html",
+    "video/mp4",
+)
+_FILE = file_content(dict.fromkeys(_TYPES), "(the file)")
 
 
 @router.get(
@@ -55,7 +62,7 @@ def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     responses={
         200: {
             "description": "Zip archive of all result files.",
-            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}, "example": "PK..."}},
+            "content": file_content(["application/zip"], "(the archive)"),
             "headers": {"Content-Disposition": HEADERS["Content-Disposition"]},
         },
         **problems(404, 409, 410),

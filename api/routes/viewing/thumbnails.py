@@ -1,11 +1,11 @@
 """Thumbnails of sessions: small copies of the pictures at which the check of a session looked."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Request, Response
 
 from api.auth import VideoViewDep
-from api.contract.description import problems
+from api.contract.description import file_content, problems
 from api.dependencies import ServicesDep, SessionId
 from api.downloads import ConditionsDep, Download, file_responses, send_file
 from api.routes.viewing.videos import Camera
@@ -15,12 +15,7 @@ from worker.jobs.files.artifacts import thumbnail_key
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/thumbnails", tags=["sessions"])
 
-_JPEG: dict[str, Any] = {
-    "image/jpeg": {
-        "schema": {"type": "string", "format": "binary", "contentMediaType": "image/jpeg"},
-        "example": "(the picture)",
-    }
-}
+_JPEG = file_content(["image/jpeg"], "(the picture)")
 Number = Annotated[int, Path(ge=0, le=255, description="Place of the picture in `thumbnails` of the camera.")]
 
 

@@ -1,12 +1,12 @@
 """Videos of sessions, for players: as they were sent, if browsers play them, else their proxies."""
 
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Request, Response
 
 from api.auth import VideoViewDep
-from api.contract.description import problems
+from api.contract.description import file_content, problems
 from api.dependencies import ServicesDep, SessionId
 from api.downloads import ConditionsDep, Download, file_responses, send_file
 from api.errors import ApiError
@@ -19,13 +19,7 @@ from worker.planning import has_videos
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/videos", tags=["sessions"])
 
-_VIDEO: dict[str, Any] = {
-    media_type: {
-        "schema": {"type": "string", "format": "binary", "contentMediaType": media_type},
-        "example": "(the video)",
-    }
-    for media_type in ("video/mp4", "video/webm")
-}
+_VIDEO = file_content(["video/mp4", "video/webm"], "(the video)")
 Camera = Annotated[
     str, Path(description="Name of a camera of the session.", openapi_examples={"camera": {"value": "cam_0"}})
 ]

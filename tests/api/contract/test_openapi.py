@@ -9,6 +9,7 @@ import pytest
 from jsonschema_rs import validator_for
 
 from api.contract.openapi import FOLDER, documents
+from pipeline.config import FILE_FORMATS
 from tests.api.conftest import Live
 
 METHODS = {"get", "head", "options", "post", "put", "patch", "delete"}
@@ -84,6 +85,30 @@ def test_what_takes_two_bodies_has_an_operation_for_each(schema: dict[str, Any],
         assert operation["responses"] == schema["paths"][path]["post"]["responses"]
     bodies = [operation["requestBody"]["content"] for operation in operations(schema) if "requestBody" in operation]
     assert sum(len(body) > 1 for body in bodies) == 3
+
+
+def test_files_are_declared_as_bytes(schema: dict[str, Any]) -> None:
+    """Else clients decode text, parse JSON, and write other bytes than came."""
+    files = {
+        "getAllResults", "getCalibrationFile", "getMotion", "getResult", "getSampleFile", "getSessionThumbnail",
+        "getSessionVideo",
+    }  # fmt: skip
+    contents = {
+        operation["operationId"]: operation["responses"]["200"]["content"]
+        for operation in operations(schema)
+        if operation["operationId"] in files
+    }
+    assert contents.keys() == files
+    for content in contents.values():
+        for media_type, declared in content.items():
+            assert declared["schema"]["format"] == "binary"
+            assert declared["schema"].get("type") == (None if media_type == "application/json" else "string")
+    # openapi-python-client reads the first type that it knows, and takes any other than this one for text or JSON.
+    assert next(iter(contents["getResult"])) == "application/octet-stream"
+    types = {one.media_type.partition(";")[0] for one in FILE_FORMATS.values()}
+    assert types < contents["getResult"].keys()
+    upload = schema["paths"]["/v1/uploads/{upload_id}"]["patch"]["requestBody"]["content"]
+    assert upload["application/offset+octet-stream"]["schema"]["format"] == "binary"
 
 
 def test_the_document_says_what_it_is_of(schema: dict[str, Any]) -> None:
