@@ -27,7 +27,7 @@ from api.http.middleware import (
 from api.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.metrics import RequestMetrics
 from api.requests import validation
-from api.requests.fair_turns import threads_of_blocks, threads_of_checks, turns_of_requests
+from api.requests.fair_share import share_of_requests, threads_of_blocks, threads_of_checks
 from api.requests.preflight import PreflightProgram
 from api.routes import (
     calibrations,
@@ -194,7 +194,7 @@ def _start(settings: Settings) -> Services:
             settings.max_record_bytes,
             settings.preflight_memory_bytes,
         ),
-        turns=turns_of_requests(),
+        turns=share_of_requests(),
         checks=threads_of_checks(settings.max_parallel_preflights, settings.preflight_wait_s),
         blocks=threads_of_blocks(),
         changes=JobChanges(store, settings.max_tenant_streams),

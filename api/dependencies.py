@@ -10,7 +10,7 @@ from api.checks import LimitedChecks
 from api.events import JobChanges
 from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
-from api.requests.fair_turns import FairThreads, FairTurns
+from api.requests.fair_share import FairShare, FairThreads
 from api.requests.form import Limits
 from api.requests.preflight import PreflightProgram
 from api.settings import Settings
@@ -39,7 +39,7 @@ class Services:
     uploads: UploadSpool
     queue: WorkQueue
     preflight: PreflightProgram
-    turns: FairTurns
+    turns: FairShare
     checks: FairThreads
     blocks: FairThreads
     changes: JobChanges

@@ -15,7 +15,7 @@ from api.errors import ApiError, ErrorItem
 from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.http.conditional import NOT_MODIFIED, IfNoneMatch
 from api.http.file_names import disposition_of
-from api.requests.fair_turns import FairThreads
+from api.requests.fair_share import FairThreads
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from api.cli.client import Client, ServiceError
 from api.cli.commands.serve import READY
 from pipeline.runtime.child_processes import module_command
-from pipeline.runtime.lifeline import tied_to_parent
+from pipeline.runtime.parent_watch import tied_to_parent
 
 _STOP_S = 30.0
 

@@ -14,7 +14,7 @@ import structlog
 
 from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.kernel_cache import cache_folder, is_complete
-from pipeline.runtime.lifeline import tied_to_parent
+from pipeline.runtime.parent_watch import tied_to_parent
 from worker.jobs.store import JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.presence import Presence, process_name

@@ -1,8 +1,8 @@
 """Supervisor of a few programs: it starts them in order, restarts them after a crash, and stops them together.
 
-No child outlives the supervisor, even if it is killed: each child is tied to it by ``pipeline.runtime.lifeline``. Each
-child has its own process group, which is killed after the child has ended. So Ctrl-C in a terminal reaches only the
-supervisor. It stops all programs at once, then the programs that the others need until their end.
+No child outlives the supervisor, even if it is killed: each child is tied to it by ``pipeline.runtime.parent_watch``.
+Each child has its own process group, which is killed after the child has ended. So Ctrl-C in a terminal reaches only
+the supervisor. It stops all programs at once, then the programs that the others need until their end.
 """
 
 import contextlib
@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline.runtime.lifeline import tied_to_parent
+from pipeline.runtime.parent_watch import tied_to_parent
 from worker.process.log_files import LogFile
 
 _LOOK_S = 0.1

@@ -20,7 +20,7 @@ from api.cli.client import ServiceError
 from api.cli.console import emit, reporting
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.runtime.child_processes import module_command
-from pipeline.runtime.lifeline import tied_to_parent
+from pipeline.runtime.parent_watch import tied_to_parent
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.model import InputFile
 from worker.jobs.spec import JobSpec

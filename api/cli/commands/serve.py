@@ -119,7 +119,7 @@ def command(
 
 
 def _default_workers(keys: Keys) -> int:
-    # One worker stays free for the other tenants, see `worker.jobs.repositories.work.turns`.
+    # One worker stays free for the other tenants, see `worker.jobs.repositories.work.fair_share`.
     return (os.cpu_count() or 1) + (keys.count_tenants() > 1)
 
 

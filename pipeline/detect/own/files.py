@@ -17,8 +17,8 @@ from pipeline.detect.registry import LooseWeights, NetworkEntry, NetworkHead, Ne
 from pipeline.errors import ModelError
 from pipeline.layouts import LAYOUTS
 from pipeline.runtime.child_processes import module_command
-from pipeline.runtime.lifeline import tied_to_parent
 from pipeline.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
+from pipeline.runtime.parent_watch import tied_to_parent
 
 OWN_PREFIX = "own-"
 UNKNOWN_LICENCE = "unknown"

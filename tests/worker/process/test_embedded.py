@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.runtime.lifeline import tied_to_parent
+from pipeline.runtime.parent_watch import tied_to_parent
 from tests.small_disk import fill, small_disk
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.private_files import make_private

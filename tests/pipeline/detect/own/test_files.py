@@ -110,7 +110,7 @@ def test_the_check_ends_with_its_command(tmp_path: Path) -> None:
         parent = psutil.Process(command.pid)
         wait_for(lambda: any("pipeline.detect.own.check" in child.cmdline() for child in parent.children()))
         (check,) = parent.children()
-        wait_for(lambda: "pipeline.runtime.lifeline" not in check.cmdline())
+        wait_for(lambda: "pipeline.runtime.parent_watch" not in check.cmdline())
     finally:
         command.kill()
         command.wait()

@@ -36,7 +36,7 @@ from worker.jobs.model import (
 )
 from worker.jobs.repositories.attempts import note_failure
 from worker.jobs.repositories.calibrations import complete
-from worker.jobs.repositories.work.turns import has_share, next_job, of_code
+from worker.jobs.repositories.work.fair_share import has_share, next_job, of_code
 from worker.jobs.spec import JobSpec
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
@@ -57,7 +57,7 @@ class Leases:
         """Take the next ready chunk; ``None`` if no job has one.
 
         Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
-        ``worker.jobs.repositories.work.turns``. The jobs of a tenant are worked on in the order of their creation,
+        ``worker.jobs.repositories.work.fair_share``. The jobs of a tenant are worked on in the order of their creation,
         but edits of people before all other work.
 
         Parameters

@@ -1,7 +1,7 @@
 """Child processes that end with their parent, even if the parent is killed.
 
-The program ``python -m pipeline.runtime.lifeline PARENT -- COMMAND...`` becomes the command and ends with the process
-``PARENT`` that started it.
+The program ``python -m pipeline.runtime.parent_watch PARENT -- COMMAND...`` becomes the command and ends with the
+process ``PARENT`` that started it.
 """
 
 import ctypes
@@ -36,7 +36,7 @@ def die_with_parent(parent: int) -> None:
 
 def tied_to_parent(command: Sequence[str]) -> list[str]:
     """Command that runs ``command`` and ends with the calling process."""
-    return module_command("pipeline.runtime.lifeline", str(os.getpid()), "--", *command)
+    return module_command("pipeline.runtime.parent_watch", str(os.getpid()), "--", *command)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from api.errors import ApiError
-from api.requests.fair_turns import threads_of_checks
+from api.requests.fair_share import threads_of_checks
 
 WAIT_S = 30.0
 

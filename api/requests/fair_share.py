@@ -18,7 +18,7 @@ _Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, slots=True)
-class TurnLimits:
+class ShareLimits:
     """Limits of turns, and the errors of requests that exceed them.
 
     Parameters
@@ -45,14 +45,14 @@ class TurnLimits:
     busy: Callable[[], ApiError]
 
 
-class FairTurns:
+class FairShare:
     """Turns that owners share.
 
     The owner with the fewest turns is next; owners with equally many take turns. Methods must be called from the event
     loop's thread.
     """
 
-    def __init__(self, limits: TurnLimits) -> None:
+    def __init__(self, limits: ShareLimits) -> None:
         self._limits = limits
         self._free = limits.num_turns
         self._taken: Counter[str] = Counter()
@@ -131,10 +131,10 @@ class FairTurns:
         return min(owners, key=self._taken.__getitem__, default=None)
 
 
-class FairThreads(FairTurns):
+class FairThreads(FairShare):
     """Turns with a thread each, apart from the threads of all other work."""
 
-    def __init__(self, limits: TurnLimits) -> None:
+    def __init__(self, limits: ShareLimits) -> None:
         super().__init__(limits)
         self._threads = CapacityLimiter(limits.num_turns)
 
@@ -146,20 +146,20 @@ class FairThreads(FairTurns):
             return await anyio.to_thread.run_sync(partial(function, *arguments), limiter=self._threads)
 
 
-def turns_of_requests() -> FairTurns:
+def share_of_requests() -> FairShare:
     """Turns of routes that answer at once: their work is mostly Python's, of which one thread runs at a time."""
-    return FairTurns(TurnLimits(12, 4, 256, 30.0, _too_many_requests, _requests_busy))
+    return FairShare(ShareLimits(12, 4, 256, 30.0, _too_many_requests, _requests_busy))
 
 
 def threads_of_blocks() -> FairThreads:
     """Threads that read and compress blocks of files that are sent. Connections are limited, so none is refused."""
-    return FairThreads(TurnLimits(8, 4, math.inf, math.inf, _too_many_requests, _requests_busy))
+    return FairThreads(ShareLimits(8, 4, math.inf, math.inf, _too_many_requests, _requests_busy))
 
 
 def threads_of_checks(num_threads: int, max_wait_s: float) -> FairThreads:
     """Threads that check files. An owner never has all of them, unless there is only one; waiting files are on disk."""
     share = max(1, num_threads - 1)
-    return FairThreads(TurnLimits(num_threads, share, 32, max_wait_s, _too_many_checks, _checks_busy))
+    return FairThreads(ShareLimits(num_threads, share, 32, max_wait_s, _too_many_checks, _checks_busy))
 
 
 def _too_many_requests() -> ApiError:
