@@ -5,7 +5,7 @@ values. The sentence is made from the JSON Schema of the contract, never taken f
 wrong fields as it has room for: of those that no answer lists, only the number is found out.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from itertools import islice
 from typing import Any, get_args
@@ -49,6 +49,8 @@ _CODES: Mapping[str, str] = {
 _LIBRARY_TYPES = frozenset(get_args(ErrorType))
 
 _MAX_SHOWN = 100
+# Errors that are brought to their fields; each takes some microseconds, and a body has room for thousands.
+_MAX_TRANSLATED = 1000
 
 _NOUNS: Mapping[str, str] = {"query": "parameter", "path": "parameter", "header": "header", "cookie": "cookie"}
 
@@ -115,16 +117,18 @@ def _parameter_items(errors: Iterable[ErrorDetails], operation: Schema, contract
 
 
 def _items(
-    errors: Iterable[ErrorDetails], schema: Schema, root: Schema, places: FieldPlaces, part: str = ""
+    errors: Sequence[ErrorDetails], schema: Schema, root: Schema, places: FieldPlaces, part: str = ""
 ) -> list[ErrorItem]:
     """Translate errors in JSON, one entry for each field, with pointers below ``part``.
 
-    Only as many fields are translated as an answer lists; an entry at the end says how many more are wrong.
+    Only as many fields are translated as an answer lists; an entry at the end says how many more are wrong. Behind many
+    errors each place counts as a field, although branches of a union are places of one.
     """
     fields = _Fields(schema, root)
     by_field: dict[Steps, list[ErrorDetails]] = {}
-    for error in errors:
+    for error in errors[:_MAX_TRANSLATED]:
         by_field.setdefault(fields.of(error), []).append(error)
+    num_fields = len(by_field) + len({error["loc"] for error in errors[_MAX_TRANSLATED:]})
     items = []
     for steps, of_field in islice(by_field.items(), MAX_LISTED):
         codes = {_code(error) for error in of_field}
@@ -133,7 +137,7 @@ def _items(
         else:
             code = codes.pop() if len(codes) == 1 else "invalid_value"
         items.append(_item(of_field[0], code, steps, fields, places, part))
-    return [*items, more_problems(more)] if (more := len(by_field) - len(items)) else items
+    return [*items, more_problems(more)] if (more := num_fields - len(items)) else items
 
 
 class _Fields:
