@@ -73,6 +73,7 @@ def create_app(settings: Settings) -> FastAPI:
         lifespan=_lifespan,
         docs_url=None,
         redoc_url=None,
+        openapi_url=None,  # answered by `routes.page`: encoded once
         responses=contract.problems(403, 500, 503),
     )
     app.state.settings = settings

@@ -1,10 +1,12 @@
-"""The page at ``/``, Swagger UI at ``/docs``, and the files of both at ``/portal``."""
+"""The page at ``/``, Swagger UI at ``/docs``, the files of both at ``/portal``, and the contract."""
 
+import json
 import os
+from functools import cache
 from os import PathLike
 from pathlib import Path, PurePosixPath
 
-from fastapi import APIRouter
+from fastapi import APIRouter, FastAPI, Request
 from starlette.responses import FileResponse, Response
 from starlette.types import Scope
 
@@ -62,3 +64,14 @@ def get_page() -> FileResponse:
 def get_docs() -> FileResponse:
     """Answer with Swagger UI, which shows the contract."""
     return FileResponse(_FOLDER / "docs.html", headers={**_REVALIDATED, "Content-Security-Policy": _DOCS_POLICY})
+
+
+@router.get("/openapi.json")
+def get_contract(request: Request) -> Response:
+    """Answer with the contract."""
+    return Response(_contract_json(request.app), media_type="application/json")
+
+
+@cache
+def _contract_json(app: FastAPI) -> bytes:
+    return json.dumps(app.openapi(), ensure_ascii=False, separators=(",", ":")).encode()
