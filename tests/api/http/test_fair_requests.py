@@ -19,9 +19,10 @@ NUM_REQUESTS = 60
 """More than the process has threads."""
 PUBLIC = {"describeUploads", "openBrowserSession", "closeBrowserSession", "getHealth", "getReadiness"}
 """Routes that ask for no key."""
+BODIES = ("", "FromFiles", "FromUploads")
 WAITING = {
-    "createSession", "createSessionAndJob", "createCalibration", "streamJobEvents",
-    "createUpload", "continueUpload", "deleteUpload",
+    *(f"create{record}{body}" for record in ("Session", "SessionAndJob", "Calibration") for body in BODIES),
+    "streamJobEvents", "createUpload", "continueUpload", "deleteUpload",
 }  # fmt: skip
 """Routes that wait for their clients: their work has shares of its own."""
 
