@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import httpx2
@@ -329,6 +329,29 @@ def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: Port
     expect_in_view(page, "person-1", "Eve", "person-4")
     # The viewer stays open all the time.
     assert video.evaluate("one => one.isConnected")
+
+
+def test_the_report_follows_edits_on_request(page: Page, portal: Portal) -> None:
+    session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["links"]["session"]
+    job = portal.client.post(f"{session}/jobs", json={"report": True}).raise_for_status().json()
+    with_report = replace(portal, job_id=job["id"])
+    with_report.wait()
+    look_at(page, with_report)
+    files = page.get_by_role("region", name="Files")
+    expect(files.get_by_role("link", name="report.html")).to_be_visible()
+    expect(files.get_by_role("button")).to_have_count(0)
+    rename(page, "person-2", "Anna")
+    made(page, 1)
+    expect(files).to_contain_text("The report and the overlay videos show the take as found.")
+    expect(files.get_by_role("link", name="room-take-1_report.html")).to_be_visible()
+    files.get_by_role("button", name="Make them now").click()
+    expect(files).to_contain_text("Those of revision 1 are being made.")
+    expect(files.get_by_role("heading", name="Files")).to_be_focused()
+    expect(files.get_by_role("link", name="room-take-1_revision-1_report.html")).to_be_visible(timeout=MAKING_MS)
+    expect(files.get_by_text("the take as found")).to_have_count(0)
+    with page.expect_download() as download:
+        files.get_by_role("link", name="room-take-1_revision-1_report.html").click()
+    assert "Anna" in download.value.path().read_text()
 
 
 def test_an_edit_that_is_refused_takes_no_other_with_it(page: Page, portal: Portal) -> None:
