@@ -6,35 +6,44 @@ import { canShrink, shrink } from "./shrink.js";
 const KEPT_BYTES = 256 * 2 ** 20;
 
 export class Pictures {
-  #kept = new Map(); // by number of the frame, the one that was kept last at the end
-  #taking = Promise.resolve();
+  #kept = new Map(); // by number of the frame, the one that was kept last at the end; null while it is made
   #size = [0, 0];
   #bytes = new Uint8Array(0);
-  #sheet = null; // for browsers that give no planes of frames
+  #making = Promise.resolve();
+  #sheet = null; // for decoders that give no planes of frames
 
   /** Pictures of one of `numVideos` videos, which share the memory. */
-  constructor(video, numVideos) {
-    this.video = video;
+  constructor(numVideos) {
     this.budget = KEPT_BYTES / numVideos;
     this.maxCount = 0; // pictures that are kept at most
   }
 
   /** Picture of a frame; undefined if it is not kept. */
   get(frame) {
-    return this.#kept.get(frame);
+    return this.#kept.get(frame) ?? undefined;
   }
 
-  /** Kept frame that is nearest to a frame, at most `distance` frames away; null without one. */
+  /** Whether the picture of a frame is kept, or is being made. */
+  has(frame) {
+    return this.#kept.has(frame);
+  }
+
+  /** Frame with a kept picture that is nearest to a frame, at most `distance` frames away; null without one. */
   nearest(frame, distance) {
     for (let away = 0; away <= distance; away++) {
-      for (const near of [frame - away, frame + away]) if (this.#kept.has(near)) return near;
+      for (const near of [frame - away, frame + away]) if (this.get(near) !== undefined) return near;
     }
     return null;
   }
 
-  /** First frame from `from` up to `to` without a kept picture at most `distance` frames away; null if there is none. */
+  /** First frame from `from` up to `to` of which no picture at most `distance` frames away is kept or made; null if there is none. */
   firstMissing(from, to, distance) {
-    for (let frame = from; frame <= to; frame++) if (this.nearest(frame, distance) === null) return frame;
+    for (let frame = from; frame <= to;) {
+      let near = frame + distance;
+      while (near >= frame - distance && !this.has(near)) near -= 1;
+      if (near < frame - distance) return frame;
+      frame = near + distance + 1;
+    }
     return null;
   }
 
@@ -47,33 +56,25 @@ export class Pictures {
     return true;
   }
 
-  /** Keep what the video shows, which is a frame; returns a promise of whether it is kept. */
-  take(frame) {
-    if (this.#kept.has(frame) || this.#size[0] * this.#size[1] === 0) return Promise.resolve(this.#kept.has(frame));
-    const [source, size] = [this.#source(), this.#size];
-    this.#taking = this.#taking.then(async () => {
-      const picture = source === null ? null : await this.#shrunk(source, size);
-      source?.close?.();
-      if (picture === null || size !== this.#size) return false; // of the size before
-      this.#keep(frame, picture);
+  /** Keep the picture of a frame, a `VideoFrame`, which is closed; returns a promise of whether it is kept. */
+  take(frame, source) {
+    const size = this.#size;
+    this.#kept.set(frame, null);
+    if (this.#kept.size > this.maxCount) this.#kept.delete(this.#kept.keys().next().value);
+    // One after the other: they share memory.
+    this.#making = this.#making.then(async () => {
+      const picture = size === this.#size ? await this.#made(source, size) : null;
+      source.close();
+      if (picture === null || size !== this.#size || !this.#kept.has(frame)) return false; // of the size before
+      this.#kept.set(frame, picture);
       return true;
     });
-    return this.#taking;
+    return this.#making;
   }
 
-  #source() {
-    try {
-      return new VideoFrame(this.video);
-    } catch { // no picture yet, or a browser without WebCodecs
-      return this.video.readyState >= HTMLMediaElement.HAVE_CURRENT_DATA && typeof VideoFrame === "undefined" ? this.video : null;
-    }
-  }
-
-  async #shrunk(source, [width, height]) {
-    // Pictures that are turned for display, or have other planes, are drawn.
-    const isPlain = canShrink(source.format) && source.visibleRect.width === this.video.videoWidth && source.visibleRect.height === this.video.videoHeight && !source.rotation;
-    if (!isPlain) return this.#drawn(source, width, height);
+  async #made(source, [width, height]) {
     const { format, colorSpace, visibleRect } = source;
+    if (!canShrink(format)) return this.#drawn(source, width, height);
     const numBytes = source.allocationSize();
     if (this.#bytes.length < numBytes) this.#bytes = new Uint8Array(numBytes);
     const layout = await source.copyTo(this.#bytes);
@@ -85,10 +86,5 @@ export class Pictures {
     Object.assign(this.#sheet.canvas, { width, height });
     this.#sheet.drawImage(source, 0, 0, width, height);
     return this.#sheet.getImageData(0, 0, width, height);
-  }
-
-  #keep(frame, picture) {
-    this.#kept.set(frame, picture);
-    if (this.#kept.size > this.maxCount) this.#kept.delete(this.#kept.keys().next().value);
   }
 }

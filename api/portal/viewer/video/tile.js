@@ -4,6 +4,7 @@ import { el, iconButton } from "../dom.js";
 import { graphics } from "../graphics.js";
 import { between } from "../motion/kinematics.js";
 import { CameraClock } from "./clock.js";
+import { Film } from "./film.js";
 import { Overlay } from "./overlay.js";
 import { Pictures } from "./pictures.js";
 
@@ -12,15 +13,14 @@ const WAIT_S = 0.08;
 const JUMP_S = 0.5;
 const PATIENCE_MS = 600;
 const SETTLED_S = 1e-4;
-// While it plays, a kept picture so near stands for one that was left out.
+// While it plays or is moved, a kept picture so near stands for the exact one, which follows when the play head rests.
 const NEAR_S = 1 / 24;
-// Pictures are kept ahead of the play head: so far, and no more than this share of what is kept. The video is set to the
-// next one that is missing, unless it comes there by itself soon.
+const REST_MS = 150;
+// Rate of the pictures that are kept; of faster videos some are left out.
+const KEPT_HZ = 30;
+// Pictures are kept ahead of the play head: so far, and no more than this share of what is kept.
 const AHEAD_S = 20;
 const AHEAD_SHARE = 0.8;
-const SOON_S = 0.4;
-// Speed of the video at each try to keep a picture: the slower, the fewer are left out on a slow machine.
-const KEEPING_RATES = [1, 0.5, 0.25];
 
 export class Tile {
   #store;
@@ -33,11 +33,14 @@ export class Tile {
   #shown = null; // time on the session's clock of the picture that the video shows
   #isShown;
   #startS = 0; // time of the first frame on the video's own clock
-  #pictures; // null with a graphics card, which shows the video itself
-  #videoFrame = null; // frame that the video shows
+  #numVideos;
+  #film = null; // decoder of the video; null with a graphics card, where the browser shows the video itself
+  #pictures = null; // that the film has made
   #shownFrame = null; // frame of the picture that is shown
+  #head = ""; // time of the play head and whether it plays, and since when
+  #restsSince = 0;
   #drawn = ""; // what the canvas shows
-  #tries = new Map(); // to keep the picture of a frame, by the frame
+  #isOpen = true;
   #waitedMs = 0; // for the video since playing began
   #askedAt = null;
 
@@ -55,8 +58,7 @@ export class Tile {
       el("figcaption", {}, el("button", { type: "button", class: "look-tile-name", title: `See through ${camera.name} (${number + 1})`, onclick: () => onthrough(number) }, camera.name),
         iconButton("enlarge", `Enlarge ${camera.name}`, () => onenlarge(this), { "aria-pressed": "false" })));
     this.element.style.setProperty("--ratio", `${camera.size_px[0]} / ${camera.size_px[1]}`);
-    this.#pictures = graphics().isSoftware ? new Pictures(this.video, store.description.cameras.length) : null;
-    this.element.classList.toggle("look-kept", this.#pictures !== null);
+    this.#numVideos = store.description.cameras.length;
     this.#overlay = new Overlay(this.canvas, camera, store.description);
     this.replace(store);
     this.#listen();
@@ -79,22 +81,52 @@ export class Tile {
     return this.#isShowing && this.#clock.frameAt(this.#player.timeS) !== null;
   }
 
+  /** Number of pictures that were decoded one by one; 0 if the browser's player shows the video. */
+  get numDecoded() {
+    return this.#film?.numDecoded ?? 0;
+  }
+
   /** Show a video, `{ url, startS }`; null if there is none. */
   setVideo(video) {
     if (video === null || !this.#clock.hasVideo) return;
     this.note.textContent = "Loading …";
     this.#startS = video.startS;
-    this.video.src = video.url;
+    this.#open(video.url);
+  }
+
+  /** Without a graphics card pictures are decoded one by one and kept; else, and where that is not possible, the video plays. */
+  async #open(url) {
+    const film = graphics().isSoftware ? await Film.open(url, this.#clock.lastFrame + 1).catch(() => null) : null;
+    if (!this.#isOpen) return film?.close();
+    if (film === null) {
+      this.video.src = url;
+      return undefined;
+    }
+    this.#film = film;
+    this.#pictures = new Pictures(this.#numVideos);
+    this.element.classList.add("look-kept");
+    this.resize();
+    try {
+      await film.run(() => this.#missing(), (frame, picture) => this.#take(frame, picture));
+    } catch { // the browser's player may know how to go on
+      if (!this.#isOpen) return undefined;
+      film.close();
+      [this.#film, this.#pictures, this.#shownFrame, this.#isShowing] = [null, null, null, false];
+      this.element.classList.remove("look-kept");
+      this.video.src = url;
+    }
+    return undefined;
   }
 
   /** Bring the video to the play head: exactly while it rests, by its speed and by waiting while it plays. */
   follow() {
-    if (!this.#isShowing) return this.draw();
+    if (!this.#isShowing && this.#film === null) return this.draw();
     const frame = this.#clock.frameAt(this.#player.timeS);
     this.element.classList.toggle("look-out", frame === null);
     if (!this.#player.isPlaying) this.#waitedMs = 0;
-    if (frame === null) this.video.pause();
-    else if (this.#pictures !== null && this.#showKept(frame)) this.#keepAhead(frame);
+    if (frame === null) [this.#shown, this.#shownFrame] = [null, null]; // the camera took none
+    if (this.#film !== null) this.#showKept(frame);
+    else if (frame === null) this.video.pause();
     else if (this.#player.isPlaying) this.#run();
     else this.#rest(frame);
     return this.draw();
@@ -114,11 +146,8 @@ export class Tile {
   resize() {
     this.#overlay.measure();
     this.#drawn = "";
-    if (this.#pictures?.resize(...this.#overlay.size)) {
-      this.#shownFrame = null;
-      this.#tries.clear();
-      if (this.#isShowing && this.#videoFrame !== null && !this.video.seeking) this.#take(this.#videoFrame);
-    }
+    // Pictures of a tile that is hidden for a while stay.
+    if (!this.#isHidden && this.#pictures?.resize(...this.#overlay.size)) this.#shownFrame = null;
     this.follow();
   }
 
@@ -143,47 +172,69 @@ export class Tile {
   }
 
   close() {
+    this.#isOpen = false;
+    this.#film?.close();
     this.video.pause();
     this.video.removeAttribute("src");
     this.video.load();
   }
 
-  /** Show the kept picture of a frame, or while it plays one near it; returns whether there is one. */
+  /** Show the kept picture of a frame, or one near it; without one the last picture stays. */
   #showKept(frame) {
-    const kept = this.#pictures?.nearest(frame, this.#player.isPlaying ? this.#nearFrames : 0) ?? null;
-    if (kept === null) return false;
-    this.#shownFrame = kept;
-    this.#shown = this.#clock.timeOf(kept);
-    return true;
+    const kept = frame === null ? null : this.#pictures.nearest(frame, this.#nearFrames);
+    if (kept !== null) {
+      this.#shownFrame = kept;
+      this.#shown = this.#clock.timeOf(kept);
+    }
+    // An exact picture is wanted when the play head rests.
+    const head = `${this.#player.timeS} ${this.#player.isPlaying}`;
+    if (this.#head !== head) {
+      [this.#head, this.#restsSince] = [head, performance.now()];
+      if (!this.#player.isPlaying) setTimeout(() => this.#film?.wake(), REST_MS + 1);
+    }
+    this.#film.wake();
   }
 
-  /** Let the video run through pictures ahead that are not kept, each stretch once: it shows none of them itself. */
-  #keepAhead(frame) {
-    const { video } = this;
-    const numAhead = Math.min(AHEAD_S / this.#clock.intervalS, AHEAD_SHARE * this.#pictures.maxCount);
-    const last = this.#clock.frameAt(this.#player.endS) ?? this.#clock.lastFrame;
-    const missing = this.#nextMissing(frame, Math.min(last, frame + Math.floor(numAhead)));
-    if (missing === null) return video.pause();
-    if (video.seeking) return undefined;
-    const soon = Math.min(this.#videoFrame + Math.ceil(SOON_S / this.#clock.intervalS), last);
-    if (!video.paused && missing <= soon && this.#nextMissing(this.#videoFrame, soon) !== null) return undefined;
-    const tries = this.#tries.get(missing) ?? 0;
-    this.#tries.set(missing, tries + 1);
-    video.playbackRate = KEEPING_RATES[tries];
-    video.currentTime = this.#startS + this.#clock.videoTimeOf(missing);
-    return this.#play();
+  /** Frame whose picture is wanted next; null if all are kept that are needed soon. */
+  #missing() {
+    const frame = this.#clock.frameAt(this.#player.timeS);
+    if (frame === null || this.#isHidden) return null;
+    const near = this.#nearFrames;
+    if (this.#pictures.firstMissing(frame, frame, near) !== null) return frame;
+    const isAtRest = !this.#player.isPlaying && performance.now() - this.#restsSince >= REST_MS;
+    if (isAtRest && !this.#pictures.has(frame)) return frame;
+    const [first, last] = [this.#player.startS, this.#player.endS].map((timeS) => this.#clock.frameAt(timeS));
+    const stop = last ?? this.#clock.lastFrame;
+    const numAhead = Math.min(AHEAD_S / this.#clock.intervalS, AHEAD_SHARE * this.#pictures.maxCount * this.#stride);
+    const ahead = this.#pictures.firstMissing(frame, Math.min(stop, frame + Math.floor(numAhead)), near);
+    // A take that fits is kept as a whole: it loops, and is scrubbed through in both directions.
+    const isSmall = stop - (first ?? 0) < numAhead;
+    return ahead ?? (isSmall ? this.#pictures.firstMissing(first ?? 0, frame, near) : null);
   }
 
-  /** First frame from `from` up to `to` whose picture is not kept, and was not tried for too often. */
-  #nextMissing(from, to) {
-    let missing = from - 1;
-    do missing = this.#pictures.firstMissing(missing + 1, to, this.#nearFrames);
-    while (missing !== null && this.#tries.get(missing) === KEEPING_RATES.length);
-    return missing;
+  /** Keep a picture of the film, unless it is left out. */
+  async #take(frame, picture) {
+    const isWanted = !this.#pictures.has(frame) && (frame % this.#stride === 0 || frame === this.#missing());
+    if (!isWanted || this.#isHidden) return picture.close();
+    if (!await this.#pictures.take(frame, picture)) return undefined;
+    if (!this.#isShowing) {
+      this.#isShowing = true;
+      this.note.hidden = true;
+    }
+    return this.follow();
+  }
+
+  get #isHidden() {
+    return this.#overlay.size.includes(0);
+  }
+
+  /** Every so many frames one is kept. */
+  get #stride() {
+    return Math.max(1, Math.floor(1 / (KEPT_HZ * this.#clock.intervalS) + 1e-6));
   }
 
   get #nearFrames() {
-    return Math.floor(NEAR_S / this.#clock.intervalS);
+    return Math.floor(NEAR_S / this.#clock.intervalS + 1e-6);
   }
 
   #run() {
@@ -213,11 +264,6 @@ export class Tile {
     if (Math.abs(this.video.currentTime - wantedS) > SETTLED_S && !this.video.seeking) this.video.currentTime = wantedS;
   }
 
-  /** Keep the picture that the video shows, and show it if the play head is there. */
-  async #take(frame) {
-    if (await this.#pictures.take(frame)) this.follow();
-  }
-
   #listen() {
     const { video } = this;
     video.addEventListener("loadeddata", () => {
@@ -233,13 +279,8 @@ export class Tile {
       this.draw();
     });
     const onPicture = (mediaTime) => {
-      const frame = this.#clock.frameAtVideo(mediaTime - this.#startS);
-      this.#videoFrame = frame;
-      if (this.#pictures !== null) this.#take(frame);
-      else {
-        this.#shown = this.#clock.timeOf(frame);
-        this.draw();
-      }
+      this.#shown = this.#clock.timeOf(this.#clock.frameAtVideo(mediaTime - this.#startS));
+      this.draw();
     };
     if ("requestVideoFrameCallback" in video) {
       const again = (_, { mediaTime }) => {

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
@@ -17,10 +18,15 @@ from pipeline.quality.views import views_of
 from pipeline.skeleton.model import forward_kinematics
 from tests.api.portal.node import run_by_node
 from tests.pipeline.export.viewer.takes import FOOTAGE, take
+from tests.pipeline.media import add_sound, write_video
 from tests.pipeline.quality.test_report import shifted
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.video.corpus import write_clip
 
 HERE = Path(__file__).parent
+# Clips whose pictures the page decodes itself, and others, which film.test.mjs names.
+DECODED = ("h264-b-frames.mp4", "h264-long-gop.mov", "h264-variable.mp4", "h264-late-start.mov", "h264-baseline.m4v")
+NOT_DECODED = ("h264-fragmented.mp4", "h264-rotated-90.mp4", "hevc-8.mp4", "mpeg4-b-frames.mp4", "vp9.webm")
 LENSES: dict[str, tuple[LensModel, tuple[float, ...]]] = {
     "ideal": ("standard", ()),
     "4 coefficients": ("standard", (-0.28, 0.09, 0.0007, -0.0011)),
@@ -63,6 +69,31 @@ def lens_cases() -> list[dict[str, Any]]:
     return cases
 
 
+def video_cases(folder: Path) -> dict[str, Any]:
+    """Videos in a folder, with the samples that a demultiplexer finds in them."""
+    write_video(folder / "keys.mp4", 60, (320, 180), options={"g": "15", "bf": "2", "crf": "12"})
+    add_sound(folder / "keys.mp4", folder / "sound.mp4")
+    for name in (*DECODED, *NOT_DECODED):
+        write_clip(folder, name)
+    return {name: samples_of(folder / name) for name in ("keys.mp4", "sound.mp4", *DECODED)}
+
+
+def samples_of(path: Path) -> dict[str, Any]:
+    """Codec of a video, and its samples in the order of decoding."""
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        packets = [packet for packet in container.demux(stream) if packet.size]
+        order = sorted(range(len(packets)), key=lambda number: packets[number].pts or 0)
+        header = bytes(stream.codec_context.extradata or b"")
+    return {
+        "codec": f"avc1.{header[1:4].hex()}",
+        "samples": [
+            {"offset": packet.pos, "size": packet.size, "is_key": packet.is_keyframe, "frame": order.index(number)}
+            for number, packet in enumerate(packets)
+        ],
+    }
+
+
 @pytest.fixture(scope="module")
 def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("viewer")
@@ -91,9 +122,10 @@ def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     (folder / "expected.json").write_text(json.dumps(expected), encoding="utf-8")
     (folder / "lenses.json").write_text(json.dumps(lens_cases()), encoding="utf-8")
+    (folder / "videos.json").write_text(json.dumps(video_cases(folder)), encoding="utf-8")
     return folder
 
 
-@pytest.mark.parametrize("module", ["lens", "motion", "pictures", "player"])
+@pytest.mark.parametrize("module", ["film", "lens", "motion", "pictures", "player"])
 def test_modules_of_the_viewer(module: str, fixtures: Path) -> None:
     run_by_node(HERE / f"{module}.test.mjs", fixtures)
