@@ -160,6 +160,8 @@ export class Tile {
     const state = `${place.toFixed(3)} ${this.#store.has(frame)} ${picture ? this.#shownFrame : ""} ${this.#isShowing}`;
     if (!isNew && state === this.#drawn) return;
     this.#drawn = state;
+    // A picture may be still to come, also when the size has changed.
+    if (this.#film !== null) this.note.hidden = Boolean(picture) || this.#clock.frameAt(this.#player.timeS) === null;
     const scale = this.#overlay.begin(picture);
     description.people.forEach(({ color }, person) => {
       if (!this.#isShown(person) || !this.#store.positions(person, frame, "joints", this.#before)) return;
@@ -217,10 +219,7 @@ export class Tile {
     const isWanted = !this.#pictures.has(frame) && (frame % this.#stride === 0 || frame === this.#missing());
     if (!isWanted || this.#isHidden) return picture.close();
     if (!await this.#pictures.take(frame, picture)) return undefined;
-    if (!this.#isShowing) {
-      this.#isShowing = true;
-      this.note.hidden = true;
-    }
+    this.#isShowing = true;
     return this.follow();
   }
 
