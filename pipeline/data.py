@@ -4,7 +4,7 @@ All records are frozen, and their arrays are read-only by convention (``read_onl
 value; its score is 0. World coordinates are metres, right-handed, Z up. Pixel (0, 0) is the centre of the first pixel.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal, NamedTuple
@@ -169,6 +169,19 @@ class Detections:
     colour: UInt8[np.ndarray, "coloured parts bins"] = field(default_factory=no_colours)
     changes: PictureChanges = field(default_factory=PictureChanges, kw_only=True)
 
+    def within(self, frames: range) -> "Detections":
+        """Select the bodies in a range of the camera's frame numbers, without the changes of the pictures."""
+        rows = slice(*np.searchsorted(self.frame, [frames.start, frames.stop]))
+        return Detections(
+            camera=self.camera,
+            frame=self.frame[rows],
+            keypoints_px=self.keypoints_px[rows],
+            score=self.score[rows],
+            box_px=self.box_px[rows],
+            colour=self.colour[rows],
+            damaged=self.damaged[slice(*np.searchsorted(self.damaged, [frames.start, frames.stop]))],
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class MapGrid:
@@ -233,6 +246,10 @@ class PafFields:
     grid: MapGrid
     damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
     changes: PictureChanges = field(default_factory=PictureChanges, kw_only=True)
+
+
+DetectionsByCamera = Mapping[str, Detections] | Mapping[str, PafFields]
+"""Bodies, or peaks and fields, by name of the camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from pipeline.stages.plan import EXPORT, FIT, POSES, STAGES
+from pipeline.stages.plan import STAGES
+from pipeline.stages.stage import EXPORT, FIT, POSES
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("api", "multicap", "pipeline", "worker")

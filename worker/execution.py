@@ -7,20 +7,18 @@ session.
 import contextlib
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight_npz import decode_keypoints, decode_session
+from pipeline.capture.session import Session as OpenedSession
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 from pipeline.detect.profiles.detection import open_detection
 from pipeline.errors import InputError, ModelError, Problem
 from pipeline.runtime.warm_up import warm_up as compile_kernels
-from pipeline.stages.association import Session as OpenedSession
-from pipeline.stages.inputs import Context, Origin
-from pipeline.stages.output import Output
-from pipeline.stages.plan import SessionFacts
-from pipeline.stages.run import run_task
+from pipeline.stages.context import Context, Origin
+from pipeline.stages.plan import STAGE_BY_NAME
+from pipeline.stages.stage import Output, SessionFacts
 from worker.chunk import Work
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, record_key
@@ -32,7 +30,7 @@ from worker.planning import has_videos, session_facts, task_of
 
 def run_chunk(work: Work) -> Output:
     """Run a claimed chunk."""
-    return run_task(task_of(work.claim), _TaskContext(work, _kept))
+    return STAGE_BY_NAME[work.claim.stage].function(task_of(work.claim), _TaskContext(work, _kept))
 
 
 def warm_up() -> None:
@@ -64,10 +62,9 @@ class KeptSession:
         opened = self._session
         if opened is None or self._id != session.id:
             opened = self._open(session, artifacts)
-        if isinstance(opened, KeypointSession):
-            self._session, self._is_outline = replace(opened, detections={}), True
-            return self._session
-        return opened
+        outline = opened.outline()
+        self._session, self._is_outline = outline, outline is not opened or self._is_outline
+        return outline
 
     def _open(self, session: Session, artifacts: ArtifactStore) -> OpenedSession:
         self.close()

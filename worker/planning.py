@@ -8,7 +8,8 @@ from typing import Protocol, runtime_checkable
 from pipeline.capture.preflight_record import Preflight
 from pipeline.edits import PeopleEdit
 from pipeline.stages.code import stage_codes
-from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, SessionFacts, Task, plan
+from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, plan
+from pipeline.stages.stage import SessionFacts, Task
 from pipeline.visual_choices import VisualChoices
 from worker.jobs.model import ChunkPlan, Claim, InputFile, Job, Making, StagePlan, config_of
 from worker.jobs.spec import JobSpec

@@ -12,8 +12,8 @@ from opentelemetry.trace import StatusCode
 
 from pipeline.runtime.pauses import Pauses
 from pipeline.stages.code import stage_codes
-from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.plan import STAGE_BY_NAME, followers
+from pipeline.stages.stage import Output, ResultFile
 from worker.chunk import DamagedOutputsError, StoppedError, Work
 from worker.jobs.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key

@@ -5,7 +5,8 @@ from typing import Any
 
 from api.errors import title_of
 from api.http.file_names import disposition_of
-from pipeline.stages.plan import ASSOCIATE, CALIBRATE, DETECT, EXPORT, FIND_BOARD, FIT, IDENTIFY, LOOK, STAGE_BY_NAME
+from pipeline.stages.plan import STAGE_BY_NAME
+from pipeline.stages.stage import ASSOCIATE, CALIBRATE, DETECT, EXPORT, FIND_BOARD, FIT, IDENTIFY, LOOK
 
 _SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 _JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"

@@ -8,7 +8,7 @@ frame.
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,8 @@ from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.joints import JointSet
-from pipeline.video.timeline import recorded_stretches
+from pipeline.video.info import VideoInfo
+from pipeline.video.timeline import cut_timebase, frames_in, recorded_stretches, require_frames, span_s
 
 MAX_JOINTS = 25_000_000
 """Limit on the joints of a session, detected or not: two hours of two people, four cameras, 17 joints and 25 Hz.
@@ -81,6 +82,37 @@ class KeypointSession:
         return recorded_stretches(
             self.timebase, (self.times[name].time_s[detections.frame] for name, detections in self.detections.items())
         )
+
+    @property
+    def video_of(self) -> Mapping[str, VideoInfo]:
+        """Videos by camera name: there are none."""
+        return {}
+
+    def restricted(self, frames: range | None) -> "KeypointSession":
+        """Restrict the session to a range of its output frames (``None``: all), which are numbered from 0.
+
+        Raises
+        ------
+        InputError
+            If the session has no such frames.
+        """
+        if frames is None:
+            return self
+        require_frames(self.timebase, frames)
+        span = span_s(self.timebase, frames.start, frames.stop)
+        inside = {
+            camera: detections.within(frames_in(self.times[camera], *span))
+            for camera, detections in self.detections.items()
+        }
+        return replace(self, timebase=cut_timebase(self.timebase, frames), detections=inside)
+
+    def at_times(self, times: Mapping[str, FrameTimes], timebase: Timebase) -> "KeypointSession":
+        """Session whose frames were taken at other times, with the output frames of all of it."""
+        return replace(self, times=times, timebase=timebase)
+
+    def outline(self) -> "KeypointSession":
+        """Session without what takes most memory: its detections."""
+        return replace(self, detections={})
 
 
 def open_keypoints(

@@ -29,7 +29,7 @@ from pipeline.calibration.checks.check import check_cameras
 from pipeline.calibration.contents import UNITS_M
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encodings
-from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
+from pipeline.capture.keypoints import MAX_JOINTS, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.pictures import Thumbnail, look_at_pictures
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
@@ -42,7 +42,7 @@ from pipeline.capture.preflight_record import (
     PreflightTimebase,
     thumbnail_name,
 )
-from pipeline.capture.session import CaptureSession, Recording, open_session
+from pipeline.capture.session import Recording, Session, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.findings import Finding
 from pipeline.video.frame_rate import measured_rate_hz
@@ -57,7 +57,7 @@ EXIT_DISK_FULL = 4
 
 
 def report(
-    session: CaptureSession | KeypointSession,
+    session: Session,
     files: Sequence[str],
     units: str,
     recordings: Sequence[Recording] = (),
@@ -90,12 +90,8 @@ def report(
     )
 
 
-def _media(
-    session: CaptureSession | KeypointSession, recordings: Sequence[Recording]
-) -> Mapping[str, tuple[str | None, float]]:
-    """Media type for browsers and time of the first frame in the file, by camera."""
-    if isinstance(session, KeypointSession):
-        return {camera.name: (None, 0.0) for camera in session.cameras}
+def _media(session: Session, recordings: Sequence[Recording]) -> Mapping[str, tuple[str | None, float]]:
+    """Media type for browsers and time of the first frame in the file, by camera with a video."""
     # Players would show a video with wrong times at these.
     corrected = {recording.camera for recording in recordings if recording.frame_rate_hz is not None}
     return {
@@ -103,15 +99,15 @@ def _media(
             None if corrected & {camera.name, camera.section} else video.browser_media_type,
             video.media_start_s,
         )
-        for camera, video in zip(session.cameras, session.videos, strict=True)
+        for camera, video in zip(session.cameras, session.video_of.values(), strict=False)
     }
 
 
-def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> float:
+def _camera_rate_hz(session: Session, camera: str) -> float:
     """Measured rate of a camera; for keypoints the session's rate, if it is equal or the camera has too few frames."""
     time_s, session_hz = session.times[camera].time_s, session.timebase.frame_rate_hz
     camera_hz = measured_rate_hz(time_s)
-    if isinstance(session, CaptureSession):
+    if camera in session.video_of:
         return camera_hz
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 

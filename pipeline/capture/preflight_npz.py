@@ -3,6 +3,7 @@
 A NumPy archive without pickles, byte-identical for equal sessions.
 """
 
+import functools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.session import CaptureSession
+from pipeline.capture.session import CaptureSession, Session
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.findings import Finding
 from pipeline.geometry.rigid import Rigid3
@@ -59,6 +60,13 @@ def _decode_findings(head: Mapping[str, Any]) -> tuple[Finding, ...]:
     return (*older, *map(Finding.from_json, head.get("findings", ())))
 
 
+@functools.singledispatch
+def encode_record(session: Session) -> bytes:
+    """Write the record of a session of either kind."""
+    raise TypeError(type(session).__name__)
+
+
+@encode_record.register
 def encode_session(session: CaptureSession) -> bytes:
     """Write the cameras and videos of a session; of the videos' paths only the names."""
     cameras, arrays = _cameras(session.cameras)
@@ -115,6 +123,7 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
     )
 
 
+@encode_record.register
 def encode_keypoints(session: KeypointSession) -> bytes:
     """Write a session of keypoints, all of it: nobody needs its files again."""
     cameras, arrays = _cameras(session.cameras)

@@ -12,6 +12,7 @@ from pipeline.calibration.registry import read_contents
 from pipeline.calibration.sizes import fit_to_video, guessed_camera
 from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
@@ -25,7 +26,7 @@ from pipeline.video.images.probe import at_rate
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children
 from pipeline.video.properties.regularity import OF_TIMES
-from pipeline.video.timeline import cut_timebase, recorded_stretches, session_timebase
+from pipeline.video.timeline import cut_timebase, recorded_stretches, require_frames, session_timebase
 
 _VIDEO_ENDINGS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"})
 
@@ -77,6 +78,35 @@ class CaptureSession:
         return recorded_stretches(
             session_timebase(self.times), (camera_times.time_s for camera_times in self.times.values())
         )
+
+    @property
+    def video_of(self) -> Mapping[str, VideoInfo]:
+        """Video of each camera, by camera name, in the cameras' order."""
+        return {camera.name: video for camera, video in zip(self.cameras, self.videos, strict=True)}
+
+    def restricted(self, frames: range | None) -> "CaptureSession":
+        """Restrict the session to a range of its output frames (``None``: all), which are numbered from 0.
+
+        Raises
+        ------
+        InputError
+            If the session has no such frames.
+        """
+        if frames is not None:
+            require_frames(self.timebase, frames)
+        return self if frames is None else replace(self, frames=frames)
+
+    def at_times(self, times: Mapping[str, FrameTimes], timebase: Timebase) -> "CaptureSession":
+        """Session whose frames were taken at other times, with the output frames of all of it."""
+        return replace(self, times=times, whole_timebase=timebase)
+
+    def outline(self) -> "CaptureSession":
+        """Session without what takes most memory: the session itself, whose videos are files."""
+        return self
+
+
+Session = CaptureSession | KeypointSession
+"""A session of videos or of keypoints. Both have the same members, but for videos and detections."""
 
 
 @dataclass(frozen=True, slots=True)

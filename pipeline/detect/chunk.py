@@ -221,20 +221,6 @@ def stack_bodies(camera: str, numbered: Sequence[tuple[int, ImageBodies]], num_j
     )
 
 
-def bodies_in(detections: Detections, frames: range) -> Detections:
-    """Select the detections of a range of a camera's frame numbers."""
-    rows = slice(*np.searchsorted(detections.frame, [frames.start, frames.stop]))
-    return Detections(
-        camera=detections.camera,
-        frame=detections.frame[rows],
-        keypoints_px=detections.keypoints_px[rows],
-        score=detections.score[rows],
-        box_px=detections.box_px[rows],
-        colour=detections.colour[rows],
-        damaged=detections.damaged[slice(*np.searchsorted(detections.damaged, [frames.start, frames.stop]))],
-    )
-
-
 def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints: int) -> dict[str, Detections]:
     """Concatenate the detections of chunks camera by camera.
 

@@ -27,7 +27,7 @@ from pipeline.runtime.child_processes import ProcessPool
 from pipeline.simulation.scenes import Simulation
 from pipeline.simulation.views.fields import GRID, render
 from pipeline.stages.codec import decode, save
-from pipeline.stages.plan import FrameCut
+from pipeline.stages.stage import FrameCut
 from pipeline.video.timeline import span_s
 
 _CHUNK_FRAMES = 25

@@ -1,36 +1,49 @@
 """Digest of the code that a function's result depends on. Imports the standard library only, and parses the code.
 
-The digest covers the function, the statements of its module that it uses, and all modules of a package that these
-import, directly or indirectly, also inside functions. Comments, docstrings, blank lines and the order of files do not
-change the digest; a checkout and an installed wheel have the same digest.
+Of modules within ``BY_STATEMENT`` count the top-level statements that the function uses, there and wherever it leads.
+Of the classes in ``BY_MEMBER``, one of these modules, count the members that used statements name. Modules outside
+count as a whole, with all modules of the package that they import, directly or indirectly. Imports inside functions
+count too. Comments, docstrings, blank lines and the order of files do not change the digest; a checkout and an
+installed wheel have the same digest.
 """
 
 import ast
+import copy
 import functools
 import hashlib
 import json
 import re
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 PACKAGE = "pipeline"
+BY_STATEMENT, BY_MEMBER = "pipeline.stages", "pipeline.stages.context"
 # Prefix of module names: `multicap.` in the wheel, empty in a checkout. See `hatch_build.py`.
 _PARENT = __name__.removesuffix("pipeline.runtime.code_digest")
 _WITH_DOCSTRINGS = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 _EMPTY_FIELD = re.compile(r"(?:, )?\b\w+=\[\]")
 
 
-def function_digest(root: Path, module: str, function: str, package: str = PACKAGE) -> str:
-    """Digest of a function and of the modules that it depends on.
+def function_digest(
+    root: Path,
+    roots: Iterable[tuple[str, str]],
+    package: str = PACKAGE,
+    by_statement: str = BY_STATEMENT,
+    by_member: str = BY_MEMBER,
+) -> str:
+    """Digest of functions and classes, and of the code that they depend on.
 
     Parameters
     ----------
     root
         Folder of the packages' sources.
-    module, function
-        Names of a module, inside or outside of ``package``, and of a function at its top level.
+    roots
+        Modules, and functions or classes at their top level.
     package
         Package whose imports are followed.
+    by_statement, by_member
+        Package, and a module of it, that count in part.
 
     Returns
     -------
@@ -39,18 +52,53 @@ def function_digest(root: Path, module: str, function: str, package: str = PACKA
     Raises
     ------
     KeyError
-        If the module has no such function.
+        If a module has no such function or class.
     """
-    statements = _parse(_path(root, module)).body
-    used, names = _used(statements, function)
-    origins = sorted(origin for statement in used for origin in _origins(statement, names))
-    direct = _modules(root, (origin for _, origin in origins), package)
-    code = [_canonical(statement) for statement in used if not isinstance(statement, ast.Import | ast.ImportFrom)]
-    parts = [origins, code]
+    used, origins, whole = _reached(root, roots, package, by_statement, by_member)
+    parts: list[object] = [sorted(origins), [used[place].text for place in sorted(used)]]
     parts += [
-        [name, _source_digest(_path(root, name).read_bytes())] for name in reachable_modules(root, direct, package)
+        [name, _source_digest(_path(root, name).read_bytes())] for name in reachable_modules(root, whole, package)
     ]
     return _sha256(parts)
+
+
+def _reached(
+    root: Path, roots: Iterable[tuple[str, str]], package: str, by_statement: str, by_member: str
+) -> tuple[dict[tuple[str, int], "_Part"], set[tuple[str, str, str]], set[str]]:
+    """Used parts of modules by place, origins of used imports by module and name, and modules that count as a whole."""
+    wanted: dict[str, set[str]] = {}
+    used: dict[tuple[str, int], _Part] = {}
+    origins: set[tuple[str, str, str]] = set()
+    whole: set[str] = set()
+    attributes: set[str] = set()
+
+    def parts_of(module: str) -> tuple[_Part, ...]:
+        return _parts(_path(root, module).read_bytes(), module == by_member)
+
+    for module, name in roots:
+        if not any(name in part.bound and not part.owner for part in parts_of(module)):
+            raise KeyError(name)
+        wanted.setdefault(module, set()).add(name)
+    size = None
+    while size != (size := (len(used), len(origins), len(attributes), sum(map(len, wanted.values())))):
+        for module in list(wanted):
+            names = wanted[module]
+            for number, part in enumerate(parts_of(module)):
+                if part.owner in names and part.bound & attributes if part.owner else part.bound & names:
+                    used[module, number] = part
+                    names |= part.read
+                    attributes |= part.attributes
+                    is_import = not part.text
+                    origins |= {(module, *pair) for pair in part.imports if not is_import or pair[0] in names}
+        for origin in {origin for _, _, origin in origins}:
+            for module in _modules(root, (origin,), package):
+                if not f"{module}.".startswith(f"{by_statement}.") or _path(root, module).stem == "__init__":
+                    whole.add(module)
+                elif module == origin:
+                    wanted.setdefault(module, set()).update(*(part.bound for part in parts_of(module)))
+                else:
+                    wanted.setdefault(module, set()).add(origin.removeprefix(f"{module}."))
+    return used, origins, whole
 
 
 def reachable_modules(root: Path, modules: Iterable[str], package: str = PACKAGE) -> list[str]:
@@ -66,7 +114,7 @@ def reachable_modules(root: Path, modules: Iterable[str], package: str = PACKAGE
 
 def forget_sources() -> None:
     """Clear the caches of syntax trees and digests."""
-    for cached in (_parsed, _imports, _source_digest):
+    for cached in (_parsed, _parts, _imports, _source_digest):
         cached.cache_clear()
 
 
@@ -74,10 +122,6 @@ def _path(root: Path, module: str) -> Path:
     """File of a module, or of a package's ``__init__``."""
     path = root.joinpath(*module.split("."))
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-
-
-def _parse(path: Path) -> ast.Module:
-    return _parsed(path.read_bytes())
 
 
 # Cached, because stages share most modules.
@@ -109,22 +153,61 @@ def _sha256(value: object) -> str:
     return hashlib.sha256(json.dumps(value).encode()).hexdigest()
 
 
-def _used(statements: Sequence[ast.stmt], function: str) -> tuple[list[ast.stmt], set[str]]:
-    """Top-level statements of a module that a function depends on, in order, and all names that they read."""
-    makers: dict[str, set[int]] = {}
-    for number, statement in enumerate(statements):
-        for name in _bound_names(statement):
-            makers.setdefault(name, set()).add(number)
-    used: set[int] = set()
-    names = {function}
-    waiting = set(makers[function])
-    while waiting:
-        number = waiting.pop()
-        used.add(number)
-        read = _read_names(statements[number])
-        names |= read
-        waiting |= {maker for name in read for maker in makers.get(name, ())} - used
-    return [statements[number] for number in sorted(used)], names
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A top-level statement of a module, or a member of one of its classes.
+
+    Parameters
+    ----------
+    bound, read, attributes
+        Names that it binds and reads, and attributes that it names.
+    imports
+        Names that imports bind, each with its origin, ``module`` or ``module.name``.
+    text
+        Its syntax tree; empty for imports.
+    owner
+        Class of a member; empty: it is a statement.
+    """
+
+    bound: frozenset[str]
+    read: frozenset[str]
+    attributes: frozenset[str]
+    imports: tuple[tuple[str, str], ...]
+    text: str
+    owner: str = ""
+
+
+# Cached, because stages share these modules.
+@functools.lru_cache(maxsize=256)
+def _parts(source: bytes, has_members: bool) -> tuple[_Part, ...]:
+    """Parts of a module; members of its classes are parts of their own, or belong to the class."""
+    parts = []
+    for statement in _parsed(source).body:
+        if has_members and isinstance(statement, ast.ClassDef):
+            members = [one for one in statement.body if _is_member(one)]
+            parts += [_part(member, statement.name) for member in members]
+            statement = copy.copy(statement)  # noqa: PLW2901
+            statement.body = [one for one in statement.body if one not in members]
+        parts.append(_part(statement))
+    return tuple(parts)
+
+
+def _part(statement: ast.stmt, owner: str = "") -> _Part:
+    is_import = isinstance(statement, ast.Import | ast.ImportFrom)
+    read = set(_read(statement))
+    return _Part(
+        frozenset(_bound_names(statement)),
+        frozenset(name for name in read if not name.startswith(".")),
+        frozenset(name.removeprefix(".") for name in read if name.startswith(".")),
+        tuple(pair for node in ast.walk(statement) for pair in _origins(node)),
+        "" if is_import else _canonical(statement),
+        owner,
+    )
+
+
+def _is_member(statement: ast.stmt) -> bool:
+    """Whether a statement of a class is a method that is called by its name."""
+    return isinstance(statement, ast.FunctionDef) and not statement.name.startswith("__")
 
 
 def _bound_names(statement: ast.AST) -> Iterator[str]:
@@ -139,25 +222,25 @@ def _bound_names(statement: ast.AST) -> Iterator[str]:
         yield from _bound_names(child)
 
 
-def _read_names(node: ast.AST) -> set[str]:
-    """Names that a syntax tree reads, annotations left out: they do not affect results."""
-    found = {node.id} if isinstance(node, ast.Name) else set()
+def _read(node: ast.AST) -> Iterator[str]:
+    """Names that a syntax tree reads, and attributes with a dot, without annotations of functions, which do nothing."""
+    if isinstance(node, ast.Name):
+        yield node.id
+    elif isinstance(node, ast.Attribute):
+        yield f".{node.attr}"
     for field, value in ast.iter_fields(node):
-        if field not in {"annotation", "returns"}:
-            children = value if isinstance(value, list) else [value]
-            found |= {name for child in children if isinstance(child, ast.AST) for name in _read_names(child)}
-    return found
+        if field != "returns" and not (field == "annotation" and isinstance(node, ast.arg)):
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from _read(child)
 
 
-def _origins(node: ast.AST, wanted: Container[str] | None = None) -> Iterator[tuple[str, str]]:
+def _origins(node: ast.AST) -> Iterator[tuple[str, str]]:
     """Names that an import binds, each with its origin, ``module`` or ``module.name``."""
     if isinstance(node, ast.Import):
-        pairs = [(alias.asname or alias.name.partition(".")[0], alias.name) for alias in node.names]
+        yield from ((alias.asname or alias.name.partition(".")[0], alias.name) for alias in node.names)
     elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-        pairs = [(alias.asname or alias.name, f"{node.module}.{alias.name}") for alias in node.names]
-    else:
-        return
-    yield from (pair for pair in pairs if wanted is None or pair[0] in wanted)
+        yield from ((alias.asname or alias.name, f"{node.module}.{alias.name}") for alias in node.names)
 
 
 def _modules(root: Path, origins: Iterable[str], package: str) -> set[str]:

@@ -9,13 +9,12 @@ and fields (``PafFields``), at least those of the range.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
 
-from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.session import CaptureSession
+from pipeline.capture.session import Session
 from pipeline.clustering.associate import find_people, first_lengths, join_poses, link_people, sampled_frames
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.instant.candidates import BodyEvidence, FieldEvidence, ViewEvidence
@@ -23,10 +22,8 @@ from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parameters import derive_parameters as derive_clustering
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig, networks_of
-from pipeline.data import DamagedVideo, Detections, PafFields, People, Poses3D
-from pipeline.detect.chunk import bodies_in
+from pipeline.data import DamagedVideo, Detections, DetectionsByCamera, PafFields, People, Poses3D
 from pipeline.detect.entries import entry_of
-from pipeline.errors import InputError, Problem
 from pipeline.hands.attach import attach_hands
 from pipeline.identity.identify import identify
 from pipeline.joints import JointSet
@@ -36,11 +33,7 @@ from pipeline.tracking.associate import track_bodies
 from pipeline.tracking.observations import Bodies
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
-from pipeline.video.timeline import cut_timebase, frames_in, span_s
-
-Session = CaptureSession | KeypointSession
-DetectionsByCamera = Mapping[str, Detections] | Mapping[str, PafFields]
-"""Bodies, or peaks and fields, by name of the camera."""
+from pipeline.video.timeline import frames_in, span_s
 
 _DEFAULTS = ReconstructionConfig()
 
@@ -50,38 +43,6 @@ class MeasuredBones(NamedTuple):
 
     lengths: LimbLengths
     damaged: tuple[DamagedVideo, ...]
-
-
-@overload
-def restrict(session: KeypointSession, frames: range | None) -> KeypointSession: ...
-
-
-@overload
-def restrict(session: Session, frames: range | None) -> Session: ...
-
-
-def restrict(session: Session, frames: range | None) -> Session:
-    """Restrict a session to a range of its output frames (``None``: all), which are numbered from 0.
-
-    Raises
-    ------
-    InputError
-        If the session has no such frames.
-    """
-    if frames is None:
-        return session
-    whole = session.timebase
-    if not 0 <= frames.start < frames.stop <= whole.num_frames:
-        message = f"The session has the output frames 0 to {whole.num_frames}, not {frames.start} to {frames.stop}."
-        raise InputError([Problem("frame_range", message, hint="The second number is the one after the last frame.")])
-    if isinstance(session, CaptureSession):
-        return replace(session, frames=frames)
-    span = span_s(whole, frames.start, frames.stop)
-    inside = {
-        camera: bodies_in(detections, frames_in(session.times[camera], *span))
-        for camera, detections in session.detections.items()
-    }
-    return replace(session, timebase=cut_timebase(whole, frames), detections=inside)
 
 
 def tracking_parameters(session: Session, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
@@ -107,11 +68,7 @@ def clustering_parameters(session: Session, config: ReconstructionConfig) -> Clu
     InputError
         If a changed parameter does not exist, or can't have that value.
     """
-    fields = (
-        entry_of(networks_of(config).body).fields
-        if config.uses_fields and isinstance(session, CaptureSession)
-        else None
-    )
+    fields = entry_of(networks_of(config).body).fields if config.uses_fields and session.video_of else None
     own = {} if fields is None else {"tau2": fields.tau2}
     return change_parameters(derive_clustering(session.cameras, **own), config.clustering)
 
@@ -236,7 +193,7 @@ def _evidence(
         return FieldEvidence(session.cameras, session.times, fields, session.timebase, skeleton, parameters)
     span = span_s(session.timebase, frames.start, frames.stop)
     bodies = {
-        camera: bodies_in(value, frames_in(session.times[camera], *span))
+        camera: value.within(frames_in(session.times[camera], *span))
         for camera, value in detections.items()
         if isinstance(value, Detections)
     }

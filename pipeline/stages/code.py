@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
 
-from pipeline.runtime.code_digest import PACKAGE, forget_sources, function_digest
+from pipeline.runtime.code_digest import BY_MEMBER, PACKAGE, forget_sources, function_digest
 from pipeline.stages.plan import STAGES
 
 LIBRARIES = (
@@ -32,8 +32,9 @@ LIBRARIES = (
 """Distributions whose versions results may depend on."""
 
 _ROOT = Path(__file__).parents[2]
-# Not imported here: they load the science.
-_MODULE, _RECORD = "pipeline.stages.run", "pipeline.capture.preflight_npz"
+# Code of all stages: what tasks ask, and the record of the session's check. Not imported here: it loads the science.
+_RECORD = "pipeline.capture.preflight_npz"
+_OF_ALL = (BY_MEMBER, "Context"), (_RECORD, "decode_session"), (_RECORD, "decode_keypoints")
 
 
 @functools.cache
@@ -54,9 +55,10 @@ def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Map
         SHA-256 in hexadecimal digits.
     """
     versions = [[name, _version(name)] for name in libraries]
-    # All stages read the record of the session's check.
-    session = [function_digest(root, _RECORD, name) for name in ("decode_session", "decode_keypoints")]
-    digests = {stage.name: [function_digest(root, _MODULE, stage.function), *session] for stage in STAGES}
+    digests = {}
+    for stage in STAGES:
+        _, _, module = stage.function.__module__.rpartition(".")
+        digests[stage.name] = function_digest(root, [(f"{PACKAGE}.stages.{module}", stage.function.__name__), *_OF_ALL])
     forget_sources()
     return MappingProxyType(
         {

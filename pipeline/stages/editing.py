@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -9,7 +10,6 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import (
     Animation,
     Doubt,
-    FootContact,
     Observations,
     People,
     Reconstruction,
@@ -23,6 +23,9 @@ from pipeline.data import (
 from pipeline.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
 from pipeline.stages.people import StoredSequence
 from pipeline.video.timeline import cut_timebase
+
+# Arrays of a track, a row a frame.
+_ARRAYS = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
 
 
 def edited_take(found: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:
@@ -168,16 +171,9 @@ def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
 
 def part_of_track(track: Track3D, rows: slice) -> Track3D:
     """Some rows of a track."""
-    return replace(
-        track,
-        start_frame=track.start_frame + rows.start,
-        xyz_m=track.xyz_m[rows],
-        score=track.score[rows],
-        source=track.source[rows],
-        error_px=track.error_px[rows],
-        views=track.views[rows],
-        uncertainty_m=None if track.uncertainty_m is None else track.uncertainty_m[rows],
-    )
+    arrays: dict[str, Any] = {name: getattr(track, name) for name in _ARRAYS}
+    kept: dict[str, Any] = {name: array if array is None else array[rows] for name, array in arrays.items()}
+    return replace(track, start_frame=track.start_frame + rows.start, **kept)
 
 
 def part_of_observations(seen: Observations, rows: slice) -> Observations:
@@ -190,17 +186,9 @@ def _part_of_motion(motion: SkeletonMotion, rows: slice) -> SkeletonMotion:
     for contact in motion.contacts:
         start, stop = max(contact.start_frame, rows.start), min(contact.start_frame + contact.num_frames, rows.stop)
         if start < stop:
-            contacts.append(_contact(contact, start - rows.start, stop - start))
-    return replace(
-        motion,
-        root_m=motion.root_m[rows],
-        parent_from_joint=motion.parent_from_joint[rows],
-        contacts=tuple(contacts),
-    )
-
-
-def _contact(contact: FootContact, start_frame: int, num_frames: int) -> FootContact:
-    return replace(contact, start_frame=start_frame, num_frames=num_frames)
+            contacts.append(replace(contact, start_frame=start - rows.start, num_frames=stop - start))
+    root_m, parent_from_joint = motion.root_m[rows], motion.parent_from_joint[rows]
+    return replace(motion, root_m=root_m, parent_from_joint=parent_from_joint, contacts=tuple(contacts))
 
 
 def _rows(track: Track3D, frames: range) -> slice:

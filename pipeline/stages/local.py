@@ -10,45 +10,30 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
-from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.preflight_npz import encode_keypoints, encode_session
-from pipeline.capture.session import CaptureSession
+from pipeline.capture.preflight_npz import encode_record
+from pipeline.capture.session import CaptureSession, Session
 from pipeline.config import ReconstructionConfig, method_warnings
 from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate
+from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import ChildError, InputError, PipelineError, Problem
 from pipeline.export.results import OnFile, WrittenResults, check_exports, no_file, not_written
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages.storage import sha256_of
 from pipeline.skeleton.smooth import check_smoothing
-from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
+from pipeline.stages.association import clustering_parameters, tracking_parameters
 from pipeline.stages.code import sources_sha256, stage_codes
-from pipeline.stages.inputs import Context, Origin, detected_bodies, detection_joints
-from pipeline.stages.output import ResultFile
+from pipeline.stages.context import Context, Origin
 from pipeline.stages.output_folder import OutputFolder, output_folder
-from pipeline.stages.plan import (
-    DETECT,
-    EXPORT,
-    LOOK,
-    OVERLAY,
-    REPORT,
-    STAGE_BY_NAME,
-    WRITE,
-    PlannedStage,
-    SessionFacts,
-    Task,
-    followers,
-    plan,
-)
-from pipeline.stages.results.assembly import assemble
-from pipeline.stages.run import run_task
+from pipeline.stages.plan import STAGE_BY_NAME, STAGES, PlannedStage, followers, plan
+from pipeline.stages.stage import DETECT, EXPORT, LOOK, WRITE, ResultFile, SessionFacts, Task
+from pipeline.stages.take import assemble
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import folder_sha256
 
 _DEFAULTS = ReconstructionConfig()
-# Stages whose outputs are result files.
-_FILE_STAGES = {OVERLAY, REPORT, WRITE, EXPORT}
+_STAGES_OF_RECORDS = {stage.name for stage in STAGES if not stage.makes_files} - {WRITE}
 
 
 def reconstruct(
@@ -85,7 +70,7 @@ def reconstruct(
     """
     _check(session, config)
     facts = session_facts(session, () if cache is None else _inputs(session))
-    with _planned(session, config, facts, STAGE_BY_NAME.keys() - _FILE_STAGES, cache) as job:
+    with _planned(session, config, facts, _STAGES_OF_RECORDS, cache) as job:
         for stage in job.stages:
             _run_stage(job, stage, on_progress)
         reconstruction = assemble(_TaskContext(job))
@@ -133,7 +118,7 @@ def reconstruct_to_files(
         If a folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
     _check(session, config)
-    check_exports(restrict(session, config.frames).timebase, config.exports, config.output_rate_hz)
+    check_exports(session.restricted(config.frames).timebase, config.exports, config.output_rate_hz)
     facts = session_facts(session, () if cache is None else _inputs(session))
     files = _Destination(folder, name or folder.resolve().name or "take", tuple(sources))
     paths: list[Path] = []
@@ -165,13 +150,13 @@ def detect_people(
 
     Returns
     -------
-        Bodies by camera, with the joints of ``pipeline.stages.run.detection_joints``.
+        Bodies by camera, with the joints of ``detection_joints``.
     """
     config = replace(config, method="tracking", appearance="off")
     with _planned(session, config, session_facts(session), {LOOK, DETECT}, None) as job:
         for stage in job.stages:
             _run_stage(job, stage, on_progress)
-        chunks = detected_bodies(_TaskContext(job))
+        chunks = _TaskContext(job).records(DETECT, Detections)
         names = [camera.name for camera in session.cameras]
         return concatenate(chunks, names, len(detection_joints(config).names))
 
@@ -223,7 +208,7 @@ def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFact
             name: measured_rate_hz(times.time_s) if len(times.time_s) > 1 else timebase.frame_rate_hz
             for name, times in session.times.items()
         },
-        has_videos=not isinstance(session, KeypointSession),
+        has_videos=bool(session.video_of),
     )
 
 
@@ -238,19 +223,16 @@ def _codes(outputs: OutputFolder) -> Mapping[str, str]:
 
 def _inputs(session: Session) -> tuple[str, ...]:
     """Digests of all that the result depends on: the opened session, and the videos' files."""
-    if isinstance(session, KeypointSession):
-        return (hashlib.sha256(encode_keypoints(session)).hexdigest(),)
-    opened = hashlib.sha256(encode_session(session)).hexdigest()
-    return (opened, *(_digest(video.path) for video in session.videos))
+    opened = hashlib.sha256(encode_record(session)).hexdigest()
+    return (opened, *(_digest(video.path) for video in session.video_of.values()))
 
 
 def _digests(session: Session, sources: Sequence[Path]) -> dict[str, str]:
     """SHA-256 of the files of a session by name: its videos, or its keypoints as they were read, and further files."""
-    if isinstance(session, KeypointSession):
-        found = {"keypoints as they were read": hashlib.sha256(encode_keypoints(session)).hexdigest()}
-    else:
-        found = {video.path.name: _digest(video.path) for video in session.videos}
-    return found | {path.name: _digest(path) for path in sources}
+    digests = {video.path.name: _digest(video.path) for video in session.video_of.values()}
+    if not digests:
+        digests["keypoints as they were read"] = hashlib.sha256(encode_record(session)).hexdigest()
+    return digests | {path.name: _digest(path) for path in sources}
 
 
 def _digest(path: Path) -> str:
@@ -263,7 +245,7 @@ def _digest(path: Path) -> str:
 
 def _check(session: Session, config: ReconstructionConfig) -> None:
     """Find out what is wrong before the work begins."""
-    wanted = restrict(session, config.frames)
+    wanted = session.restricted(config.frames)
     check_smoothing(wanted.timebase, config)
     tracking_parameters(wanted, config.tracking)
     clustering_parameters(wanted, config)
@@ -448,7 +430,7 @@ def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[], None]) -> 
 
 def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> Task:
     try:
-        output = run_task(task, _TaskContext(job, task, on_unit))
+        output = STAGE_BY_NAME[task.stage].function(task, _TaskContext(job, task, on_unit))
     except OSError as error:
         if job.files is None:
             raise

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import FrameTimes, Timebase
+from pipeline.errors import InputError, Problem
 from pipeline.video.frame_rate import measured_rate_hz
 
 # Longer pauses of all cameras are skipped.
@@ -62,6 +63,19 @@ def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " 
     starts = np.maximum(frames[[0, *(last + 1)]] - 1, 0).tolist()
     stops = np.minimum(frames[[*last, -1]] + 2, timebase.num_frames).tolist()
     return tuple(range(start, stop) for start, stop in zip(starts, stops, strict=True))
+
+
+def require_frames(whole: Timebase, frames: range) -> None:
+    """Require that a session has a range of output frames.
+
+    Raises
+    ------
+    InputError
+        If the range is empty, or not within the session's frames.
+    """
+    if not 0 <= frames.start < frames.stop <= whole.num_frames:
+        message = f"The session has the output frames 0 to {whole.num_frames}, not {frames.start} to {frames.stop}."
+        raise InputError([Problem("frame_range", message, hint="The second number is the one after the last frame.")])
 
 
 def cut_timebase(timebase: Timebase, frames: range) -> Timebase:

@@ -8,7 +8,7 @@ from typing import Any
 import httpx2
 import pytest
 
-from pipeline.stages.output import DESCRIPTION, MOTION
+from pipeline.stages.stage import DESCRIPTION, MOTION
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files

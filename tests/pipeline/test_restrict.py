@@ -12,7 +12,6 @@ from pipeline.config import Method, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.association import restrict
 from pipeline.stages.local import reconstruct
 from tests.pipeline.simulations import write_simulation
 
@@ -58,7 +57,7 @@ def test_all_of_them_are_the_whole(session: KeypointSession) -> None:
 @pytest.mark.parametrize("frames", [range(-1, 10), range(5, 5), range(9, 5), range(10_000)])
 def test_frames_that_are_not_there(session: KeypointSession, frames: range) -> None:
     with pytest.raises(InputError, match="output frames 0 to") as error:
-        restrict(session, frames)
+        session.restricted(frames)
     assert [problem.code for problem in error.value.problems] == ["frame_range"]
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan, without_names
-from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import (
+from pipeline.stages.stage import (
     ASSOCIATE,
     CHECK,
     DETECT,
@@ -23,6 +22,8 @@ from pipeline.stages.plan import (
     REFIT,
     REPORT,
     WRITE,
+    Output,
+    ResultFile,
 )
 from pipeline.visual_choices import OVERLAY_KIND, REPORT_KIND
 from worker.chunk import Work

@@ -11,8 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from pipeline.stages.output import Output
-from pipeline.stages.plan import DETECT
+from pipeline.stages.stage import DETECT, Output
 from tests.worker.conftest import LIGHT_STAGES, detect
 from worker import __main__ as worker_main
 from worker.chunk import Work

@@ -9,8 +9,7 @@ import pytest
 from pipeline.edits import PeopleEdit, Remove, Rename
 from pipeline.errors import PipelineError
 from pipeline.findings import Finding
-from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT, WRITE
+from pipeline.stages.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT, WRITE, Output, ResultFile
 from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, Bench
 from worker.chunk import StoppedError, Work
 from worker.jobs.errors import Conflict

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.stages.output import Output
-from pipeline.stages.plan import DETECT, FIT, IDENTIFY
+from pipeline.stages.stage import DETECT, FIT, IDENTIFY, Output
 from tests.worker.conftest import CHUNK_FRAMES, RESULT, Bench, detect, fit, identify
 from worker.chunk import StoppedError, Work
 from worker.jobs.backup.create import create_backup

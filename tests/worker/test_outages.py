@@ -9,8 +9,7 @@ import obstore
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from pipeline.stages.output import Output
-from pipeline.stages.plan import ASSOCIATE, DETECT
+from pipeline.stages.stage import ASSOCIATE, DETECT, Output
 from tests.s3 import S3, running_s3
 from tests.unreliable import Mode, UnreliableProxy, unreliable
 from tests.waiting import wait_for

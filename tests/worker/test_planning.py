@@ -14,7 +14,9 @@ from pipeline.capture.preflight_record import Preflight, PreflightCamera, Prefli
 from pipeline.config import MAX_OUTPUT_FRAMES, NETWORKS, ReconstructionConfig, method_warnings
 from pipeline.detect.entries import REGISTRY
 from pipeline.stages.code import stage_codes
-from pipeline.stages.plan import (
+from pipeline.stages.look import LOOKED_AT_FRAMES
+from pipeline.stages.plan import MAX_TASKS, STAGES, effective_choices, plan
+from pipeline.stages.stage import (
     ASSOCIATE,
     CHECK,
     DETECT,
@@ -23,17 +25,12 @@ from pipeline.stages.plan import (
     IDENTIFY,
     LENGTHS,
     LOOK,
-    LOOKED_AT_FRAMES,
-    MAX_TASKS,
     OVERLAY,
     POSES,
     PROXY,
     REFINE,
     REPORT,
-    STAGES,
     FrameCut,
-    effective_choices,
-    plan,
 )
 from pipeline.video.playback.choices import ProxyChoices
 from worker.jobs.model import InputFile, Session, StagePlan

@@ -5,7 +5,7 @@ import time
 import pytest
 import sqlalchemy as sa
 
-from pipeline.stages.plan import DETECT
+from pipeline.stages.stage import DETECT
 from tests.worker.conftest import Bench
 from worker.jobs.database.connection import Database
 from worker.jobs.database.tables import removals

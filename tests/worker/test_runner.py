@@ -14,8 +14,7 @@ import pytest
 from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
 from pipeline.findings import Finding
-from pipeline.stages.output import Output
-from pipeline.stages.plan import ASSOCIATE, CHECK, DETECT, EXPORT, FIT, IDENTIFY, LOOK
+from pipeline.stages.stage import ASSOCIATE, CHECK, DETECT, EXPORT, FIT, IDENTIFY, LOOK, Output
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key

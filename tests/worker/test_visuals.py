@@ -5,8 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from pipeline.edits import PeopleEdit, Remove
-from pipeline.stages.output import Output
-from pipeline.stages.plan import DETECT, EXPORT, OVERLAY, REPORT, WRITE
+from pipeline.stages.stage import DETECT, EXPORT, OVERLAY, REPORT, WRITE, Output
 from tests.worker.conftest import CHUNK_FRAMES, RESULT, Bench
 from worker.chunk import Work
 from worker.jobs.errors import Conflict, NotFound

@@ -34,7 +34,7 @@ from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import warm_up
 from pipeline.stages.local import reconstruct_to_files
-from pipeline.stages.plan import DETECT
+from pipeline.stages.stage import DETECT
 from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)

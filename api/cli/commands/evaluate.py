@@ -33,6 +33,7 @@ from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.config import CHOICES, DetectedJoints, Method, Profile, ReconstructionConfig
 from pipeline.data import Animation, Camera, Detections, FrameTimes, People, Refinement, Timebase
+from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
@@ -52,9 +53,8 @@ from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 from pipeline.skeleton.animate import animate
-from pipeline.stages.cameras.refinement import refine_from_bodies
-from pipeline.stages.inputs import detection_joints
 from pipeline.stages.local import detect_people, reconstruct
+from pipeline.stages.refinement import refine_from_bodies
 from pipeline.tracking.associate import associate, locate_people, track_bodies
 from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters

@@ -13,11 +13,10 @@ from api.cli.options import KeypointsOption, TimestampsOption, checked, known_cl
 from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
-from pipeline.capture.session import Recording, open_session
+from pipeline.capture.session import Recording, Session, open_session
 from pipeline.config import ReconstructionConfig, method_warnings
 from pipeline.errors import InputError, Problem
 from pipeline.quality.report import all_checks
-from pipeline.stages.association import Session
 from pipeline.stages.local import reconstruct_to_files
 from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME

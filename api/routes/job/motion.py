@@ -17,7 +17,7 @@ from api.errors import ApiError
 from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch
 from api.schemas.motion import MotionDescription
-from pipeline.stages.output import DESCRIPTION, MOTION
+from pipeline.stages.stage import DESCRIPTION, MOTION
 from worker.jobs.model import Result
 from worker.jobs.tenant_records import TenantRecords
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
 
-from pipeline.config import Networks
+from pipeline.config import MotionChoices, Networks, detected_joints, networks_of
 from pipeline.detect.bodies import BodyDetector
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.detect.entries import entry_of
@@ -16,14 +16,16 @@ from pipeline.detect.profiles.two_sizes import TwoSizes
 from pipeline.detect.session import Network, open_network
 from pipeline.detect.topdown.detector import TopDown
 from pipeline.errors import ModelError
-from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
+from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointOffsets, JointSet
 
 __all__ = [
     "BodyDetector",
+    "detection_joints",
     "joints_of",
     "load_detector",
     "load_landmarks",
     "load_own",
+    "mark_offsets",
     "open_detection",
     "open_landmarks",
     "sized",
@@ -76,6 +78,18 @@ def joints_of(networks: Networks, joints: Literal["body", "feet", "whole"]) -> J
         Joints that are asked for; see ``pipeline.config.detected_joints``. Networks without crops have their own.
     """
     return entry_of(networks.body).joints if networks.near is None else _JOINT_SETS[joints]
+
+
+def detection_joints(choices: MotionChoices) -> JointSet:
+    """Joints that the networks of a reconstruction detect in videos."""
+    return joints_of(networks_of(choices), detected_joints(choices))
+
+
+def mark_offsets(choices: MotionChoices) -> JointOffsets:
+    """Offsets of the marks of these networks from the joints' centres."""
+    networks = networks_of(choices)
+    is_refined = networks.near is not None and networks.refines_body
+    return entry_of(networks.near if is_refined and networks.near else networks.body).offsets
 
 
 def open_detection(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.capture.session import Session
 from pipeline.data import Camera, FrameTimes, Reconstruction, SkeletonMotion, Synchronization
 from pipeline.export.colors import color_rgb
 from pipeline.export.viewer.clocks import knots
@@ -45,6 +46,16 @@ class Footage:
     times: FrameTimes
     video: str | None = None
     video_times: FrameTimes | None = None
+
+
+def footage_of(session: Session) -> Mapping[str, Footage]:
+    """Frames of each camera of a session, by the camera's name."""
+    return {
+        camera: Footage(times)
+        if (video := session.video_of.get(camera)) is None
+        else Footage(times, video.path.name, FrameTimes(video.time_s))
+        for camera, times in session.times.items()
+    }
 
 
 class ViewerMotion:

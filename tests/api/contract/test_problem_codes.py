@@ -49,7 +49,7 @@ PASSED_ON = {
     ("pipeline/capture/session.py", "_range_problems"),
     ("pipeline/findings.py", "from_problem"),  # those of the problem
     ("pipeline/quality/report.py", "all_checks"),  # those of the checks of a take
-    ("pipeline/stages/run.py", "_calibrated"),  # those of problems
+    ("pipeline/stages/calibrate.py", "calibrate"),  # those of problems
     ("pipeline/capture/session.py", "_of_video"),  # those of problems
     ("pipeline/video/unusable.py", "problem"),
     ("api/requests/intake.py", "adopted"),  # that of upload_elsewhere

@@ -9,10 +9,9 @@ import pytest
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, FrameTimes, Observations, People, Track3D
-from pipeline.detect.chunk import bodies_in
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.association import link, locate_people, measure_bones
-from pipeline.stages.plan import FrameCut
+from pipeline.stages.stage import FrameCut
 from pipeline.video.timeline import frames_in, span_s
 
 CONFIG = ReconstructionConfig(method="clustering")
@@ -37,7 +36,7 @@ def of_range(session: KeypointSession, frames: range) -> Mapping[str, Detections
     """Detections of a range of output frames: the range's chunk of each camera."""
     span = span_s(session.timebase, frames.start, frames.stop)
     times: Mapping[str, FrameTimes] = session.times
-    return {name: bodies_in(one, frames_in(times[name], *span)) for name, one in session.detections.items()}
+    return {name: one.within(frames_in(times[name], *span)) for name, one in session.detections.items()}
 
 
 def clustered(session: KeypointSession, chunk_frames: int) -> People:

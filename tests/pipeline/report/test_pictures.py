@@ -7,7 +7,7 @@ from pipeline.joints import COCO_17
 from pipeline.report.motion import Motion
 from pipeline.report.pictures import LONG_SIDE_PX, Moment, draw_picture, moments_of
 from tests.pipeline.export.test_overlay import CAMERA, standing
-from tests.pipeline.stages.results.test_overlay import LARGE
+from tests.pipeline.export.test_overlay_video import LARGE
 
 NAN = np.nan
 

@@ -10,7 +10,22 @@ import pytest
 
 from pipeline.runtime.code_digest import function_digest, reachable_modules
 from pipeline.stages.code import LIBRARIES, stage_codes
-from pipeline.stages.plan import DETECT, FIT, LENGTHS, REFIT
+from pipeline.stages.stage import (
+    ASSOCIATE,
+    CHECK,
+    DETECT,
+    EDIT,
+    EXPORT,
+    FIT,
+    IDENTIFY,
+    LENGTHS,
+    OVERLAY,
+    POSES,
+    REFINE,
+    REFIT,
+    REPORT,
+    WRITE,
+)
 
 ROOT = Path(__file__).parents[3]
 # Packages that the stages import and that change no number.
@@ -34,7 +49,8 @@ def imported_by(path: Path) -> set[str]:
 
 
 def test_all_libraries_of_the_stages_count() -> None:
-    direct = {name for name in imported_by(ROOT / "pipeline/stages/run.py") if name.startswith("pipeline.")}
+    modules = [f"{path.parent.name}.{path.stem}" for path in (ROOT / "pipeline/stages").glob("*.py")]
+    direct = {f"pipeline.{name}" for name in modules} - {"pipeline.stages.local", "pipeline.stages.__init__"}
     paths = [ROOT.joinpath(*name.split(".")) for name in reachable_modules(ROOT, direct)]
     files = [path / "__init__.py" if path.is_dir() else path.with_suffix(".py") for path in paths]
     packages = {name.partition(".")[0] for path in files for name in imported_by(path)}
@@ -105,11 +121,38 @@ def test_a_module_that_no_stage_imports_counts_for_none(sources: Path) -> None:
 
 
 def test_the_stage_s_own_function_and_its_helpers_count(sources: Path) -> None:
-    run = sources / "pipeline/stages/run.py"
-    edit(run, "measured_frames(context, session, frames), detected", "frames, detected")
+    stages = sources / "pipeline/stages"
+    edit(stages / "lengths.py", "context.numbered_from_first(frames, session), detected", "frames, detected")
     assert changed(sources) == {LENGTHS}
-    edit(run, "slice(index, index + 1)", "slice(index, index + 2)")  # in a helper of detection
+    edit(stages / "detect.py", "slice(number, number + 1)", "slice(number, number + 2)")
     assert changed(sources) == {LENGTHS, DETECT}
+
+
+def test_a_declaration_counts_for_no_code(sources: Path) -> None:
+    """Choices and cuts are in the keys themselves, and ``detect`` names the stage ``look``."""
+    edit(sources / "pipeline/stages/look.py", '"Look at people"', '"Look"')
+    edit(sources / "pipeline/stages/look.py", "def is_detecting", "UNUSED = 1\n\n\ndef is_detecting")
+    assert changed(sources) == set()
+
+
+def test_what_a_task_asks_its_context_counts(sources: Path) -> None:
+    context = sources / "pipeline/stages/context.py"
+    edit(context, "facts.frame_rate_hz) + 2", "facts.frame_rate_hz) + 3")  # a helper of what they ask
+    assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES}
+    edit(context, "return self.detections.offsets", "return {**self.detections.offsets}")
+    fitted = {FIT, REFIT, OVERLAY, REPORT, WRITE, EXPORT}
+    assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES} | fitted
+    edit(context, "return range(frames.start - first, frames.stop - first)", "return frames")
+    assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES} | fitted
+
+
+def test_the_form_of_stored_people_counts_for_those_who_write_or_read_them(sources: Path) -> None:
+    edit(
+        sources / "pipeline/stages/people.py",
+        "    spans: tuple[PersonSpan, ...]\n",
+        "    frames: tuple[PersonSpan, ...]\n",
+    )
+    assert changed(sources) == {ASSOCIATE, IDENTIFY, EDIT, FIT, REFIT, OVERLAY, REPORT, WRITE, EXPORT}
 
 
 def write(root: Path, **modules: str) -> None:
@@ -135,10 +178,37 @@ def test_the_graph_of_imports(tmp_path: Path) -> None:
 def test_another_origin_of_a_name_is_another_function(tmp_path: Path) -> None:
     main = "from pkg.{} import work\nfrom pkg.b import unused\n\n\ndef run():\n    return work()\n"
     write(tmp_path, main=main.format("a"), pkg__a="def work(): return 1\n", pkg__b="def work(): return 1\nunused = 2\n")
-    first = function_digest(tmp_path, "main", "run", "pkg")
+    first = function_digest(tmp_path, [("main", "run")], "pkg", "main")
     write(tmp_path, pkg__b="def work(): return 1\nunused = 3\n")
-    assert function_digest(tmp_path, "main", "run", "pkg") == first
+    assert function_digest(tmp_path, [("main", "run")], "pkg", "main") == first
     write(tmp_path, main=main.format("b"))
-    assert function_digest(tmp_path, "main", "run", "pkg") != first
+    assert function_digest(tmp_path, [("main", "run")], "pkg", "main") != first
     with pytest.raises(KeyError):
-        function_digest(tmp_path, "main", "walk", "pkg")
+        function_digest(tmp_path, [("main", "walk")], "pkg", "main")
+
+
+def test_members_of_a_class_count_if_they_are_named(tmp_path: Path) -> None:
+    main = "from pkg.asked import Asked\n\n\ndef run(asked):\n    return asked.one()\n"
+    asked = (
+        "from pkg.far import used, unused\n\n\nclass Asked:\n    size = 1\n\n"
+        "    def __init__(self):\n        self.start()\n\n"
+        "    def start(self): ...\n\n    def one(self):\n        return self.two\n\n"
+        "    @property\n    def two(self):\n        return used()\n\n    def three(self):\n        return unused()\n"
+    )
+    far = "def used(): ...\n\n\ndef unused(): ...\n"
+
+    def digest(**texts: str) -> str:
+        write(tmp_path, **{"pkg__main": main, "pkg__asked": asked, "pkg__far": far} | texts)
+        return function_digest(tmp_path, [("pkg.main", "run"), ("pkg.asked", "Asked")], "pkg", "pkg", "pkg.asked")
+
+    first = digest()
+    assert digest(pkg__asked=asked.replace("return unused()", "return None")) == first
+    assert digest(pkg__far=far.replace("unused(): ...", "unused(): return 1")) == first
+    assert digest(pkg__main=main.replace("asked.one", "asked.three")) != first
+    for old, new in (
+        ("size = 1", "size = 2"),
+        ("def start(self): ...", "def start(self): return"),
+        ("used()", "used(1)"),
+    ):
+        assert digest(pkg__asked=asked.replace(old, new, 1)) != first, old
+    assert digest(pkg__far=far.replace("def used(): ...", "def used(): return 1")) != first

@@ -11,12 +11,13 @@ import pytest
 from pipeline.calibration.write import encode
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.config import ReconstructionConfig
+from pipeline.detect import chunk
 from pipeline.detect.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detect.detector import Detector
 from pipeline.detect.profiles import detection
 from pipeline.detect.registry import NetworkHead, NetworkInput
 from pipeline.joints import COCO_17
-from pipeline.stages import run
+from pipeline.stages import association
 from pipeline.stages.association import track
 from pipeline.stages.local import reconstruct
 from pipeline.tracking.observations import Bodies
@@ -78,7 +79,7 @@ def tracked(monkeypatch: pytest.MonkeyPatch) -> list[Bodies]:
         calls.append(bodies)
         return track(session, bodies, *others)
 
-    monkeypatch.setattr(run, "track", recorded)
+    monkeypatch.setattr(association, "track", recorded)
     return calls
 
 
@@ -125,7 +126,7 @@ def test_nothing_is_decoded_for_people_who_are_tracked_already(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
-    monkeypatch.setattr(run, "measure_colours", None)
+    monkeypatch.setattr(chunk, "measure_colours", None)
     reconstruct(session, replace(CONFIG, smoothing="one-euro"), cache=tmp_path / "cache")
     assert len(tracked) == 1
 

@@ -15,7 +15,8 @@ from pipeline.export.results import write_results
 from pipeline.progress import Progress
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
-from pipeline.stages.plan import ASSOCIATE, CHECK, FIT, IDENTIFY, LENGTHS, POSES, STAGE_BY_NAME
+from pipeline.stages.plan import STAGE_BY_NAME
+from pipeline.stages.stage import ASSOCIATE, CHECK, FIT, IDENTIFY, LENGTHS, POSES
 from tests.pipeline.simulations import write_simulation
 
 TRACKING = ReconstructionConfig(exports=("bvh", "csv"))

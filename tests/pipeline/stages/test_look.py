@@ -14,9 +14,9 @@ from pipeline.detect.profiles import detection
 from pipeline.detect.registry import NetworkHead, NetworkInput
 from pipeline.joints import COCO_17
 from pipeline.progress import Progress
-from pipeline.stages import run
 from pipeline.stages.local import reconstruct
-from pipeline.stages.plan import DETECT, LOOK, LOOKED_AT_FRAMES
+from pipeline.stages.look import LOOKED_AT_FRAMES
+from pipeline.stages.stage import DETECT, LOOK
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import write_video
 
@@ -61,7 +61,6 @@ def network(monkeypatch: pytest.MonkeyPatch) -> FakeNetwork:
     fake = FakeNetwork()
     detector = Detector(fake, NetworkInput("rgb", multiple=32, scaled_px=512), NetworkHead.MOVENET_MULTIPOSE, COCO_17)
     monkeypatch.setattr(detection, "load_detector", lambda name: detector)
-    monkeypatch.setattr(run, "load_detector", lambda name: detector)
     return fake
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.detect.chunk import bodies_in
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.motion.script import Gesture
 from pipeline.simulation.scenes import find_scene
@@ -75,7 +74,7 @@ def test_a_camera_of_another_place_is_refused() -> None:
 
 def test_nobody_is_refused() -> None:
     take = cut_take(shortened("room", 3.0), 4, (0, 0))
-    none = {name: bodies_in(of, range(0)) for name, of in take.detections.items()}
+    none = {name: of.within(range(0)) for name, of in take.detections.items()}
     found = replace(take, detections=none).synchronized()
     assert {problem.code for problem in found.refusals} == {"sync_no_motion"}
 
@@ -85,7 +84,7 @@ def test_cameras_without_common_time_are_refused() -> None:
     first = take.cameras[0].name
     detections = dict(take.detections)
     for name in (first, take.cameras[2].name):
-        detections[name] = bodies_in(detections[name], range(100))
+        detections[name] = detections[name].within(range(100))
     assert not replace(take, detections=detections).synchronized().is_certain
 
 

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.data import FrameTimes, Timebase
-from pipeline.stages.plan import FrameCut
+from pipeline.stages.stage import FrameCut
 from pipeline.video.timeline import (
     frames_in,
     recorded_stretches,

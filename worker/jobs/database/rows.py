@@ -12,7 +12,7 @@ from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
 from pipeline.edits import PeopleEdit, PersonSpan, edit_of
 from pipeline.findings import Finding
-from pipeline.stages.plan import DETECT
+from pipeline.stages.stage import DETECT
 from pipeline.video.playback.choices import ProxyChoices
 from pipeline.visual_choices import VisualChoices
 from worker.jobs.database.connection import now

@@ -2,7 +2,7 @@
 
 from sqlalchemy import select
 
-from pipeline.stages.output import VIEWER
+from pipeline.stages.stage import VIEWER
 from worker.jobs.database.access import Access
 from worker.jobs.database.rows import result_of
 from worker.jobs.database.tables import jobs, results

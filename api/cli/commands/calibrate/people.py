@@ -14,11 +14,11 @@ from pipeline.calibration_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATUR
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
 from pipeline.progress import Progress
-from pipeline.stages.inputs import detection_joints
 from pipeline.stages.local import detect_people
-from pipeline.stages.plan import CALIBRATE
+from pipeline.stages.stage import CALIBRATE
 
 _PERCENT = 100
 

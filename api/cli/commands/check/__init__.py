@@ -25,17 +25,17 @@ from api.cli.options import (
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.pictures import look_at_pictures
-from pipeline.capture.session import CaptureSession, Recording, open_session
+from pipeline.capture.session import CaptureSession, Recording, Session, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
 from pipeline.errors import InputError
 from pipeline.findings import Finding, documents, from_problem, has_error
+from pipeline.preflight.instants import check_at_instants
+from pipeline.preflight.session import check_bodies, check_detections, with_clocks
 from pipeline.preflight.sightings import NUM_INSTANTS
 from pipeline.progress import OnProgress, Progress
 from pipeline.quality.findings import join_findings
-from pipeline.stages.association import Session
-from pipeline.stages.cameras.checking import check_at_instants, check_bodies
-from pipeline.stages.cameras.synchronization import clock_findings, on_measured_clocks
-from pipeline.stages.plan import CHECK
+from pipeline.stages.stage import CHECK
+from pipeline.synchronization.session import clock_findings, on_measured_clocks
 
 
 def command(
@@ -101,8 +101,11 @@ def command(
 
 def _as_declared(session: Session, config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
     """Findings about people at a few instants of a session on its declared clocks."""
-    looked, total = itertools.count(1), NUM_INSTANTS * len(session.cameras)
-    return check_at_instants(session, config, lambda: on_progress(Progress(CHECK, next(looked), total))).findings
+    if isinstance(session, CaptureSession):
+        looked, total = itertools.count(1), NUM_INSTANTS * len(session.cameras)
+        return check_at_instants(session, config, lambda: on_progress(Progress(CHECK, next(looked), total))).findings
+    known = session, lambda frames: [session.detections], session.joints, session.stretches
+    return with_clocks(check_detections(*known), *known).findings
 
 
 def _on_measured_clocks(session: Session, config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:

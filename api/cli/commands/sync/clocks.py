@@ -4,16 +4,16 @@ from collections.abc import Mapping
 from contextlib import nullcontext
 
 from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.session import Session
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Synchronization
+from pipeline.detect.profiles.detection import detection_joints
 from pipeline.joints import JointSet
 from pipeline.progress import OnProgress, Progress
-from pipeline.stages.association import Session
-from pipeline.stages.cameras.synchronization import listen
-from pipeline.stages.inputs import detection_joints
 from pipeline.stages.local import detect_people
-from pipeline.stages.plan import SYNCHRONIZE
+from pipeline.stages.stage import SYNCHRONIZE
 from pipeline.synchronization.motions import excerpt
+from pipeline.synchronization.session import listen
 from pipeline.synchronization.sound.combined import synchronize_with_sound
 from pipeline.synchronization.sound.offsets import SoundOffsets
 
@@ -33,9 +33,7 @@ def measured_clocks(
     session: Session, detections: Mapping[str, Detections], joints: JointSet, on_progress: OnProgress
 ) -> tuple[Synchronization, SoundOffsets]:
     """Clocks from the motion of the bodies and the sound of the videos, and what the sound alone told."""
-    sound = SoundOffsets()
-    if not isinstance(session, KeypointSession):
-        sound = listen(session, lambda camera: nullcontext())
+    sound = listen(session, lambda camera: nullcontext())
     found = synchronize_with_sound(
         session.cameras,
         session.times,

@@ -21,11 +21,10 @@ from api.cli.options import (
 )
 from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.capture.session import open_session
+from pipeline.capture.session import Session, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
 from pipeline.data import Synchronization
 from pipeline.errors import InputError, PipelineError, Problem
-from pipeline.stages.association import Session
 from pipeline.synchronization.document import sound_document, sync_document
 from pipeline.synchronization.report import error_pictures
 

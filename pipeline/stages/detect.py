@@ -1,0 +1,54 @@
+"""Detect 2D joints: bodies in a range of a camera's frames, or the peaks and fields that clustering takes.
+
+The output is a ``Detections`` without colours, or a ``PafFields``; the interim output is the colours of the bodies.
+"""
+
+from dataclasses import replace
+
+from pipeline.config import detected_joints, networks_of
+from pipeline.stages.look import is_detecting
+from pipeline.stages.stage import DETECT, LOOK, Context, Output, Stage, Task
+
+
+def detect(task: Task, context: Context) -> Output:
+    """Find bodies or fields. If nothing but the colours is missing, they are measured without the network."""
+    from pipeline.data import Detections, no_colours
+    from pipeline.detect.chunk import detect_chunk, detect_fields_chunk, measure_colours
+    from pipeline.detect.profiles.detection import load_detector, open_detection
+    from pipeline.detect.profiles.sizes import CameraSizes
+    from pipeline.runtime.npz import encode_arrays
+    from pipeline.stages.codec import decode, encode
+    from pipeline.video.timeline import span_s
+
+    session, config, camera, stored = context.videos(), context.config, task.one_camera, context.found()
+    span = span_s(session.timebase, task.frames.start, task.frames.stop)
+    networks = networks_of(config)
+    with context.video(camera):
+        if stored is not None:
+            joints = context.detections.joints(session)
+            detections = measure_colours(session, span, decode(Detections, stored), joints, context.on_unit)
+        elif config.uses_fields:
+            fields = detect_fields_chunk(session, camera, span, load_detector(networks.body), context.on_unit)
+            return Output(encode(fields))
+        else:
+            sizes = None
+            if networks.is_sized:
+                number = list(context.facts.camera_rates_hz).index(camera)
+                (sizes,) = context.records(LOOK, CameraSizes, slice(number, number + 1))
+            detector = open_detection(networks, detected_joints(config), sizes)
+            detections = detect_chunk(session, camera, span, detector, context.on_unit, config.uses_colours)
+    content = stored or encode(replace(detections, colour=no_colours()))
+    return Output(content, interim=encode_arrays({"colour": detections.colour}) if config.uses_colours else None)
+
+
+STAGE = Stage(
+    DETECT,
+    "Detect 2D joints",
+    detect,
+    cut="camera ranges",
+    follows=(LOOK,),
+    choices=("profile", "joints", "detector", "output"),
+    is_planned=is_detecting,
+    unit="frames",
+    leaves_interim=lambda config: config.uses_colours,
+)

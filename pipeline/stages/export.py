@@ -1,0 +1,62 @@
+"""Write files: the result files of a job. The output is their index, with the figures of ``metrics.json``."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+
+from pipeline.config import FILE_FORMATS
+from pipeline.stages.stage import EXPORT, IDENTIFY, TAKE, WRITE, Context, Output, ResultFile, Stage, Task, made
+
+
+def export(task: Task, context: Context) -> Output:
+    """Write the result files, and the files for viewers if they are wanted."""
+    from pipeline.export.results import NOTHING_KEPT, ReportOf, write_files
+    from pipeline.quality.report import all_checks, quality_report
+    from pipeline.quality.views import views_of
+    from pipeline.stages.pieces import FilesInPieces, Pieces, TakeInPieces
+    from pipeline.stages.take import assemble, kept_frames, viewer_files
+
+    config, scratch, pieces = context.config, context.scratch, Pieces(task, context)
+    reconstruction = assemble(context)
+    kept = FilesInPieces(pieces, scratch) if context.keeps_pieces else NOTHING_KEPT
+    views, take = cache(views_of), TakeInPieces(pieces, scratch, config.edits)
+    report: ReportOf = partial(take.report, views=views) if context.keeps_pieces else quality_report
+    choices = config.exports, config.bvh, config.output_rate_hz
+    written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)
+    names = {f"person-{motion.track_id}": motion.name for motion in reconstruction.motions}
+    files = [_result_file(path, names) for path in written.paths]
+    if context.has_viewers:
+        frames = kept_frames(context)
+        first_frame = 0 if frames is None else frames.start
+
+        def for_viewers() -> Sequence[ResultFile]:
+            of_take = views(reconstruction), context.outline(), written.metrics, scratch
+            return viewer_files(reconstruction, *of_take, first_frame)
+
+        files += take.viewer_files(reconstruction, for_viewers) if context.keeps_pieces else for_viewers()
+    warnings = tuple(all_checks(written.metrics))
+    output = made(files, metrics=written.metrics)
+    return replace(output, warnings=warnings, people=context.people(IDENTIFY).spans, pieces=pieces.files)
+
+
+def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
+    """Result file by its path; ``names`` are those of people, by their numbers in names of files."""
+    for name, file_format in FILE_FORMATS.items():
+        if path.suffix == f".{name}":
+            return ResultFile(path.name, name, path.stem, file_format.media_type, path, names[path.stem])
+    return ResultFile(path.name, path.stem, None, "application/json", path)
+
+
+STAGE = Stage(
+    EXPORT,
+    "Write files",
+    export,
+    cut="whole",
+    follows=(*TAKE, WRITE),
+    choices=("exports", "bvh", "output_rate_hz", "names"),
+    is_planned=lambda facts, config: config.making is None,
+    is_reusable=False,
+    makes_files=True,
+    pieces_of=EXPORT,
+)

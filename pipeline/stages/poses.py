@@ -1,0 +1,28 @@
+"""Find people: in a range of output frames, each instant by itself. The output is a ``Poses3D``."""
+
+from pipeline.stages.lengths import is_clustering
+from pipeline.stages.stage import DETECT, LENGTHS, POSES, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
+
+
+def find_poses(task: Task, context: Context) -> Output:
+    """Find all people in a range of output frames."""
+    from pipeline.stages.association import MeasuredBones, locate_people
+    from pipeline.stages.codec import encode
+
+    session = context.wanted(context.session())
+    joints = context.detections.joints(session)
+    detected = context.detections.in_range(task, session, task.index, task.frames)
+    lengths = context.record(LENGTHS, MeasuredBones).lengths
+    frames = context.numbered_from_first(task.frames, session)
+    return Output(encode(locate_people(session, frames, detected, lengths, joints, context.config, context.on_unit)))
+
+
+STAGE = Stage(
+    POSES,
+    "Find people",
+    find_poses,
+    cut="ranges",
+    follows=(DETECT, SYNCHRONIZE, REFINE, LENGTHS),
+    choices=("frame_range", "clustering"),
+    is_planned=is_clustering,
+)

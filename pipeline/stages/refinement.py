@@ -1,0 +1,140 @@
+"""Refinement of a session's calibration: a first association, sightings of people, refined cameras, and a report."""
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.calibration.refinement.bumps import Step
+from pipeline.calibration.refinement.level import Level, find_level
+from pipeline.calibration.refinement.refine import RefinedCameras, refine
+from pipeline.calibration.refinement.sightings import choose_sightings, sampled_frames, sampled_poses
+from pipeline.calibration.similarity import move_world, shift_m, turn_deg
+from pipeline.capture.session import Session
+from pipeline.clustering.bone_lengths import unknown_lengths
+from pipeline.clustering.skeleton import skeleton_of
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Camera, CameraBump, CameraMove, Detections, DetectionsByCamera, Poses3D, Refinement, WorldMove
+from pipeline.hands.attach import without_fingers
+from pipeline.joints import JointSet, without_hands
+from pipeline.progress import OnShare, ignore, split
+from pipeline.stages.association import locate_people, track
+from pipeline.tracking.observations import gather
+
+# Differences from the given camera below which a refined camera is not reported as moved.
+_MOVED_DEG, _MOVED_M, _MOVED_FOCAL = 0.05, 0.005, 0.001
+
+_Associate = Callable[[Session, OnShare], Iterable[Poses3D]]
+
+
+class RefinedCalibration(NamedTuple):
+    """Cameras, refined or as given, and the report."""
+
+    cameras: tuple[Camera, ...]
+    report: Refinement
+
+
+def refine_from_bodies(
+    session: Session,
+    detections: Mapping[str, Detections],
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_share: OnShare = ignore,
+) -> RefinedCalibration:
+    """Refine a session's calibration from whole bodies, which tracking associates.
+
+    Parameters
+    ----------
+    session
+        Session with the given cameras.
+    detections
+        Bodies by camera.
+    joints
+        Joints of the detections.
+    on_share
+        Called with the share of the work that is done.
+    """
+
+    def associate(current: Session, on_round: OnShare) -> Iterable[Poses3D]:
+        bodies = without_fingers(gather(current.cameras, current.times, detections), joints)
+        return sampled_poses(track(current, bodies, config, on_round), current.timebase)
+
+    return _refine(session, associate, without_hands(joints), on_share)
+
+
+def refine_from_fields(
+    session: Session,
+    chunks: Callable[[], Iterable[tuple[range, DetectionsByCamera]]],
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_share: OnShare = ignore,
+) -> RefinedCalibration:
+    """Refine a session's calibration from peaks and fields, which clustering associates instant by instant.
+
+    Parameters
+    ----------
+    session, joints, on_share
+        As of ``refine_from_bodies``.
+    chunks
+        Gives ranges of output frames in order of time, with their detections.
+    """
+    frames = sampled_frames(session.timebase)
+    lengths = unknown_lengths(skeleton_of(joints))
+
+    def associate(current: Session, on_round: OnShare) -> Iterable[Poses3D]:
+        numbers = itertools.count(1)
+        for chunk, detections in chunks():
+            wanted = range(chunk.start + -chunk.start % frames.step, chunk.stop, frames.step)
+            yield locate_people(
+                current, wanted, detections, lengths, joints, config, lambda: on_round(next(numbers) / len(frames))
+            )
+
+    return _refine(session, associate, joints, on_share)
+
+
+def _refine(session: Session, associate: _Associate, joints: JointSet, on_share: OnShare) -> RefinedCalibration:
+    given = session.cameras
+
+    def refine_from(start: tuple[Camera, ...], on_round: OnShare) -> tuple[RefinedCameras, list[Poses3D]]:
+        poses = list(associate(replace(session, cameras=start), on_round))
+        return refine(given, start, choose_sightings(poses, joints, session.timebase)), poses
+
+    on_first, on_second = split(on_share, (1, 1))
+    found, poses = refine_from(given, on_first)
+    if found.is_refined:
+        # Association with refined cameras matches people that the given ones missed.
+        again, poses = refine_from(found.cameras, on_second)
+        found = again if again.is_refined else found
+    level = find_level(found.cameras, poses, joints)
+    on_share(1.0)
+    cameras = found.cameras if level is None else move_world(found.cameras, level.level_from_given)
+    return RefinedCalibration(cameras, _report(given, found, level))
+
+
+def _report(given: Sequence[Camera], found: RefinedCameras, level: Level | None) -> Refinement:
+    pairs = zip(given, found.cameras, strict=True) if found.is_refined else ()
+    return Refinement(
+        refined=found.is_refined,
+        error_before_px=found.error_before_px,
+        error_after_px=found.error_after_px,
+        num_points=found.num_points,
+        moved=tuple(move for then, now in pairs if _is_moved(move := _move(then, now))),
+        bumped=tuple(_bump(given, step) for step in sorted(found.steps, key=lambda step: step.time_s)),
+        world=None if level is None else WorldMove(level.tilt_deg, level.height_m),
+    )
+
+
+def _move(then: Camera, now: Camera) -> CameraMove:
+    return CameraMove(now.name, turn_deg(then, now), shift_m(then, now), float(now.matrix[0, 0] / then.matrix[0, 0]))
+
+
+def _is_moved(move: CameraMove) -> bool:
+    return (
+        move.rotation_deg >= _MOVED_DEG or move.translation_m >= _MOVED_M or abs(move.focal_ratio - 1.0) >= _MOVED_FOCAL
+    )
+
+
+def _bump(given: Sequence[Camera], step: Step) -> CameraBump:
+    return CameraBump(given[step.camera].name, step.time_s, float(np.degrees(step.turn_rad)))

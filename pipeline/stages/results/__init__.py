@@ -1,1 +1,0 @@
-"""Reconstruction from the outputs of stages, and what is made of it for people to look at."""

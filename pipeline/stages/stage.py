@@ -1,0 +1,272 @@
+"""What stages are made of: declarations, tasks on ranges of frames, outputs. Standard library only.
+
+A module of this folder declares a stage as ``STAGE``, beside its function. Its head imports this module and the
+standard library, so that the plan of a job loads no science; the function imports what it needs when it runs.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pipeline.config import ReconstructionConfig
+from pipeline.edits import PersonSpan
+from pipeline.errors import PipelineError
+from pipeline.findings import Finding
+
+if TYPE_CHECKING:
+    from pipeline.stages.context import Context as Context  # noqa: PLC0414 - stages import it from here
+else:
+    Context = Any  # it knows the science
+
+LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
+LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
+IDENTIFY, FIT, EDIT, REFIT = "identify", "fit", "edit", "refit"
+WRITE, EXPORT = "write_people", "export"
+OVERLAY, REPORT = "draw_overlay", "write_report"
+FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
+CHECK = "check_session"
+TAKE = CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT
+"""Stages of whose outputs a take is assembled; see ``pipeline.stages.take``."""
+
+PERSON_PARTS = 4
+"""Number of tasks of a stage that is cut by person: person number k is in task k modulo this number.
+
+A plan is made before anybody is found. Tasks without a person take a tenth of a second.
+"""
+
+VIEWER = "viewer"
+"""Kind of the files that viewers read; lists of downloads leave them out."""
+MOTION, DESCRIPTION = "motion.bin", "motion.json"
+"""Names of these files."""
+
+Cut = Literal["cameras", "camera ranges", "ranges", "people", "whole"]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFacts:
+    """Facts of a session that a plan depends on.
+
+    Parameters
+    ----------
+    inputs
+        Digests of the files, and of all that was found in them or stated about them.
+    num_frames, frame_rate_hz
+        Output frames of the session, and their rate.
+    stretches
+        Output frames in which a camera took frames, ascending; pauses lie between them.
+    camera_rates_hz
+        Frame rate of each camera, by name, in the session's order.
+    has_videos
+        Whether the session consists of videos; else of keypoints.
+    """
+
+    inputs: tuple[str, ...]
+    num_frames: int
+    frame_rate_hz: float
+    stretches: tuple[range, ...]
+    camera_rates_hz: Mapping[str, float]
+    has_videos: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCut:
+    """Cut of a session's output frames into ranges.
+
+    Parameters
+    ----------
+    frames
+        Wanted output frames.
+    stretches
+        Output frames of the session that have to be worked on, ascending; ranges without any of them are left out.
+    chunk_frames
+        Length of a range. Ranges begin at its multiples; the first and the last one may be shorter.
+    """
+
+    frames: range
+    stretches: tuple[range, ...]
+    chunk_frames: int
+
+    def __iter__(self) -> Iterator[range]:
+        """Ranges in order, at least one."""
+        stop = 0
+        for part in self.parts:
+            first = max(stop, part.start // self.chunk_frames)
+            stop = -(-part.stop // self.chunk_frames)
+            for number in range(first, stop):
+                start = number * self.chunk_frames
+                yield range(max(start, self.frames.start), min(start + self.chunk_frames, self.frames.stop))
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames of all parts."""
+        return sum(map(len, self.parts))
+
+    @property
+    def parts(self) -> list[range]:
+        """Stretches within the wanted frames; the first wanted frame if there are none."""
+        inside = (
+            range(max(stretch.start, self.frames.start), min(stretch.stop, self.frames.stop))
+            for stretch in self.stretches
+        )
+        return [part for part in inside if part] or [self.frames[:1]]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A task of a stage.
+
+    Parameters
+    ----------
+    stage
+        Name of the stage.
+    index
+        Number within the stage.
+    camera
+        Camera whose frames it is about; ``None``: all cameras.
+    frames
+        Output frames, in the session's numbering.
+    chunk_frames
+        Length of the ranges into which the session's frames are cut.
+    num_units
+        Number of units that its progress counts, at least 1.
+    key
+        Content-addressed key of its output.
+    piece_key
+        Key of all that pieces of its output depend on but the edits of people, for stages that follow edits; see
+        ``pipeline.stages.pieces``.
+    """
+
+    stage: str
+    index: int
+    camera: str | None
+    frames: range
+    chunk_frames: int
+    num_units: int
+    key: str
+    piece_key: str = ""
+
+    @property
+    def one_camera(self) -> str:
+        """Camera of a task of a stage that is cut by camera."""
+        if self.camera is None:
+            raise PipelineError(f"Tasks of the stage {self.stage} are of one camera each.")
+        return self.camera
+
+    def cut(self, facts: SessionFacts) -> FrameCut:
+        """Cut of the frames of a task on the whole session into the ranges of the plan."""
+        return FrameCut(self.frames, facts.stretches, self.chunk_frames)
+
+
+@dataclass(frozen=True, slots=True)
+class ResultFile:
+    """A result file for the client. The executor may move it away from ``path``.
+
+    ``person`` is the number of a person as in ``name``, ``person_name`` the person's name.
+    """
+
+    name: str
+    kind: str
+    person: str | None
+    media_type: str
+    path: Path
+    person_name: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Output of a task.
+
+    Parameters
+    ----------
+    content
+        Bytes that later stages read; see ``pipeline.stages.codec``.
+    files
+        Result files, of the last stage only.
+    warnings
+        Findings about the results, for the last stage only.
+    interim
+        Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none.
+    calibration
+        Calibration that the job has made: ``files``, texts by format, and ``report``.
+    pieces
+        Files with pieces of the output, by key: kept with the session, so that later tasks find them. See
+        ``pipeline.stages.pieces``.
+    people
+        People whom the job has found, before any edit; ``None`` of a task that writes no results.
+    """
+
+    content: bytes
+    files: tuple[ResultFile, ...] = ()
+    warnings: tuple[Finding, ...] = ()
+    interim: bytes | None = None
+    calibration: Mapping[str, Any] | None = None
+    pieces: Mapping[str, Path] = field(default_factory=dict)
+    people: tuple[PersonSpan, ...] | None = None
+
+
+def made(files: Sequence[ResultFile], **figures: Any) -> Output:
+    """Result files, and an index of them with figures about them."""
+    return Output(json.dumps({"files": [file.name for file in files], **figures}).encode(), tuple(files))
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Declaration of a stage.
+
+    Parameters
+    ----------
+    name
+        Name in the service's API, in keys and in logs.
+    label
+        What forms and progress bars call it.
+    function
+        Runs a task whose stages before it are done. It raises ``InputError`` if a video can't be decoded or too many
+        of its frames are damaged, ``ModelError`` if the detector is not installed, and ``PipelineError`` if a result
+        file is not whole when it is read back.
+    cut
+        How it is cut into tasks: by camera, by camera and range of frames, by range of frames, by person, or not at
+        all.
+    follows
+        Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too.
+    choices
+        Keys of ``effective_choices`` on which its output depends. All stages depend on a choice that no stage names.
+    is_planned
+        Whether a job has this stage.
+    unit
+        What its progress counts.
+    max_frames
+        Largest number of frames of a camera that it looks at; ``None``: all.
+    looked_at_hz
+        Rate of the frames that a stage on all cameras looks at; ``None``: it works a tenth as long as detection would.
+    is_reusable
+        Whether its outputs serve other jobs of the session too.
+    leaves_interim
+        Whether its tasks leave interim outputs beside their outputs: for the stages of the same job that follow it,
+        removed when the job ends. An interim output belongs to no key. A task whose output is reused runs all the same
+        if its interim output is missing and an output of a stage that follows is missing too.
+    makes_files
+        Whether its output are result files, and their index.
+    is_of_edits
+        Whether it works for edits of people alone.
+    pieces_of
+        Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are
+        no pieces.
+    """
+
+    name: str
+    label: str
+    function: Callable[[Task, Context], Output]
+    cut: Cut
+    follows: tuple[str, ...]
+    choices: tuple[str, ...]
+    is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.is_of_people
+    unit: Literal["frames", "steps"] = "steps"
+    max_frames: int | None = None
+    looked_at_hz: float | None = None
+    is_reusable: bool = True
+    leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
+    makes_files: bool = False
+    is_of_edits: bool = False
+    pieces_of: str = ""

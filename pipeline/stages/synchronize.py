@@ -1,0 +1,29 @@
+"""Synchronise cameras: when the frames of each were taken. The output is a ``Synchronization``."""
+
+from pipeline.errors import InputError, Problem
+from pipeline.stages.stage import DETECT, SYNCHRONIZE, Context, Output, Stage, Task
+
+
+def synchronize(task: Task, context: Context) -> Output:
+    """Measure the clocks of the cameras, from all people of the session and from the sound of its videos."""
+    from pipeline.stages.codec import encode
+    from pipeline.synchronization.session import listen, measure_clocks
+
+    if context.detections.finds_fields:
+        message = "Cameras are synchronised from whole bodies; this network finds joints."
+        raise InputError([Problem("sync_needs_bodies", message, hint="Choose another detector, or declare offsets.")])
+    session = context.session()
+    bodies, joints = context.detections.bodies(session), context.detections.joints(session)
+    sound = listen(session, context.video)
+    return Output(encode(measure_clocks(session, bodies, joints, sound, context.on_share(task))))
+
+
+STAGE = Stage(
+    SYNCHRONIZE,
+    "Synchronise cameras",
+    synchronize,
+    cut="whole",
+    follows=(DETECT,),
+    choices=("sync",),
+    is_planned=lambda facts, config: config.is_of_people and config.sync == "auto",
+)

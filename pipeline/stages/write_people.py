@@ -1,0 +1,31 @@
+"""Write files of edited people: pieces that the stage ``export`` finds again. The output is empty."""
+
+from pipeline.edits import without_names
+from pipeline.stages.stage import EXPORT, PERSON_PARTS, TAKE, WRITE, Context, Output, Stage, Task
+
+
+def write_people(task: Task, context: Context) -> Output:
+    """Write the files of a part of the people."""
+    from pipeline.export.results import keep_people
+    from pipeline.stages.pieces import FilesInPieces, Pieces
+    from pipeline.stages.take import assemble
+
+    config, pieces = context.config, Pieces(task, context)
+    rows = slice(task.index, None, PERSON_PARTS)
+    choices = config.exports, config.bvh, config.output_rate_hz
+    files = FilesInPieces(pieces, context.scratch)
+    keep_people(assemble(context), rows, context.scratch, *choices, context.on_share(task), files)
+    return Output(b"", pieces=pieces.files)
+
+
+STAGE = Stage(
+    WRITE,
+    "Write files of edited people",
+    write_people,
+    cut="people",
+    follows=TAKE,
+    choices=("exports", "bvh", "output_rate_hz"),
+    is_planned=lambda facts, config: config.making is None and bool(without_names(config.edits)),
+    is_of_edits=True,
+    pieces_of=EXPORT,
+)

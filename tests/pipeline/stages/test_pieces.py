@@ -1,0 +1,217 @@
+"""Pieces of outputs: found again after other edits, with the bytes that the work would make."""
+
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
+from pipeline.data import Reconstruction, SkeletonMotion
+from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
+from pipeline.export.formats import FORMATS as FORMATS_BY_NAME
+from pipeline.export.formats import Person
+from pipeline.export.person_files import PersonOfTake, people_of
+from pipeline.export.results import keep_people, write_files
+from pipeline.export.writers import bvh, c3d_file, csv_table, glb, skeletons_json, trc
+from pipeline.progress import ignore
+from pipeline.quality.views import ViewsOf, views_of
+from pipeline.simulation.scenes import find_scene, record
+from pipeline.skeleton import animate
+from pipeline.stages.local import reconstruct, session_facts
+from pipeline.stages.pieces import FilesInPieces, Pieces, TakeInPieces
+from pipeline.stages.plan import STAGE_BY_NAME, plan
+from pipeline.stages.stage import EXPORT, PERSON_PARTS, REPORT, WRITE
+from pipeline.stages.take import viewer_files
+from tests.pipeline.simulations import write_simulation
+
+FORMATS = tuple(FILE_FORMATS)
+HALF = 25
+
+
+class KeptPieces(Pieces):
+    """Pieces of many tasks, kept in memory."""
+
+    def __init__(self) -> None:
+        self._key = "key of a task"
+        self.kept: dict[str, bytes] = {}
+
+    def find(self, key: str) -> bytes | None:
+        return self.kept.get(key)
+
+    def keep(self, key: str, path: Path) -> None:
+        self.kept[key] = path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
+    folder = tmp_path_factory.mktemp("session")
+    write_simulation(record(dataclasses.replace(find_scene("room"), duration_s=2.0), seed=6), folder)
+    return open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+def edited(session: KeypointSession, cache: Path | None, *edits: PeopleEdit) -> Reconstruction:
+    return reconstruct(session, dataclasses.replace(ReconstructionConfig(), edits=edits), cache=cache)
+
+
+def fail(*_: object) -> NoReturn:
+    raise AssertionError
+
+
+def files(
+    take: Reconstruction, folder: Path, pieces: Pieces, frame_rate_hz: float | None = None
+) -> Mapping[str, bytes]:
+    paths = write_files(take, folder, FORMATS, "default", frame_rate_hz, kept=FilesInPieces(pieces, folder)).paths
+    return {path.name: path.read_bytes() for path in paths}
+
+
+def test_people_are_fitted_once_whatever_is_edited_elsewhere(
+    session: KeypointSession, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exchange = Exchange(person=1, other=2, start_frame=HALF)
+    edited(session, cache, exchange)
+    alone = edited(session, None, Split(person=3, frame=HALF), exchange, Merge(person=3, other=4))
+    monkeypatch.setattr(animate, "animate", fail)
+    # The exchanged people have been fitted; the third one is whole again.
+    found = edited(session, cache, Split(person=3, frame=HALF), exchange, Merge(person=3, other=4))
+    assert [motion.track_id for motion in found.motions] == [motion.track_id for motion in alone.motions]
+    for one, other in zip(found.motions, alone.motions, strict=True):
+        np.testing.assert_array_equal(one.parent_from_joint, other.parent_from_joint)
+    with pytest.raises(AssertionError):
+        edited(session, cache, Exchange(person=1, other=2, start_frame=HALF + 1))
+
+
+def test_files_are_written_once_and_renamed_people_anew(
+    session: KeypointSession, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, pieces = edited(session, cache), KeptPieces()
+    first = files(plain, tmp_path / "first", pieces)
+    for format_ in (bvh, c3d_file, csv_table, glb, trc):
+        monkeypatch.setattr(format_, "encode", fail)
+    monkeypatch.setattr(skeletons_json, "encode_track", fail)
+    assert files(plain, tmp_path / "again", pieces) == first
+    renamed = edited(session, cache, Rename(person=2, name="Zoë"))
+    with pytest.raises(AssertionError):
+        files(renamed, tmp_path / "failed", pieces)
+    monkeypatch.undo()
+    fresh = files(renamed, tmp_path / "fresh", KeptPieces())
+    # Of the renamed person the one file that holds the name is written, and no other.
+    written: list[str] = []
+    for format_ in (bvh, c3d_file, csv_table, trc):
+        monkeypatch.setattr(format_, "encode", fail)
+    monkeypatch.setattr(skeletons_json, "encode_track", fail)
+    encode = glb.encode
+
+    def encode_noted(motion: SkeletonMotion) -> Iterator[bytes]:
+        written.append(motion.name)
+        return encode(motion)
+
+    monkeypatch.setattr(glb, "encode", encode_noted)
+    assert files(renamed, tmp_path / "kept", pieces) == fresh
+    assert written == ["Zoë"]
+    assert {name for name in fresh if fresh[name] != first[name]} == {"skeletons.json", "person-2.glb"}
+
+
+def test_a_name_changes_no_report_and_no_motion_for_viewers(
+    session: KeypointSession, cache: Path, tmp_path: Path
+) -> None:
+    def figures(pieces: Pieces, *edits: PeopleEdit, views: ViewsOf = views_of) -> tuple[dict[str, Any], list[bytes]]:
+        take = edited(session, cache, *edits)
+        of_take = TakeInPieces(pieces, tmp_path, edits)
+        report = of_take.report(take, views)
+        made = of_take.viewer_files(take, lambda: viewer_files(take, views(take), session, report, tmp_path))
+        return report, [file.path.read_bytes() for file in made]
+
+    split, name = Split(person=1, frame=HALF), Rename(person=2, name="Zoë")
+    pieces = KeptPieces()
+    figures(pieces, split)
+    kept = figures(pieces, split, name, views=fail)
+    assert kept == figures(KeptPieces(), split, name)
+    assert "Zoë" in [person["name"] for person in json.loads(kept[1][1])["people"]]
+    with pytest.raises(AssertionError):
+        figures(pieces, Split(person=1, frame=HALF + 1), name, views=fail)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_formats_say_whether_their_files_hold_names(session: KeypointSession, cache: Path, name: Export) -> None:
+    (one, *_) = people_of(edited(session, cache))
+
+    def content(motion: SkeletonMotion) -> bytes:
+        return b"".join(
+            FORMATS_BY_NAME[name].encode(Person(one.track, motion, one.joints, one.timebase, "f", "default"))
+        )
+
+    holds_name = content(one.motion) != content(dataclasses.replace(one.motion, name="Somebody else"))
+    assert holds_name == FORMATS_BY_NAME[name].holds_name
+
+
+def test_names_change_the_keys_of_files_alone(session: KeypointSession) -> None:
+    def keys(*edits: PeopleEdit) -> dict[str, list[str]]:
+        config = dataclasses.replace(ReconstructionConfig(), edits=edits, report=True)
+        stages = plan(session_facts(session, ("digest",)), config, dict.fromkeys(STAGE_BY_NAME, "code"))
+        return {stage.name: [task.key for task in stage.tasks] for stage in stages}
+
+    split, anna, zoe = Split(person=1, frame=HALF), Rename(person=1, name="Anna"), Rename(person=2, name="Zoë")
+    # Without another edit nobody is fitted or written ahead.
+    assert keys(anna).keys() == keys().keys()
+    for before, after in (
+        (keys(), keys(anna)),
+        (keys(split), keys(anna, split)),
+        (keys(split, anna), keys(split, zoe)),
+    ):
+        assert {name for name in after if after[name] != before[name]} == {REPORT, EXPORT}
+    assert keys(split)[EXPORT] != keys(Split(person=2, frame=HALF))[EXPORT]
+
+
+def test_parts_of_the_people_are_written_ahead_at_any_rate(
+    session: KeypointSession, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, pieces, rate_hz = edited(session, cache, Rename(person=2, name="Zoë")), KeptPieces(), 10.0
+    fresh = files(take, tmp_path / "fresh", KeptPieces(), rate_hz)
+    for number in range(PERSON_PARTS):
+        folder = tmp_path / f"part-{number}"
+        folder.mkdir()
+        kept = FilesInPieces(pieces, tmp_path)
+        keep_people(take, slice(number, None, PERSON_PARTS), folder, FORMATS, "default", rate_hz, ignore, kept)
+        assert not list(folder.iterdir())
+    monkeypatch.setattr(bvh, "encode", fail)
+    assert files(take, tmp_path / "found", pieces, rate_hz) == fresh
+
+
+def test_stages_that_write_and_find_files_name_their_pieces_alike(session: KeypointSession) -> None:
+    def piece_keys(**choices: Any) -> list[str]:
+        config = dataclasses.replace(ReconstructionConfig(), **choices)
+        stages = plan(session_facts(session, ("digest",)), config, dict.fromkeys(STAGE_BY_NAME, "code"))
+        return [task.piece_key for stage in stages if stage.name in {WRITE, EXPORT} for task in stage.tasks]
+
+    unedited = piece_keys()
+    edits = piece_keys(edits=(Rename(person=1, name="Anna"), Split(person=1, frame=HALF)))
+    assert edits == unedited * (PERSON_PARTS + 1)
+    assert len({*unedited, *piece_keys(exports=("bvh", "glb")), *piece_keys(output_rate_hz=10.0)}) == 3
+
+
+def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> None:
+    one, other = list(people_of(edited(session, cache)))[:2]
+    pieces = KeptPieces()
+    moved = one.track.xyz_m.copy()
+    moved[0, 0, 0] += 1e-12
+    people = [
+        one,
+        other,
+        dataclasses.replace(one, track=dataclasses.replace(one.track, xyz_m=moved)),
+        dataclasses.replace(one, motion=dataclasses.replace(one.motion, name="Zoë")),
+        dataclasses.replace(one, motion=dataclasses.replace(one.motion, contacts=())),
+        dataclasses.replace(one, timebase=dataclasses.replace(one.timebase, start_time_s=1.0)),
+    ]
+    keys = [pieces.key(person) for person in people]
+    assert len(set(keys)) == len(keys)
+    assert pieces.key(PersonOfTake(one.track, one.motion, one.joints, one.timebase)) == keys[0]
