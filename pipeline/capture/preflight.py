@@ -91,16 +91,15 @@ def report(
 
 
 def _media(session: Session, recordings: Sequence[Recording]) -> Mapping[str, tuple[str | None, float]]:
-    """Media type for browsers and time of the first frame in the file, by camera with a video."""
+    """Media type for browsers and time of the first frame in the file, by camera; of keypoints ``None`` and 0."""
     # Players would show a video with wrong times at these.
     corrected = {recording.camera for recording in recordings if recording.frame_rate_hz is not None}
-    return {
-        camera.name: (
-            None if corrected & {camera.name, camera.section} else video.browser_media_type,
-            video.media_start_s,
-        )
-        for camera, video in zip(session.cameras, session.video_of.values(), strict=False)
-    }
+    media: dict[str, tuple[str | None, float]] = {camera.name: (None, 0.0) for camera in session.cameras}
+    for camera in session.cameras:
+        if (video := session.video_of.get(camera.name)) is not None:
+            is_corrected = bool(corrected & {camera.name, camera.section})
+            media[camera.name] = (None if is_corrected else video.browser_media_type, video.media_start_s)
+    return media
 
 
 def _camera_rate_hz(session: Session, camera: str) -> float:
