@@ -159,7 +159,7 @@ class _TaskContext(Context):
     def piece(self, key: str) -> bytes | None:
         return self.work.piece(key)
 
-    def found(self) -> bytes | None:
+    def stored_output(self) -> bytes | None:
         return self.work.found
 
 

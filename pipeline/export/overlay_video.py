@@ -32,7 +32,9 @@ def overlay_names(cameras: Sequence[str]) -> tuple[str, ...]:
     names: list[str] = []
     taken: set[str] = set()
     for camera in cameras:
-        kept = "".join(one if one.isascii() and (one.isalnum() or one in "_-") else " " for one in camera)
+        kept = "".join(
+            letter if letter.isascii() and (letter.isalnum() or letter in "_-") else " " for letter in camera
+        )
         word = "-".join(kept.split())[:_MAX_NAME] or "camera"
         name, number = word, 1
         while name.lower() in taken:
@@ -69,9 +71,9 @@ def draw_video(session: Session, take: Reconstruction, camera: str, path: Path, 
     frames = frames_in(times, timebase.time_s(-0.5), timebase.time_s(timebase.num_frames - 0.5))
     if not frames:
         return False
-    (of_take,) = (one for one in take.cameras if one.name == camera)
-    size_px = even_size_px(of_take.size_px, LONG_SIDE_PX)
-    small, time_s = scaled(of_take, size_px), times.time_s[frames.start : frames.stop]
+    (shown,) = (known for known in take.cameras if known.name == camera)
+    size_px = even_size_px(shown.size_px, LONG_SIDE_PX)
+    small, time_s = scaled(shown, size_px), times.time_s[frames.start : frames.stop]
 
     names = given_names(take.motions)
 

@@ -60,11 +60,11 @@ def _bodies(
     half_s = 0.5 / session.timebase.frame_rate_hz
     ends_s = [(session.timebase.time_s(span[0]) - half_s, session.timebase.time_s(span[-1]) + half_s) for span in spans]
     chunks = [
-        one.within(frames_in(session.times[name], *ends))
+        bodies.within(frames_in(session.times[name], *ends))
         for ends in ends_s
         for part in ranges
-        for name, one in part.items()
-        if isinstance(one, Detections)
+        for name, bodies in part.items()
+        if isinstance(bodies, Detections)
     ]
     return concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
 
@@ -73,10 +73,10 @@ def _affordable(session: Session, detections: Mapping[str, Detections], spans: S
     """Share of the spans that can be looked at in some seconds: each body is compared with all of other cameras."""
     seconds = sum(map(len, spans)) / session.timebase.frame_rate_hz
     people = [
-        len(of.frame) / max(1.0, seconds * measured_rate_hz(session.times[name].time_s))
-        for name, of in detections.items()
+        len(bodies.frame) / max(1.0, seconds * measured_rate_hz(session.times[name].time_s))
+        for name, bodies in detections.items()
     ]
-    comparisons = seconds * sum(one * other for one, other in itertools.combinations(people, 2))
+    comparisons = seconds * sum(first * second for first, second in itertools.combinations(people, 2))
     return min(1.0, _MAX_COMPARISONS / max(comparisons, 1e-9))
 
 
@@ -105,5 +105,5 @@ def _spans(parts: Sequence[range], frame_rate_hz: float) -> list[range]:
         return list(parts)
     middles = [len(frames) * (2 * k + 1) // (2 * _NUM_PARTS) for k in range(_NUM_PARTS)]
     chosen = [frames[middle - length // 2 : middle - length // 2 + length] for middle in middles]
-    pieces = [piece for one in chosen for piece in np.split(one, np.flatnonzero(np.diff(one) != 1) + 1)]
+    pieces = [piece for middle in chosen for piece in np.split(middle, np.flatnonzero(np.diff(middle) != 1) + 1)]
     return [range(int(piece[0]), int(piece[-1]) + 1) for piece in pieces]

@@ -74,15 +74,15 @@ def _at(
     detected: DetectionsByCamera, frames: Mapping[str, Sequence[int | None]], joints: JointSet
 ) -> Mapping[str, Detections]:
     """Bodies in some frames of each camera."""
-    found = {}
-    for name, one in detected.items():
+    bodies = {}
+    for name, seen in detected.items():
         wanted = sorted({frame for frame in frames[name] if frame is not None})
-        if isinstance(one, PafFields):
-            found[name] = stack_bodies(name, _grouped(one, wanted, joints), len(joints.names))
+        if isinstance(seen, PafFields):
+            bodies[name] = stack_bodies(name, _grouped(seen, wanted, joints), len(joints.names))
         else:
-            parts = [one.within(range(frame, frame + 1)) for frame in wanted]
-            found[name] = concatenate(parts, [name], len(joints.names))[name]
-    return found
+            parts = [seen.within(range(frame, frame + 1)) for frame in wanted]
+            bodies[name] = concatenate(parts, [name], len(joints.names))[name]
+    return bodies
 
 
 def _grouped(fields: PafFields, wanted: Sequence[int], joints: JointSet) -> list[tuple[int, ImageBodies]]:

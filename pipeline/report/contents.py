@@ -90,7 +90,7 @@ def contents_of(
 
 def _picture(reading: ReadVideo, session: Session, take: Reconstruction, camera: str, moment: Moment) -> Picture | None:
     """Picture of a camera at a moment; ``None`` if it took none within an interval of its own frames."""
-    (of_take,) = (one for one in take.cameras if one.name == camera)
+    (shown,) = (known for known in take.cameras if known.name == camera)
     own_s = session.times[camera].time_s
     wanted_s = take.timebase.time_s(moment.frame)
     interval_s = max(1.0 / take.timebase.frame_rate_hz, float(np.median(np.diff(own_s))) if len(own_s) > 1 else 0.0)
@@ -105,7 +105,7 @@ def _picture(reading: ReadVideo, session: Session, take: Reconstruction, camera:
         if image_rgb is None:
             return None
     people_m = people_at(take.tracks, take.timebase, time_s)
-    size_px, jpeg = draw_picture(image_rgb, of_take, people_m, take.joints, given_names(take.motions))
+    size_px, jpeg = draw_picture(image_rgb, shown, people_m, take.joints, given_names(take.motions))
     return Picture(moment, camera, time_s, size_px, jpeg)
 
 
@@ -144,7 +144,7 @@ def _edit_words(edit: Mapping[str, Any]) -> str:
 
 def versions_of(distributions: Sequence[str], networks: Sequence[str]) -> Rows:
     """Versions of this program and of the installed ones among some distributions, and digests of networks."""
-    rows = [(name, found) for name in ("multicap", *distributions) if (found := _version(name)) is not None]
+    rows = [(name, installed) for name in ("multicap", *distributions) if (installed := _version(name)) is not None]
     return [*rows, *((f"network {name}", f"SHA-256 {entry_of(name).sha256}") for name in networks)]
 
 

@@ -103,13 +103,13 @@ def _reached(
 
 def reachable_modules(root: Path, modules: Iterable[str], package: str = PACKAGE) -> list[str]:
     """List modules and those of the package that they import, directly or indirectly, sorted by name."""
-    found: set[str] = set()
+    reached: set[str] = set()
     waiting = set(modules)
     while waiting:
         name = waiting.pop()
-        found.add(name)
-        waiting |= _modules(root, _imports(_path(root, name).read_bytes()), package) - found
-    return sorted(found)
+        reached.add(name)
+        waiting |= _modules(root, _imports(_path(root, name).read_bytes()), package) - reached
+    return sorted(reached)
 
 
 def forget_sources() -> None:
@@ -184,10 +184,10 @@ def _parts(source: bytes, has_members: bool) -> tuple[_Part, ...]:
     parts = []
     for statement in _parsed(source).body:
         if has_members and isinstance(statement, ast.ClassDef):
-            members = [one for one in statement.body if _is_member(one)]
+            members = [inner for inner in statement.body if _is_member(inner)]
             parts += [_part(member, statement.name) for member in members]
             statement = copy.copy(statement)  # noqa: PLW2901
-            statement.body = [one for one in statement.body if one not in members]
+            statement.body = [inner for inner in statement.body if inner not in members]
         parts.append(_part(statement))
     return tuple(parts)
 

@@ -122,8 +122,8 @@ def _defaults(kind: Any) -> Mapping[str, Any] | None:
     """Fields of a type of records with their defaults, ``MISSING`` where there is none; ``None`` of other types."""
     if isinstance(kind, type) and is_dataclass(kind):
         return {
-            one.name: one.default_factory() if one.default_factory is not MISSING else one.default
-            for one in fields(kind)
+            field.name: field.default_factory() if field.default_factory is not MISSING else field.default
+            for field in fields(kind)
         }
     if hasattr(kind, "_field_defaults"):
         return {name: kind._field_defaults.get(name, MISSING) for name in kind._fields}
@@ -140,15 +140,15 @@ def _hints(kind: type) -> Mapping[str, Any]:
     return get_type_hints(kind)
 
 
-def _equal(one: Any, other: Any) -> bool:
+def _equal(value: Any, default: Any) -> bool:
     """Whether two values are of one type and equal, down to the arrays of records."""
-    if type(one) is not type(other):
+    if type(value) is not type(default):
         return False
-    if isinstance(one, np.ndarray):
-        return one.dtype == other.dtype and one.shape == other.shape and np.array_equal(one, other)
-    if (names := _defaults_of(one)) is not None:
-        return all(_equal(getattr(one, name), getattr(other, name)) for name in names)
-    return bool(one == other)
+    if isinstance(value, np.ndarray):
+        return value.dtype == default.dtype and value.shape == default.shape and np.array_equal(value, default)
+    if (names := _defaults_of(value)) is not None:
+        return all(_equal(getattr(value, name), getattr(default, name)) for name in names)
+    return bool(value == default)
 
 
 def _joined(path: str, step: str | int) -> str:

@@ -104,7 +104,7 @@ class Context(ABC):
         """Interim outputs of all tasks of an earlier stage, in the tasks' order; see ``Stage.leaves_interim``."""
 
     @abstractmethod
-    def found(self) -> bytes | None:
+    def stored_output(self) -> bytes | None:
         """Output of this task if an earlier job has left it, and this job lacks only the interim output."""
 
     @abstractmethod
@@ -177,7 +177,7 @@ class Context(ABC):
         """Bodies of all cameras as tracking takes them, and the damaged videos among those that show them."""
         session, source = self.wanted(self.session()), self.detections
         bodies = source.bodies(session, with_colours=source.measures_colours)
-        damaged = source.damaged_videos(session, [(camera, one.damaged, one.changes) for camera, one in bodies.items()])
+        damaged = source.damaged_videos(session, [(name, seen.damaged, seen.changes) for name, seen in bodies.items()])
         return gather(session.cameras, session.times, bodies), damaged
 
     def offsets(self) -> JointOffsets:
@@ -293,7 +293,7 @@ class _VideoDetections(DetectionSource):
         chunks = self._context.records(DETECT, Detections)
         if with_colours:
             colours = map(decode_arrays, self._context.interim(DETECT))
-            chunks = (replace(chunk, colour=found["colour"]) for chunk, found in zip(chunks, colours, strict=True))
+            chunks = (replace(chunk, colour=arrays["colour"]) for chunk, arrays in zip(chunks, colours, strict=True))
         return self._joined(_of_kind(session, CaptureSession), chunks)
 
     def in_range(self, task: Task, session: Session, number: int, frames: range) -> DetectionsByCamera:

@@ -20,7 +20,7 @@ def detect(task: Task, context: Context) -> Output:
     from pipeline.stages.codec import decode, encode
     from pipeline.video.timeline import span_s
 
-    session, config, camera, stored = context.videos(), context.config, task.one_camera, context.found()
+    session, config, camera, stored = context.videos(), context.config, task.one_camera, context.stored_output()
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
     networks = networks_of(config)
     with context.video(camera):

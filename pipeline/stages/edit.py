@@ -10,10 +10,10 @@ def edit(task: Task, context: Context) -> Output:
     from pipeline.stages.editing import changed_people, edited_take
     from pipeline.stages.people import write_people
 
-    found = context.people(IDENTIFY)
-    take = edited_take(found.spans, context.config, context.wanted(context.outline()).timebase)
+    identified = context.people(IDENTIFY)
+    take = edited_take(identified.spans, context.config, context.wanted(context.outline()).timebase)
     path = context.scratch / "people.npz"
-    write_people(path, changed_people(found.people, found.spans, take))
+    write_people(path, changed_people(identified.people, identified.spans, take))
     context.on_share(task)(1.0)
     return Output(path.read_bytes())
 

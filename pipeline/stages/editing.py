@@ -28,25 +28,25 @@ from pipeline.video.timeline import cut_timebase
 _ARRAYS = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
 
 
-def edited_take(found: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:
+def edited_take(spans: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:
     """People after the edits of a configuration; without edits as they were found."""
-    return apply_edits(found, config.edits, timebase.num_frames)
+    return apply_edits(spans, config.edits, timebase.num_frames)
 
 
-def changed_people(people: People, found: Sequence[PersonSpan], take: EditedTake) -> People:
+def changed_people(people: People, spans: Sequence[PersonSpan], take: EditedTake) -> People:
     """Tracks and observations of the people whom the edits changed, from those of the people who were found.
 
     Frames between two pieces are absent. People without a single known joint are left out.
 
     Parameters
     ----------
-    people, found
+    people, spans
         People who were found, and their frames in the same order.
     """
-    number_of = {span.id: number for number, span in enumerate(found)}
+    number_of = {span.id: number for number, span in enumerate(spans)}
     tracks, observations = [], []
     for person in take.people:
-        if unchanged_from(person, found) is not None:
+        if unchanged_from(person, spans) is not None:
             continue
         parts = [people.tracks[number_of[piece.person]] for piece in person.pieces]
         track = _track(person, parts)
@@ -60,11 +60,11 @@ def changed_people(people: People, found: Sequence[PersonSpan], take: EditedTake
     return People(tracks, observations)
 
 
-def unchanged_from(person: EditedPerson, found: Sequence[PersonSpan]) -> int | None:
+def unchanged_from(person: EditedPerson, spans: Sequence[PersonSpan]) -> int | None:
     """Number of the person who was found with the same frames; ``None`` if the edits changed them."""
     if len(person.pieces) == 1:
         (piece,) = person.pieces
-        for span in found:
+        for span in spans:
             if span == PersonSpan(piece.person, piece.start_frame, piece.stop_frame - piece.start_frame):
                 return span.id
     return None
@@ -73,7 +73,7 @@ def unchanged_from(person: EditedPerson, found: Sequence[PersonSpan]) -> int | N
 def put_together(
     people: People,
     fitted: Animation,
-    found: Sequence[PersonSpan],
+    spans: Sequence[PersonSpan],
     changed: People,
     refitted: Animation,
     take: EditedTake,
@@ -85,17 +85,17 @@ def put_together(
 
     Parameters
     ----------
-    people, fitted, found
+    people, fitted, spans
         People who were found, their animation and their frames, in the same order.
     changed, refitted
         People of ``changed_people``, and their animation.
     """
-    number_of = {span.id: number for number, span in enumerate(found)}
+    number_of = {span.id: number for number, span in enumerate(spans)}
     changed_number_of = {track.track_id: number for number, track in enumerate(refitted.tracks)}
     sources: list[tuple[int, People, int]] = []
     tracks, motions, doubts = [], [], []
     for person in take.people:
-        source = unchanged_from(person, found)
+        source = unchanged_from(person, spans)
         if source is None and person.id not in changed_number_of:
             continue
         number = changed_number_of[person.id] if source is None else number_of[source]
@@ -207,7 +207,7 @@ def _track(person: EditedPerson, parts: Sequence[Track3D]) -> Track3D:
     num_frames = person.stop_frame - person.start_frame
     shape = num_frames, num_joints
     has_uncertainty = any(part.uncertainty_m is not None for part in parts)
-    found: dict[str, np.ndarray] = {
+    arrays: dict[str, np.ndarray] = {
         "xyz_m": np.full((*shape, 3), np.nan),
         "score": np.zeros(shape),
         "source": np.full(shape, Source.ABSENT, parts[0].source.dtype),
@@ -215,22 +215,22 @@ def _track(person: EditedPerson, parts: Sequence[Track3D]) -> Track3D:
         "views": np.zeros(shape, parts[0].views.dtype),
     }
     if has_uncertainty:
-        found["uncertainty_m"] = np.full(shape, np.nan)
+        arrays["uncertainty_m"] = np.full(shape, np.nan)
     for rows, own_rows, part in _places(person, parts):
-        for name, values in found.items():
-            of_part = getattr(part, name)
-            if of_part is not None:
-                values[rows] = of_part[own_rows]
-    return Track3D(person.id, person.start_frame, **{name: read_only(values) for name, values in found.items()})
+        for name, array in arrays.items():
+            values = getattr(part, name)
+            if values is not None:
+                array[rows] = values[own_rows]
+    return Track3D(person.id, person.start_frame, **{name: read_only(array) for name, array in arrays.items()})
 
 
 def _observations(person: EditedPerson, parts: Sequence[Track3D], seen: Sequence[Observations]) -> Observations:
     num_frames = person.stop_frame - person.start_frame
     points_px = np.full((num_frames, *seen[0].points_px.shape[1:]), np.nan)
     score = np.zeros((num_frames, *seen[0].score.shape[1:]))
-    for (rows, own_rows, _), of_part in zip(_places(person, parts), seen, strict=True):
-        points_px[rows] = of_part.points_px[own_rows]
-        score[rows] = of_part.score[own_rows]
+    for (rows, own_rows, _), observations in zip(_places(person, parts), seen, strict=True):
+        points_px[rows] = observations.points_px[own_rows]
+        score[rows] = observations.score[own_rows]
     # Identities are decided: the rows of the detections are needed for nothing else.
     return Observations(person.id, read_only(points_px), read_only(score), no_detections())
 

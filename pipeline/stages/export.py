@@ -6,7 +6,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from pipeline.config import FILE_FORMATS
-from pipeline.stages.stage import EXPORT, IDENTIFY, TAKE, WRITE, Context, Output, ResultFile, Stage, Task, made
+from pipeline.stages.stage import EXPORT, IDENTIFY, TAKE, WRITE, Context, Output, ResultFile, Stage, Task, indexed
 
 
 def export(task: Task, context: Context) -> Output:
@@ -31,12 +31,12 @@ def export(task: Task, context: Context) -> Output:
         first_frame = 0 if frames is None else frames.start
 
         def for_viewers() -> Sequence[ResultFile]:
-            of_take = views(reconstruction), context.outline(), written.metrics, scratch
-            return viewer_files(reconstruction, *of_take, first_frame)
+            footage = context.outline()
+            return viewer_files(reconstruction, views(reconstruction), footage, written.metrics, scratch, first_frame)
 
         files += take.viewer_files(reconstruction, for_viewers) if context.keeps_pieces else for_viewers()
     warnings = tuple(all_checks(written.metrics))
-    output = made(files, metrics=written.metrics)
+    output = indexed(files, metrics=written.metrics)
     return replace(output, warnings=warnings, people=context.people(IDENTIFY).spans, pieces=pieces.files)
 
 

@@ -22,7 +22,7 @@ def measure_lengths(task: Task, context: Context) -> Output:
     def ranges() -> Iterator[tuple[range, Any]]:
         for number, frames in enumerate(task.cut(context.facts)):
             detected = context.detections.in_range(task, session, number, frames)
-            pictures.extend((camera, found.damaged, found.changes) for camera, found in detected.items())
+            pictures.extend((camera, seen.damaged, seen.changes) for camera, seen in detected.items())
             yield context.numbered_from_first(frames, session), detected
 
     lengths = measure_bones(session, ranges(), joints, context.config, context.on_unit)

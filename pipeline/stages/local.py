@@ -359,7 +359,7 @@ class _TaskContext(Context):
     def piece(self, key: str) -> bytes | None:
         return self.job.outputs.read(key)
 
-    def found(self) -> bytes | None:
+    def stored_output(self) -> bytes | None:
         return None if self.task is None else self.job.outputs.read(self.task.key)
 
 

@@ -1,6 +1,6 @@
 """Draw overlay videos: each camera's video with the skeletons drawn over it. The output is the index of the files."""
 
-from pipeline.stages.stage import OVERLAY, TAKE, Context, Output, ResultFile, Stage, Task, made
+from pipeline.stages.stage import OVERLAY, TAKE, Context, Output, ResultFile, Stage, Task, indexed
 from pipeline.visual_choices import OVERLAY_KIND
 
 
@@ -12,11 +12,11 @@ def draw_overlay(task: Task, context: Context) -> Output:
     camera = task.one_camera
     with context.video(camera):
         session, take = context.on_clocks(context.videos()), assemble(context)
-        names = [one.name for one in take.cameras]
+        names = [shown.name for shown in take.cameras]
         path = context.scratch / overlay_names(names)[names.index(camera)]
         if not draw_video(session, take, camera, path, context.on_unit):
-            return made(())
-    return made([ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path)])
+            return indexed(())
+    return indexed([ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path)])
 
 
 STAGE = Stage(

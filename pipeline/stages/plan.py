@@ -138,10 +138,10 @@ def plan(
 
 def _piece_key(stage: Stage, keys: Mapping[str, str], codes: Mapping[str, str], choices: Mapping[str, Any]) -> str:
     """Key of all that pieces of a stage's output depend on but the edits of people."""
-    of_edits = [other.name for other in STAGES if other.is_of_edits]
-    before = [keys[name] for name in stage.follows if name in keys and name not in of_edits]
+    edit_stages = [other.name for other in STAGES if other.is_of_edits]
+    before = [keys[name] for name in stage.follows if name in keys and name not in edit_stages]
     own = {name: value for name, value in _choices_of(stage, choices).items() if name not in _OF_EDITS}
-    return _hash([stage.name, codes[stage.name], own, before, [codes[name] for name in of_edits]])
+    return _hash([stage.name, codes[stage.name], own, before, [codes[name] for name in edit_stages]])
 
 
 def _choices_of(stage: Stage, choices: Mapping[str, Any]) -> dict[str, Any]:

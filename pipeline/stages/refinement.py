@@ -102,26 +102,26 @@ def _refine(session: Session, associate: _Associate, joints: JointSet, on_share:
         return refine(given, start, choose_sightings(poses, joints, session.timebase)), poses
 
     on_first, on_second = split(on_share, (1, 1))
-    found, poses = refine_from(given, on_first)
-    if found.is_refined:
+    refined, poses = refine_from(given, on_first)
+    if refined.is_refined:
         # Association with refined cameras matches people that the given ones missed.
-        again, poses = refine_from(found.cameras, on_second)
-        found = again if again.is_refined else found
-    level = find_level(found.cameras, poses, joints)
+        again, poses = refine_from(refined.cameras, on_second)
+        refined = again if again.is_refined else refined
+    level = find_level(refined.cameras, poses, joints)
     on_share(1.0)
-    cameras = found.cameras if level is None else move_world(found.cameras, level.level_from_given)
-    return RefinedCalibration(cameras, _report(given, found, level))
+    cameras = refined.cameras if level is None else move_world(refined.cameras, level.level_from_given)
+    return RefinedCalibration(cameras, _report(given, refined, level))
 
 
-def _report(given: Sequence[Camera], found: RefinedCameras, level: Level | None) -> Refinement:
-    pairs = zip(given, found.cameras, strict=True) if found.is_refined else ()
+def _report(given: Sequence[Camera], refined: RefinedCameras, level: Level | None) -> Refinement:
+    pairs = zip(given, refined.cameras, strict=True) if refined.is_refined else ()
     return Refinement(
-        refined=found.is_refined,
-        error_before_px=found.error_before_px,
-        error_after_px=found.error_after_px,
-        num_points=found.num_points,
+        refined=refined.is_refined,
+        error_before_px=refined.error_before_px,
+        error_after_px=refined.error_after_px,
+        num_points=refined.num_points,
         moved=tuple(move for then, now in pairs if _is_moved(move := _move(then, now))),
-        bumped=tuple(_bump(given, step) for step in sorted(found.steps, key=lambda step: step.time_s)),
+        bumped=tuple(_bump(given, step) for step in sorted(refined.steps, key=lambda step: step.time_s)),
         world=None if level is None else WorldMove(level.tilt_deg, level.height_m),
     )
 

@@ -1,6 +1,6 @@
 """Write the report of a take. The output is the index of its file."""
 
-from pipeline.stages.stage import REPORT, TAKE, Context, Output, ResultFile, Stage, Task, made
+from pipeline.stages.stage import REPORT, TAKE, Context, Output, ResultFile, Stage, Task, indexed
 from pipeline.visual_choices import REPORT_KIND
 
 
@@ -24,7 +24,7 @@ def write_report(task: Task, context: Context) -> Output:
     )
     path = context.scratch / "report.html"
     path.write_bytes(encode_page(contents))
-    return made([ResultFile(path.name, REPORT_KIND, None, "text/html; charset=utf-8", path)])
+    return indexed([ResultFile(path.name, REPORT_KIND, None, "text/html; charset=utf-8", path)])
 
 
 STAGE = Stage(

@@ -206,7 +206,7 @@ class Output:
     people: tuple[PersonSpan, ...] | None = None
 
 
-def made(files: Sequence[ResultFile], **figures: Any) -> Output:
+def indexed(files: Sequence[ResultFile], **figures: Any) -> Output:
     """Result files, and an index of them with figures about them."""
     return Output(json.dumps({"files": [file.name for file in files], **figures}).encode(), tuple(files))
 

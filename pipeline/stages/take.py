@@ -22,15 +22,15 @@ def assemble(context: Context) -> Reconstruction:
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
     session = context.wanted(context.outline())
-    found = context.people(IDENTIFY)
-    people, animation = found.people, context.record(FIT, Animation)
+    identified = context.people(IDENTIFY)
+    people, animation = identified.people, context.record(FIT, Animation)
     take = None
     if context.config.edits:
-        take = edited_take(found.spans, context.config, session.timebase)
+        take = edited_take(identified.spans, context.config, session.timebase)
         changed, refitted = People((), ()), Animation((), (), animation.floor)
         if without_names(context.config.edits):
             changed, refitted = context.people(EDIT).people, united(list(context.records(REFIT, Animation)))
-        people, animation = put_together(people, animation, found.spans, changed, refitted, take)
+        people, animation = put_together(people, animation, identified.spans, changed, refitted, take)
     refined = context.refined()
     reconstruction = Reconstruction(
         cameras=session.cameras,
@@ -41,7 +41,7 @@ def assemble(context: Context) -> Reconstruction:
         animation=animation,
         warnings=session.warnings,
         num_approximate_frames=people.num_approximate_frames,
-        damaged=found.damaged,
+        damaged=identified.damaged,
         doubts=people.doubts,
         offsets=context.offsets(),
         refinement=None if refined is None else refined.report,
@@ -51,7 +51,7 @@ def assemble(context: Context) -> Reconstruction:
     if take is None:
         return reconstruction
     edited = reconstruction if take.frames is None else cut(reconstruction, take.frames)
-    return replace(edited, is_emptied=bool(found.spans) and not edited.tracks)
+    return replace(edited, is_emptied=bool(identified.spans) and not edited.tracks)
 
 
 def kept_frames(context: Context) -> range | None:

@@ -40,10 +40,10 @@ def measure_clocks(
         If the clocks are not certain: a motion from wrong times would look plausible.
     """
     bodies = excerpt(session.times, detections)
-    found = synchronize_with_sound(session.cameras, session.times, bodies, joints, session.starts_s, sound, on_share)
-    if found.refusals:
-        raise InputError(found.refusals)
-    return found
+    clocks = synchronize_with_sound(session.cameras, session.times, bodies, joints, session.starts_s, sound, on_share)
+    if clocks.refusals:
+        raise InputError(clocks.refusals)
+    return clocks
 
 
 def listen(session: Session, reading: Callable[[str], AbstractContextManager[None]]) -> SoundOffsets:
