@@ -38,7 +38,8 @@ def stages(num_chunks: int = 3) -> tuple[StagePlan, ...]:
 
 
 def result(job_id: str, name: str = "person-1.bvh") -> Result:
-    return Result(name, "bvh", "person-1", "text/plain", f"jobs/{job_id}/results/{name}", 5, "5" * 64)
+    key = f"jobs/{job_id}/results/{name}"
+    return Result(name, "bvh", "person-1", "text/plain", key, 5, "5" * 64, person_name="person-1")
 
 
 @dataclass(frozen=True)
