@@ -23,7 +23,7 @@ from api.http.clients import client_network
 from api.http.keys_in_use import Credential
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.errors import NotFound
-from worker.jobs.model import Actor, Key, Link, LinkScope, Scope
+from worker.jobs.model.rights import Actor, Key, Link, LinkScope, Scope
 from worker.jobs.tenant_records import TenantRecords
 
 LINK = "link"

@@ -17,7 +17,7 @@ from api.http.conditional import NOT_MODIFIED, IfNoneMatch
 from api.http.file_names import disposition_of
 from api.requests.fair_share import FairThreads
 from worker.jobs.errors import DamagedArtifact, NotFound
-from worker.jobs.model import Result
+from worker.jobs.model.jobs import Result
 
 _BLOCK_BYTES = 2**18
 _DAMAGED_HINT = (

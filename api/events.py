@@ -10,7 +10,9 @@ from starlette.concurrency import run_in_threadpool
 
 from api.errors import ApiError
 from worker.jobs.errors import DamagedDatabase, NotFound
-from worker.jobs.model import FINISHED, Change, Job
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import FINISHED
+from worker.jobs.model.work import Change
 from worker.jobs.store import JobStore
 
 _log = structlog.get_logger(__name__)

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Protocol
 
 from worker.jobs.files.artifacts import ArtifactStore
-from worker.jobs.model import Claim, Session
+from worker.jobs.model.sessions import Session
+from worker.jobs.model.work import Claim
 
 
 class StoppedError(Exception):

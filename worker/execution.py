@@ -23,7 +23,7 @@ from worker.chunk import Work
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, record_key
 from worker.jobs.files.checksums import require_file
-from worker.jobs.model import Session
+from worker.jobs.model.sessions import Session
 from worker.jobs.spec import JobSpec
 from worker.planning import has_videos, session_facts, task_of
 

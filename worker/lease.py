@@ -9,7 +9,7 @@ import structlog
 
 from worker.chunk import StoppedError
 from worker.jobs.errors import DamagedDatabase
-from worker.jobs.model import Claim
+from worker.jobs.model.work import Claim
 from worker.jobs.outages import outage_of
 from worker.jobs.store import JobStore
 

@@ -11,13 +11,15 @@ from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, plan
 from pipeline.stages.stage import SessionFacts, Task
 from pipeline.visual_choices import VisualChoices
-from worker.jobs.model import ChunkPlan, Claim, InputFile, Job, Making, StagePlan, config_of
+from worker.jobs.model.jobs import Job, Making, config_of
+from worker.jobs.model.sessions import InputFile
+from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
 from worker.jobs.spec import JobSpec
 
 
 @runtime_checkable
 class CheckedSession(Protocol):
-    """A session whose files were checked; ``worker.jobs.model.Session``."""
+    """A session whose files were checked; ``worker.jobs.model.sessions.Session``."""
 
     @property
     def files(self) -> tuple[InputFile, ...]:
@@ -44,7 +46,7 @@ def plan_job(
     codes
         Digests of the stages' code; ``None``: of this process's.
     making, edits, revision
-        See ``worker.jobs.model.Job``.
+        See ``worker.jobs.model.jobs.Job``.
     """
     stages = plan(
         session_facts(session), config_of(spec, making, edits, revision), codes or stage_codes(), chunk_frames

@@ -3,7 +3,7 @@
 from pipeline.errors import ChildError, InputError, ModelError, PipelineError
 from worker.jobs.errors import ArtifactsRefused
 from worker.jobs.files.disk import is_disk_full
-from worker.jobs.model import Problem
+from worker.jobs.model.jobs import Problem
 from worker.jobs.outages import Outage
 
 _NAMES = {Outage.DATABASE: "database", Outage.ARTIFACTS: "artifact store", Outage.BROKER: "broker"}

@@ -18,7 +18,9 @@ from worker.chunk import DamagedOutputsError, StoppedError, Work
 from worker.jobs.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.jobs.files.interim import read_interim, write_interim
-from worker.jobs.model import Claim, KeptPiece, MadeCalibration, Result
+from worker.jobs.model.calibrations import MadeCalibration
+from worker.jobs.model.jobs import Result
+from worker.jobs.model.work import Claim, KeptPiece
 from worker.jobs.outages import Outage, outage_of
 from worker.jobs.store import JobStore
 from worker.lease import Lease

@@ -27,7 +27,7 @@ from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.errors import listed
-from worker.jobs.model import Session
+from worker.jobs.model.sessions import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import has_videos

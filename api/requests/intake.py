@@ -46,7 +46,7 @@ from api.schemas.captures import Manifest, UploadedCapture, UploadedFiles, Uploa
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
-from worker.jobs.model import InputFile
+from worker.jobs.model.sessions import InputFile
 from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords

@@ -2,7 +2,7 @@
 
 from api.dependencies import Services
 from pipeline.video.playback.choices import ProxyChoices
-from worker.jobs.model import Session
+from worker.jobs.model.sessions import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import CheckedSession, has_videos, plan_job

@@ -28,7 +28,8 @@ from api.schemas.calibrations import (
 )
 from api.schemas.jobs import JobOut
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import Session, StagePlan
+from worker.jobs.model.sessions import Session
+from worker.jobs.model.work import StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import plan_job

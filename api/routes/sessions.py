@@ -18,7 +18,8 @@ from api.requests.idempotency import Answer, IdempotentRequest, IdempotentReques
 from api.requests.intake import CheckedSession, check, received, stored
 from api.schemas.captures import SessionChanges, SessionOut, SessionPage
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import Capture, JobState
+from worker.jobs.model.sessions import Capture
+from worker.jobs.model.states import JobState
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
 # A route that takes JSON; the form has its own limits.

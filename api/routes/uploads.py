@@ -21,7 +21,7 @@ from api.requests.bodies import announced_bytes, drain
 from api.requests.form import name_error, too_large
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.tus.files import Checksum
-from worker.jobs.model import Upload
+from worker.jobs.model.sessions import Upload
 from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.tenant_records import TenantRecords
 

@@ -19,7 +19,8 @@ from pipeline.calibration_choices import (
     CalibrationChoices,
     KnownPoint,
 )
-from worker.jobs.model import Calibration, JobState
+from worker.jobs.model.calibrations import Calibration
+from worker.jobs.model.states import JobState
 
 Method = Literal["file", "board", "people"]
 Format = Literal["multicap", "anipose", "caliscope", "opencv"]

@@ -12,7 +12,9 @@ from pydantic_core import PydanticCustomError
 from api.schemas.common import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
 from pipeline.capture.preflight_record import Clock, PreflightCamera
 from pipeline.video.playback.choices import proxy_name
-from worker.jobs.model import Capture, JobState, NewestJob
+from worker.jobs.model.jobs import NewestJob
+from worker.jobs.model.sessions import Capture
+from worker.jobs.model.states import JobState
 from worker.jobs.spec import JobSpec
 
 

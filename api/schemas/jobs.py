@@ -8,21 +8,8 @@ from api.http.file_names import result_name
 from api.schemas.common import FindingOut, Id, NextCursor, ResponseModel, fields_of
 from pipeline.config import FILE_FORMATS
 from pipeline.stages.plan import STAGE_BY_NAME
-from worker.jobs.model import (
-    CANCELABLE,
-    RETRYABLE,
-    Attempt,
-    ChunkState,
-    Failure,
-    Job,
-    JobKind,
-    JobState,
-    Problem,
-    Result,
-    Stage,
-    is_worth_a_retry,
-    kind_of,
-)
+from worker.jobs.model.jobs import Attempt, Failure, Job, JobKind, Problem, Result, Stage, is_worth_a_retry, kind_of
+from worker.jobs.model.states import CANCELABLE, RETRYABLE, ChunkState, JobState
 from worker.jobs.spec import JobSpec
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Self
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.schemas.common import Id, ResponseModel, fields_of
-from worker.jobs.model import Link, LinkScope
+from worker.jobs.model.rights import Link, LinkScope
 
 DEFAULT_S = {LinkScope.JOB: 7 * 86_400.0}
 """Lifetimes of links without `expires_in_s`, by scope."""

@@ -7,7 +7,7 @@ from pydantic_core import PydanticKnownError
 
 from api.schemas.common import ResponseModel, fields_of
 from pipeline.edits import MAX_EDITS, EditedPerson, PeopleEdit, PersonSpan, apply_edits
-from worker.jobs.model import Job
+from worker.jobs.model.jobs import Job
 
 _Edit = Annotated[PeopleEdit, Field(discriminator="action")]
 _NUMBERING = "They are numbered as before any cut."

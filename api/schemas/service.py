@@ -6,10 +6,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.schemas.common import ResponseModel
 from worker.jobs.database.quotas import Quotas
-from worker.jobs.model import (
-    Scope,
-    Usage,
-)
+from worker.jobs.model.rights import Scope, Usage
 
 
 class QuotaOut(ResponseModel):

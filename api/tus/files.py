@@ -24,7 +24,7 @@ from uuid_utils import uuid7
 from api.errors import ApiError
 from worker.jobs.errors import DamagedDatabase, NotFound
 from worker.jobs.files.disk import DiskSpace, sync
-from worker.jobs.model import Upload
+from worker.jobs.model.sessions import Upload
 from worker.jobs.store import JobStore
 
 _log = structlog.get_logger(__name__)

@@ -26,7 +26,7 @@ from api.settings import Settings
 from pipeline.edits import PersonSpan
 from pipeline.findings import Finding
 from worker.jobs.files.artifacts import result_key
-from worker.jobs.model import Result
+from worker.jobs.model.jobs import Result
 
 # Replaces the real preflight: the first bytes of a video choose the behaviour.
 PREFLIGHT = """

@@ -21,7 +21,7 @@ from pipeline.edits import PersonSpan
 from tests.api.conftest import Live, form, problem_of, running
 from tests.small_disk import fill, small_disk
 from worker.jobs.files.stores import default_data_dir
-from worker.jobs.model import Actor, Key, LinkScope, Scope
+from worker.jobs.model.rights import Actor, Key, LinkScope, Scope
 
 CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))
 OPERATIONS = [

@@ -23,7 +23,7 @@ from tests.hostile.calibrations import spoilt_calibrations
 from tests.hostile.campaign import Campaign, Part, Report, alive
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
 from tests.hostile.media import good_videos, spoilt_videos
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 from worker.jobs.store import JobStore
 
 pytestmark = pytest.mark.xdist_group("faults")

@@ -18,7 +18,7 @@ from tests.e2e.serving import Served, serving
 from tests.hostile.crowds import hostile_crowds
 from tests.hostile.keypoints import archive, keypoint_files, simulate
 from tests.waiting import wait_for
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 from worker.jobs.store import JobStore
 
 pytestmark = pytest.mark.xdist_group("faults")

@@ -28,7 +28,8 @@ from pipeline.stages.stage import (
 from pipeline.visual_choices import OVERLAY_KIND, REPORT_KIND
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
-from worker.jobs.model import InputFile, Job, Session
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.planning import plan_job

@@ -15,7 +15,8 @@ from worker.chunk import StoppedError, Work
 from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import results_prefix
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import Job, JobState
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import JobState
 from worker.planning import plan_job
 
 FIRST, NOBODY, ANNA = Remove(person=1), Remove(person=2), Rename(person=1, name="Anna")

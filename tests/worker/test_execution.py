@@ -22,7 +22,8 @@ from tests.worker.jobs.damage import overwrite
 from worker import execution
 from worker.chunk import StoppedError, Work
 from worker.jobs.files.artifacts import LocalArtifacts, input_key, record_key
-from worker.jobs.model import Claim, InputFile, Session
+from worker.jobs.model.sessions import InputFile, Session
+from worker.jobs.model.work import Claim
 from worker.jobs.spec import JobSpec
 
 NUM_FRAMES = 20

@@ -14,7 +14,8 @@ import pytest
 
 from tests.waiting import is_alive, wait_for
 from tests.worker.conftest import RESULT, Bench, open_bench
-from worker.jobs.model import FINISHED, Job, JobState
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import FINISHED, JobState
 from worker.jobs.queue import WorkQueue
 from worker.process import embedded
 

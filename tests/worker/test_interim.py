@@ -10,7 +10,8 @@ from tests.worker.conftest import CHUNK_FRAMES, RESULT, Bench, detect, fit, iden
 from worker.chunk import StoppedError, Work
 from worker.jobs.backup.create import create_backup
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import Job, JobState
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import JobState
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
 

@@ -18,7 +18,8 @@ from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.stores import open_artifacts
-from worker.jobs.model import FINISHED, ChunkState, Job, JobState
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import FINISHED, ChunkState, JobState
 from worker.jobs.outages import Outage
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS
 from worker.jobs.store import JobStore

@@ -33,7 +33,8 @@ from pipeline.stages.stage import (
     FrameCut,
 )
 from pipeline.video.playback.choices import ProxyChoices
-from worker.jobs.model import InputFile, Session, StagePlan
+from worker.jobs.model.sessions import InputFile, Session
+from worker.jobs.model.work import StagePlan
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job, session_facts
 

@@ -13,7 +13,7 @@ from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import record_key, result_key, stage_key
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import JobState
+from worker.jobs.model.states import JobState
 from worker.jobs.store import JobStore
 from worker.reaper import Reaper
 

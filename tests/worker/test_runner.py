@@ -18,7 +18,8 @@ from pipeline.stages.stage import ASSOCIATE, CHECK, DETECT, EXPORT, FIT, IDENTIF
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
-from worker.jobs.model import ChunkState, Job, JobState
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job

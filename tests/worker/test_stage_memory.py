@@ -21,7 +21,8 @@ from pipeline.simulation.scenes import find_scene, record
 from worker.chunk import Work
 from worker.execution import run_chunk
 from worker.jobs.files.artifacts import LocalArtifacts, record_key
-from worker.jobs.model import Claim, InputFile, Session
+from worker.jobs.model.sessions import InputFile, Session
+from worker.jobs.model.work import Claim
 from worker.jobs.spec import JobSpec
 
 SESSION_ID = "0190"

@@ -11,7 +11,8 @@ from worker.chunk import Work
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import Job, JobState
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import JobState
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job, plan_visuals
 from worker.reaper import Reaper

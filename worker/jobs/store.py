@@ -10,7 +10,8 @@ from worker.jobs.database.connection import Database
 from worker.jobs.database.quotas import NO_QUOTAS, Quotas
 from worker.jobs.database.tables import sessions
 from worker.jobs.database.totals import read_figures
-from worker.jobs.model import Actor, Figures
+from worker.jobs.model.rights import Actor
+from worker.jobs.model.work import Figures
 from worker.jobs.repositories.audit import Audit
 from worker.jobs.repositories.calibrations import Calibrations
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys

@@ -7,7 +7,7 @@ from dataclasses import replace
 from worker.jobs.database.access import Access
 from worker.jobs.database.quotas import NO_QUOTAS, read_usage, require_room
 from worker.jobs.database.transactions import OpenTransaction
-from worker.jobs.model import Usage
+from worker.jobs.model.rights import Usage
 from worker.jobs.repositories.calibrations import Calibrations
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
 from worker.jobs.repositories.jobs import Jobs

@@ -22,7 +22,7 @@ import structlog
 from standardwebhooks import Webhook
 
 from worker.jobs.errors import DamagedDatabase
-from worker.jobs.model import Delivery, WebhookSecret
+from worker.jobs.model.webhooks import Delivery, WebhookSecret
 from worker.jobs.repositories.webhooks import MAX_TRIES
 from worker.jobs.store import JobStore
 from worker.webhooks.addresses import is_public, url_fault

@@ -22,7 +22,7 @@ from pipeline.capture.preflight_record import Preflight, PreflightCamera, Prefli
 from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.parent_watch import tied_to_parent
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
-from worker.jobs.model import InputFile
+from worker.jobs.model.sessions import InputFile
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.planning import plan_job

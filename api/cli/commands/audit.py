@@ -8,7 +8,7 @@ import typer
 
 from api.cli.console import show_list
 from api.cli.store import store_in
-from worker.jobs.model import AuditEvent
+from worker.jobs.model.rights import AuditEvent
 
 
 def command(

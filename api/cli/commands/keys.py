@@ -12,7 +12,7 @@ from api.cli.store import opened_store, settings_in, store_in
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.errors import NotFound
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.model import Key, Scope
+from worker.jobs.model.rights import Key, Scope
 
 app = typer.Typer(help="API keys of the service: create, list, revoke.", no_args_is_help=True)
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]

@@ -9,7 +9,7 @@ import typer
 from api.cli.console import refusal, show_list, show_secret, shown_time
 from api.cli.store import store_in
 from worker.jobs.database.tables import DEFAULT_TENANT
-from worker.jobs.model import Delivery
+from worker.jobs.model.webhooks import Delivery
 
 app = typer.Typer(help="Webhooks of the service: secrets and undelivered messages.", no_args_is_help=True)
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]

@@ -13,7 +13,8 @@ from api.contract.examples import EVENTS
 from api.dependencies import JobId, Services, ServicesDep
 from api.schemas.jobs import JobOut
 from worker.jobs.errors import NotFound
-from worker.jobs.model import FINISHED, Change
+from worker.jobs.model.states import FINISHED
+from worker.jobs.model.work import Change
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["jobs"])
 

@@ -23,7 +23,8 @@ from api.requests.proxies import queue_proxies
 from api.requests.spec_checks import callback_errors, for_session, network_errors, spec_errors
 from api.schemas.jobs import AttemptList, AttemptOut, JobOut, JobPage
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import RETRYABLE, Job, JobKind, JobState
+from worker.jobs.model.jobs import Job, JobKind
+from worker.jobs.model.states import RETRYABLE, JobState
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import has_videos, plan_job, plan_visuals

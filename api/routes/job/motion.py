@@ -18,7 +18,7 @@ from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, request
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch
 from api.schemas.motion import MotionDescription
 from pipeline.stages.stage import DESCRIPTION, MOTION
-from worker.jobs.model import Result
+from worker.jobs.model.jobs import Result
 from worker.jobs.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1/jobs/{job_id}/motion", tags=["results"])

@@ -16,7 +16,7 @@ from api.schemas.jobs import JobOut
 from api.schemas.people import PeopleEdits, PeopleOut, frames_of
 from pipeline.edits import MAX_PIECES, PersonSpan, apply_edits
 from pipeline.errors import InputError
-from worker.jobs.model import Job
+from worker.jobs.model.jobs import Job
 from worker.planning import plan_job
 from worker.telemetry import tracing
 

@@ -25,7 +25,7 @@ from api.http.file_names import archived_name, disposition_of, result_name, stem
 from api.schemas.jobs import ResultList, ResultOut
 from pipeline.config import FILE_FORMATS
 from worker.jobs.errors import DamagedArtifact, NotFound
-from worker.jobs.model import Result
+from worker.jobs.model.jobs import Result
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 

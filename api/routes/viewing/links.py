@@ -14,7 +14,7 @@ from api.requests.bodies import SmallBodyRoute
 from api.schemas.common import fields_of
 from api.schemas.links import LinkList, LinkOut, LinkSpec, NewLinkOut
 from worker.jobs.errors import NotFound
-from worker.jobs.model import Link, LinkScope
+from worker.jobs.model.rights import Link, LinkScope
 from worker.jobs.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1", tags=["links"], route_class=SmallBodyRoute)

@@ -13,7 +13,7 @@ from api.errors import ApiError
 from pipeline.capture.preflight_record import PreflightCamera
 from pipeline.video.playback.choices import proxy_name
 from worker.jobs.errors import NotFound
-from worker.jobs.model import Session
+from worker.jobs.model.sessions import Session
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import has_videos
 

@@ -30,7 +30,7 @@ from tests.pipeline.media import write_video
 from tests.pipeline.simulations import write_simulation
 from tests.small_disk import fill, small_disk
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.model import Key, Scope
+from worker.jobs.model.rights import Key, Scope
 
 runner = CliRunner()
 

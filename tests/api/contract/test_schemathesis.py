@@ -26,7 +26,7 @@ from api.routes.uploads import PIECE_TYPE
 from api.settings import KIB, Settings
 from pipeline.config import NETWORKS, NETWORKS_OF_PROFILES
 from tests.api.conftest import Live, running
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.presence import Presence, process_name
 

@@ -11,7 +11,7 @@ from api.routes.job.events import _events
 from api.routes.job.results import _content
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 
 UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
 # Headers that differ in every response.

@@ -13,7 +13,7 @@ import pytest
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from tests.waiting import wait_for
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 
 NUM_REQUESTS = 60
 """More than the process has threads."""

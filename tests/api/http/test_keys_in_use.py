@@ -14,7 +14,7 @@ from api.settings import MIB, Settings
 from tests.api.conftest import Live, running
 from tests.api.tus.test_files import PIECE
 from tests.s3 import running_s3
-from worker.jobs.model import Key, Scope
+from worker.jobs.model.rights import Key, Scope
 
 # More than all network buffers hold.
 CONTENT = os.urandom(48 * MIB)

@@ -25,7 +25,7 @@ from tests.e2e.serving import serving
 from tests.hostile.keypoints import keypoint_files, simulate
 from tests.hostile.test_other_tenants import form
 from tests.waiting import wait_for
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 from worker.jobs.store import JobStore
 
 pytestmark = pytest.mark.benchmark

@@ -9,7 +9,7 @@ import pytest
 from api.http.rates import WrongKeys
 from api.settings import Settings
 from tests.api.conftest import Live, problem_of, running
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 
 LIMIT = 5
 WRONG = {"Authorization": "Bearer mc_wrong"}

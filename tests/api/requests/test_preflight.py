@@ -20,7 +20,7 @@ from api.requests.preflight import InvalidFilesError, PreflightProgram, allowanc
 from api.settings import GIB, Settings
 from tests.api.conftest import NO_BROKER, Live, form, problem_of, running
 from tests.hostile.keypoints import keypoint_files, simulate
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 
 
 def test_check_that_crashes_is_the_services_fault(live: Live) -> None:

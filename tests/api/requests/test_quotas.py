@@ -7,7 +7,7 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 
 
 def add_session(live: Live) -> str:

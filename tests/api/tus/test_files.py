@@ -26,7 +26,7 @@ from api.tus import files as uploads
 from tests.api.conftest import Live, problem_of, raw, running
 from tests.waiting import wait_for
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.model import Upload
+from worker.jobs.model.sessions import Upload
 from worker.jobs.repositories.sessions import Sessions
 
 TUS = {"Tus-Resumable": "1.0.0"}

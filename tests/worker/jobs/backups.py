@@ -15,7 +15,10 @@ from worker.jobs.backup.restore import restore_backup
 from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import LocalArtifacts, input_key, record_key, result_key, stage_key
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import ChunkPlan, InputFile, Job, Result, Scope, StagePlan
+from worker.jobs.model.jobs import Job, Result
+from worker.jobs.model.rights import Scope
+from worker.jobs.model.sessions import InputFile
+from worker.jobs.model.work import ChunkPlan, StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 

@@ -13,7 +13,9 @@ import uuid_utils
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from tests.postgres import POSTGRES_VARIABLE, running_postgres
-from worker.jobs.model import ChunkPlan, Claim, InputFile, Job, Result, StagePlan
+from worker.jobs.model.jobs import Job, Result
+from worker.jobs.model.sessions import InputFile
+from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 

@@ -13,7 +13,8 @@ from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.errors import BackupError, BackupUsageError
 from worker.jobs.backup.restore import verify_backup
 from worker.jobs.database.tables import metadata
-from worker.jobs.model import JobState, Scope
+from worker.jobs.model.rights import Scope
+from worker.jobs.model.states import JobState
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from tests.worker.jobs.conftest import LEASE_S, Bench
 from worker.jobs.database.connection import Database
 from worker.jobs.database.transitions import lock_job, move_chunk
 from worker.jobs.errors import Conflict
-from worker.jobs.model import ChunkState, JobState
+from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.store import JobStore
 
 NUM_WORKERS, NUM_CHUNKS = 4, 40

@@ -6,7 +6,7 @@ from alembic.config import Config
 
 from tests.worker.jobs.conftest import LEASE_S, Bench, stages
 from worker.jobs.database.tables import events, metadata
-from worker.jobs.model import Problem
+from worker.jobs.model.jobs import Problem
 
 
 def noted(jobs: Bench, job_id: str) -> list[tuple[str, str]]:

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench, new_session, stages
-from worker.jobs.model import FINISHED, ChunkState, Claim, JobState, Problem
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.states import FINISHED, ChunkState, JobState
+from worker.jobs.model.work import Claim
 from worker.jobs.store import JobStore
 
 

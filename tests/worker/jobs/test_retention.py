@@ -6,7 +6,8 @@ import pytest
 
 from tests.worker.jobs.conftest import LEASE_S, Bench, stages
 from worker.jobs.errors import Conflict
-from worker.jobs.model import Job, JobState, Problem
+from worker.jobs.model.jobs import Job, Problem
+from worker.jobs.model.states import JobState
 from worker.jobs.spec import JobSpec
 
 

@@ -14,7 +14,8 @@ import pytest
 from tests.worker.conftest import Bench
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import deliveries
-from worker.jobs.model import Delivery, Job, WebhookSecret
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.webhooks import Delivery, WebhookSecret
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
 from worker.webhooks.sender import Courier, Sender

@@ -12,7 +12,7 @@ from standardwebhooks.webhooks import WebhookVerificationError
 from api.schemas.jobs import JobEnded
 from tests.worker.conftest import Bench
 from tests.worker.webhooks.conftest import HOUR_S, Receiver, deliver, end_job, make_due
-from worker.jobs.model import Delivery
+from worker.jobs.model.webhooks import Delivery
 from worker.jobs.repositories.webhooks import MAX_TRIES
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job

@@ -12,7 +12,7 @@ from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.jobs.backup.errors import BackupError
 from worker.jobs.database.tables import artifacts, jobs, results, sessions, uploads
 from worker.jobs.files.artifacts import record_key, require_key, stage_key, thumbnail_key
-from worker.jobs.model import JobState
+from worker.jobs.model.states import JobState
 
 MANIFEST = "manifest.json"
 DATABASE = "multicap.db"

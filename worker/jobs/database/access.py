@@ -9,7 +9,7 @@ from worker.jobs.database.connection import lock
 from worker.jobs.database.quotas import NO_QUOTAS, Quotas, read_usage, require_room
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.model import Actor
+from worker.jobs.model.rights import Actor
 
 _COMMAND_LINE = Actor()
 

@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, Connection, delete, insert, select
 from pipeline.visual_choices import VISUAL_KINDS
 from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.tables import results
-from worker.jobs.model import Result
+from worker.jobs.model.jobs import Result
 
 
 def list_results(connection: Connection, job_id: str, files: Sequence[Result]) -> None:

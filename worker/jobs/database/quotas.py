@@ -6,7 +6,9 @@ from sqlalchemy import Connection, func, select
 
 from worker.jobs.database.tables import artifacts, calibrations, jobs, results, sessions, uploads
 from worker.jobs.errors import QuotaExceeded
-from worker.jobs.model import FINISHED, SIDE_KINDS, JobState, Usage
+from worker.jobs.model.jobs import SIDE_KINDS
+from worker.jobs.model.rights import Usage
+from worker.jobs.model.states import FINISHED, JobState
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,19 +17,10 @@ from pipeline.video.playback.choices import ProxyChoices
 from pipeline.visual_choices import VisualChoices
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
-from worker.jobs.model import (
-    Calibration,
-    ChunkState,
-    InputFile,
-    Job,
-    JobState,
-    Making,
-    NewestJob,
-    Problem,
-    Result,
-    Session,
-    Stage,
-)
+from worker.jobs.model.calibrations import Calibration
+from worker.jobs.model.jobs import Job, Making, NewestJob, Problem, Result, Stage
+from worker.jobs.model.sessions import InputFile, Session
+from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.spec import JobSpec
 
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})

@@ -9,7 +9,8 @@ from sqlalchemy import Connection, func, select
 
 from worker.jobs.database.connection import add_up, now
 from worker.jobs.database.tables import chunks, jobs, totals
-from worker.jobs.model import FINISHED, ChunkState, Figures, JobState
+from worker.jobs.model.states import FINISHED, ChunkState, JobState
+from worker.jobs.model.work import Figures
 
 
 class Total(StrEnum):

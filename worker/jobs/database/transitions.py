@@ -18,7 +18,8 @@ from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.totals import Total, count
 from worker.jobs.files.artifacts import interim_prefix, job_prefix
-from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.states import FINISHED, JOB_TRANSITIONS, ChunkState, JobState
 from worker.jobs.repositories.webhooks import queue_delivery
 
 EventKind = Literal["state", "stage", "waiting"]

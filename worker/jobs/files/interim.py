@@ -7,7 +7,7 @@ import hashlib
 
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import ArtifactStore, interim_key, read_artifact
-from worker.jobs.model import Claim
+from worker.jobs.model.work import Claim
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 

@@ -8,7 +8,8 @@ from sqlalchemy import Connection, Row, insert, select
 
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import attempts, failures
-from worker.jobs.model import FINISHED, Attempt, Failure, JobState, Problem
+from worker.jobs.model.jobs import Attempt, Failure, Problem
+from worker.jobs.model.states import FINISHED, JobState
 
 _KEPT = ("attempt", "state", "problem", "queued_at", "started_at", "finished_at")
 

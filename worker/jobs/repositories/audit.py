@@ -10,7 +10,7 @@ from sqlalchemy import Connection, insert, select
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import audit
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.model import Actor, AuditEvent
+from worker.jobs.model.rights import Actor, AuditEvent
 
 
 class AuditAction(StrEnum):

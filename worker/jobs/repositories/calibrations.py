@@ -16,7 +16,9 @@ from worker.jobs.database.rows import calibration_of
 from worker.jobs.database.tables import calibrations, jobs, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix
-from worker.jobs.model import FINISHED, Calibration, Job, MadeCalibration
+from worker.jobs.model.calibrations import Calibration, MadeCalibration
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import FINISHED
 from worker.jobs.repositories.audit import AuditAction, record_event
 
 
@@ -32,7 +34,7 @@ class Calibrations:
         Parameters
         ----------
         source, files
-            As of ``worker.jobs.model.Calibration``.
+            As of ``worker.jobs.model.calibrations.Calibration``.
 
         Raises
         ------

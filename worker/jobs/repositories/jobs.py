@@ -17,22 +17,9 @@ from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import interim_prefix, job_prefix, results_prefix, visuals_prefix
-from worker.jobs.model import (
-    EDITABLE,
-    FINISHED,
-    RETRYABLE,
-    SIDE_KINDS,
-    Attempt,
-    Change,
-    ChunkState,
-    Job,
-    JobKind,
-    JobState,
-    Making,
-    Precedence,
-    StagePlan,
-    kind_of,
-)
+from worker.jobs.model.jobs import SIDE_KINDS, Attempt, Job, JobKind, Making, kind_of
+from worker.jobs.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState
+from worker.jobs.model.work import Change, Precedence, StagePlan
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.calibrations import forget_unmade
@@ -65,7 +52,7 @@ class Jobs:
         trace
             W3C traceparent of the request, for the workers.
         making
-            See ``worker.jobs.model.Job``.
+            See ``worker.jobs.model.jobs.Job``.
 
         Raises
         ------

@@ -7,7 +7,8 @@ from worker.jobs.database.access import Access
 from worker.jobs.database.rows import result_of
 from worker.jobs.database.tables import jobs, results
 from worker.jobs.errors import NoResults, NotFinished, NotFound
-from worker.jobs.model import FINISHED, JobState, Problem, Result, is_worth_a_retry
+from worker.jobs.model.jobs import Problem, Result, is_worth_a_retry
+from worker.jobs.model.states import FINISHED, JobState
 from worker.jobs.repositories.jobs import job_row
 
 

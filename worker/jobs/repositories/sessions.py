@@ -18,7 +18,9 @@ from worker.jobs.database.rows import session_of
 from worker.jobs.database.tables import jobs, results, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix
-from worker.jobs.model import FINISHED, SIDE_KINDS, Capture, InputFile, JobState, NewestJob, Purpose, Session
+from worker.jobs.model.jobs import SIDE_KINDS, NewestJob
+from worker.jobs.model.sessions import Capture, InputFile, Purpose, Session
+from worker.jobs.model.states import FINISHED, JobState
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.calibrations import forget_unmade
 
@@ -62,7 +64,7 @@ class Sessions:
         record_sha256
             Digest of the preflight record in the artifact store; ``None``: the record is read without a comparison.
         purpose
-            See ``worker.jobs.model.Session``.
+            See ``worker.jobs.model.sessions.Session``.
 
         Raises
         ------

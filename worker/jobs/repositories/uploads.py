@@ -13,7 +13,7 @@ from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import uploads
 from worker.jobs.errors import Conflict, NotFound
-from worker.jobs.model import Upload
+from worker.jobs.model.sessions import Upload
 from worker.jobs.repositories.audit import AuditAction, record_event
 
 

@@ -13,7 +13,9 @@ from worker.jobs.database.rows import jobs_of, select_jobs
 from worker.jobs.database.tables import jobs
 from worker.jobs.database.transitions import delete_visuals_job, note
 from worker.jobs.errors import Conflict
-from worker.jobs.model import RETRYABLE, Job, JobState, StagePlan
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.states import RETRYABLE, JobState
+from worker.jobs.model.work import StagePlan
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.jobs import job_row
 from worker.jobs.repositories.work.plans import insert_following

@@ -8,7 +8,8 @@ from sqlalchemy import Connection, delete, insert, or_, select, update
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import webhook_secrets
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.model import Actor, WebhookSecret
+from worker.jobs.model.rights import Actor
+from worker.jobs.model.webhooks import WebhookSecret
 from worker.jobs.repositories.audit import AuditAction, record_event
 
 _SECRET_BYTES = 32

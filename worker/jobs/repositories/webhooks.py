@@ -16,7 +16,8 @@ from worker.jobs.database.connection import now
 from worker.jobs.database.rows import jobs_of, select_jobs
 from worker.jobs.database.tables import UtcTimestamp, deliveries, jobs
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.model import Delivery, JobState
+from worker.jobs.model.states import JobState
+from worker.jobs.model.webhooks import Delivery
 
 # Time from each failed try to the next one: about a day in all.
 _WAITS_S = (5.0, 30.0, 120.0, 600.0, 1800.0, 3600.0, 2 * 3600.0, 4 * 3600.0, 6 * 3600.0, 8 * 3600.0)

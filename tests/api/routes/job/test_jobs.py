@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.findings import Finding
 from tests.api.conftest import Live, form, problem_of
-from worker.jobs.model import Problem
+from worker.jobs.model.jobs import Problem
 from worker.jobs.repositories.jobs import Jobs
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.edits import PersonSpan
 from tests.api.conftest import RESULT, Live, problem_of
-from worker.jobs.model import Problem
+from worker.jobs.model.jobs import Problem
 from worker.jobs.store import MAX_ATTEMPTS
 
 FOUND = (PersonSpan(1, 0, 60), PersonSpan(2, 10, 40))

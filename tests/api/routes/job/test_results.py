@@ -20,7 +20,7 @@ from api.settings import Settings
 from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.s3 import running_s3
 from worker.jobs.files.artifacts import result_key
-from worker.jobs.model import Problem
+from worker.jobs.model.jobs import Problem
 from worker.reaper import Reaper
 
 # More than the buffers of a connection hold.

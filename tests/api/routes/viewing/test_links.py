@@ -17,7 +17,7 @@ import structlog
 from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import RESULT, Live, form, problem_of, running
-from worker.jobs.model import Key, LinkScope, Scope
+from worker.jobs.model.rights import Key, LinkScope, Scope
 
 USUAL = frozenset({Scope.READ, Scope.WRITE})
 CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))

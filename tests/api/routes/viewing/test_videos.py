@@ -11,7 +11,7 @@ from pipeline.video.playback.choices import PROXY_KIND
 from tests.api.conftest import Live, problem_of, running
 from tests.s3 import running_s3
 from worker.jobs.files.artifacts import result_key
-from worker.jobs.model import Result
+from worker.jobs.model.jobs import Result
 
 VIDEO = os.urandom(90_000)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.worker.jobs.backups import UPLOAD, Data, opened_data
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 
 
 @pytest.fixture

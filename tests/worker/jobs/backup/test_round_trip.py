@@ -18,7 +18,7 @@ from worker.jobs.backup.contents import DATABASE, MANIFEST
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.restore import verify_backup
 from worker.jobs.files.artifacts import record_key, result_key, stage_key
-from worker.jobs.model import JobState
+from worker.jobs.model.states import JobState
 
 
 def test_a_copy_of_the_file_alone_loses_rows_and_a_backup_none(data: Data, tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from alembic.script import ScriptDirectory
 from tests.worker.jobs.conftest import Bench, stages
 from worker.jobs.database.tables import metadata
 from worker.jobs.errors import KeyBusy, NewerDatabase
-from worker.jobs.model import Problem, Scope
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.rights import Scope
 from worker.jobs.repositories.idempotency_keys import KeyClaim
 
 CONFIG = Config()

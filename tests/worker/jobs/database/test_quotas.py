@@ -8,7 +8,9 @@ import pytest
 from tests.worker.jobs.conftest import PREFLIGHT, Bench, result, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import QuotaExceeded
-from worker.jobs.model import Actor, InputFile, Problem, Usage
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.rights import Actor, Usage
+from worker.jobs.model.sessions import InputFile
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.jobs.tenant_records import TenantRecords

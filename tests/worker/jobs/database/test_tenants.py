@@ -7,7 +7,8 @@ import pytest
 from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import NotFound
-from worker.jobs.model import Actor, LinkScope, Problem
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.rights import Actor, LinkScope
 from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.results import Results
 from worker.jobs.repositories.rights.links import Links

@@ -3,7 +3,7 @@
 import time
 
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench
-from worker.jobs.model import Problem
+from worker.jobs.model.jobs import Problem
 
 
 def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:

@@ -12,7 +12,9 @@ from worker.jobs.database.connection import Database
 from worker.jobs.database.rows import stage_state
 from worker.jobs.database.transitions import move_job
 from worker.jobs.errors import Conflict
-from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, Claim, JobState, Problem
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.states import FINISHED, JOB_TRANSITIONS, ChunkState, JobState
+from worker.jobs.model.work import Claim
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 

@@ -1,6 +1,7 @@
 from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
-from worker.jobs.model import Actor, Problem, Scope
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.rights import Actor, Scope
 from worker.jobs.spec import JobSpec
 
 ACTOR = Actor("key", "request")

@@ -6,7 +6,9 @@ from pipeline.calibration_choices import CalibrationChoices
 from pipeline.video.playback.choices import PROXY_KIND, ProxyChoices
 from tests.worker.jobs.conftest import CODE, PREFLIGHT, UNITS, Bench, stages
 from worker.jobs.errors import Conflict
-from worker.jobs.model import ChunkPlan, JobState, NewestJob, Result, StagePlan, kind_of
+from worker.jobs.model.jobs import NewestJob, Result, kind_of
+from worker.jobs.model.states import JobState
+from worker.jobs.model.work import ChunkPlan, StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 

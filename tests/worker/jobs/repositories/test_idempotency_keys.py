@@ -10,7 +10,8 @@ from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.database.tables import idempotency_keys
 from worker.jobs.errors import Conflict, KeyBusy, KeyReused
-from worker.jobs.model import Actor, Job
+from worker.jobs.model.jobs import Job
+from worker.jobs.model.rights import Actor
 from worker.jobs.repositories.idempotency_keys import KeyClaim
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore

@@ -10,7 +10,9 @@ from pipeline.findings import Finding
 from tests.worker.jobs.conftest import PREFLIGHT, UNITS, Bench, new_session, result, stages
 from worker.jobs.database import tables
 from worker.jobs.errors import Conflict, NoResults, NotFinished, NotFound
-from worker.jobs.model import ChunkState, InputFile, JobState, Problem
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.sessions import InputFile
+from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 

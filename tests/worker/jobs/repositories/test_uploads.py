@@ -7,7 +7,8 @@ from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.database.tables import uploads
 from worker.jobs.errors import Conflict, NotFound, QuotaExceeded
-from worker.jobs.model import Actor, Session
+from worker.jobs.model.rights import Actor
+from worker.jobs.model.sessions import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 

@@ -7,7 +7,7 @@ from sqlalchemy import delete, insert, select
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import browser_sessions, keys
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.model import Actor, Key
+from worker.jobs.model.rights import Actor, Key
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.rights.keys import digest, is_valid, key_of
 

@@ -12,7 +12,7 @@ from worker.jobs.database.connection import now
 from worker.jobs.database.tables import browser_sessions, keys
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.errors import NotFound
-from worker.jobs.model import Actor, Key, Scope
+from worker.jobs.model.rights import Actor, Key, Scope
 from worker.jobs.repositories.audit import AuditAction, record_event
 
 _PREFIX = "mc_"

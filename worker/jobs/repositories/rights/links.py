@@ -16,7 +16,7 @@ from worker.jobs.database.connection import now
 from worker.jobs.database.tables import jobs, keys, links
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.errors import Conflict, NotFound
-from worker.jobs.model import Link, LinkScope
+from worker.jobs.model.rights import Link, LinkScope
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.jobs import job_row
 from worker.jobs.repositories.rights.keys import digest, is_valid

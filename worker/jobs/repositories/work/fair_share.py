@@ -10,7 +10,8 @@ from sqlalchemy import ColumnElement, Connection, func, select, true
 
 from worker.jobs.database.connection import lock
 from worker.jobs.database.tables import chunks, jobs
-from worker.jobs.model import AT_WORK, ChunkState, JobState, Precedence
+from worker.jobs.model.states import AT_WORK, ChunkState, JobState
+from worker.jobs.model.work import Precedence
 from worker.jobs.repositories.rights.keys import count_tenants
 from worker.jobs.repositories.work.workers import count_ready
 

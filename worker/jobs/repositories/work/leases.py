@@ -24,16 +24,10 @@ from worker.jobs.database.transitions import (
     set_waiting,
     settle_canceling,
 )
-from worker.jobs.model import (
-    AT_WORK,
-    ChunkState,
-    Claim,
-    JobState,
-    KeptPiece,
-    MadeCalibration,
-    Problem,
-    Result,
-)
+from worker.jobs.model.calibrations import MadeCalibration
+from worker.jobs.model.jobs import Problem, Result
+from worker.jobs.model.states import AT_WORK, ChunkState, JobState
+from worker.jobs.model.work import Claim, KeptPiece
 from worker.jobs.repositories.attempts import note_failure
 from worker.jobs.repositories.calibrations import complete
 from worker.jobs.repositories.work.fair_share import has_share, next_job, of_code

@@ -4,7 +4,7 @@ from sqlalchemy import select
 
 from worker.jobs.database.tables import artifacts, chunks, jobs
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.model import ChunkOutput
+from worker.jobs.model.work import ChunkOutput
 
 
 class Outputs:

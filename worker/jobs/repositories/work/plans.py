@@ -10,7 +10,8 @@ from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.database.tables import chunks, jobs
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job
-from worker.jobs.model import AT_WORK, ChunkPlan, ChunkState, StagePlan
+from worker.jobs.model.states import AT_WORK, ChunkState
+from worker.jobs.model.work import ChunkPlan, StagePlan
 from worker.jobs.repositories.work.workers import codes_at_work
 
 _ROWS_AT_ONCE = 1000

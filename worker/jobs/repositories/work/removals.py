@@ -12,7 +12,8 @@ from worker.jobs.database.tables import jobs, removals
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import delete_visuals_job, lock_job, move_job
 from worker.jobs.files.artifacts import job_prefix
-from worker.jobs.model import JobState, Removal
+from worker.jobs.model.states import JobState
+from worker.jobs.model.work import Removal
 
 
 class Removals:

@@ -7,7 +7,9 @@ from sqlalchemy import Connection, Row, delete, select, update
 from worker.jobs.database.tables import chunks, failures, jobs
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job, set_waiting
-from worker.jobs.model import AT_WORK, ChunkState, Claim, Problem
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.states import AT_WORK, ChunkState
+from worker.jobs.model.work import Claim
 from worker.jobs.outages import Outage
 
 

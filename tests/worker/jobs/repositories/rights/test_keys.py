@@ -6,7 +6,7 @@ import sqlalchemy as sa
 from tests.worker.jobs.conftest import Bench
 from worker.jobs.database.tables import browser_sessions, keys
 from worker.jobs.errors import NotFound
-from worker.jobs.model import Scope
+from worker.jobs.model.rights import Scope
 
 READ = frozenset({Scope.READ})
 

@@ -7,7 +7,7 @@ from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database import tables
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import Conflict, NotFound
-from worker.jobs.model import Actor, Link, LinkScope, Scope
+from worker.jobs.model.rights import Actor, Link, LinkScope, Scope
 from worker.jobs.repositories.rights import links
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords

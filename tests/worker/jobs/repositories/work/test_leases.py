@@ -7,7 +7,10 @@ import pytest
 
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, Bench, result, stages
 from worker.jobs.database.quotas import NO_QUOTAS
-from worker.jobs.model import Actor, ChunkOutput, ChunkState, Claim, JobState, Problem, Scope
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.rights import Actor, Scope
+from worker.jobs.model.states import ChunkState, JobState
+from worker.jobs.model.work import ChunkOutput, Claim
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus

@@ -5,7 +5,8 @@ import time
 import pytest
 
 from tests.worker.jobs.conftest import CODE, LEASE_S, Bench, stages
-from worker.jobs.model import ChunkState, JobState, StagePlan
+from worker.jobs.model.states import ChunkState, JobState
+from worker.jobs.model.work import StagePlan
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 OTHER = "d" * 64

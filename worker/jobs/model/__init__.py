@@ -1,0 +1,1 @@
+"""Records of the job store, and the states of jobs and chunks."""

@@ -1,0 +1,49 @@
+"""Calibrations that were sent, or made by a job."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from worker.jobs.model.jobs import Problem
+from worker.jobs.model.states import JobState
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A calibration: sent as a file, or made by the job of the same id.
+
+    Parameters
+    ----------
+    method
+        ``file``, ``board`` or ``people``.
+    source
+        Of a file its name, format, units, axes and notes; else the choices with which it is made.
+    files
+        Text by format; ``None`` until it is made.
+    report
+        See ``pipeline.calibration.report.report_document``; ``None`` of a file.
+    session_id
+        Session from which it is made; it may be deleted since.
+    job_state, problem
+        State and problem of the job that makes it; ``None`` of a file, or once the job is deleted.
+    """
+
+    id: str
+    name: str
+    method: str
+    created_at: datetime
+    source: Mapping[str, Any]
+    files: Mapping[str, str] | None
+    report: Mapping[str, Any] | None
+    session_id: str | None = None
+    job_state: JobState | None = None
+    problem: Problem | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MadeCalibration:
+    """Calibration that a job has made; fields as of ``Calibration``."""
+
+    files: Mapping[str, str]
+    report: Mapping[str, Any]

@@ -1,0 +1,84 @@
+"""Capture sessions and their files, and uploads, which become files of sessions."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Literal
+
+from pipeline.capture.preflight_record import Preflight
+from worker.jobs.model.jobs import NewestJob
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file of a session, in the artifact store under ``key``."""
+
+    name: str
+    kind: str  # "video", "keypoints", "calibration" or "timestamps"
+    key: str
+    num_bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """A file that arrives in pieces.
+
+    ``num_bytes`` is its complete size, ``metadata`` a text of the client, ``spool`` the host and folder that hold the
+    bytes that have arrived; ``None``: upload of an older version.
+    """
+
+    id: str
+    name: str
+    num_bytes: int
+    metadata: str
+    expires_at: datetime
+    spool: str | None
+
+
+Purpose = Literal["capture", "calibration"]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A capture session: its files, and what the preflight found in them.
+
+    Parameters
+    ----------
+    metadata
+        JSON object of the client.
+    record_sha256
+        Digest of the file that the preflight wrote for the workers; ``None`` for sessions of older versions.
+    purpose
+        Videos of a ``calibration`` that is made of them have guessed cameras; they are not listed among the captures.
+    """
+
+    id: str
+    name: str
+    created_at: datetime
+    files: tuple[InputFile, ...]
+    preflight: Preflight
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    record_sha256: str | None = None
+    purpose: Purpose = "capture"
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """A session with its reconstructions and its proxies.
+
+    Parameters
+    ----------
+    num_jobs, newest_job
+        Number of reconstructions, and the newest one; ``None`` without any.
+    proxies
+        Names of the proxies that are made; see ``pipeline.video.playback.choices.proxy_name``.
+    proxies_job
+        Job that makes proxies; ``None``: no job had to.
+    """
+
+    session: Session
+    num_jobs: int = 0
+    newest_job: NewestJob | None = None
+    proxies: frozenset[str] = frozenset()
+    proxies_job: NewestJob | None = None

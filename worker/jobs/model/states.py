@@ -1,0 +1,61 @@
+"""States of jobs and chunks, and their legal transitions.
+
+::
+
+    job     queued -> running -> succeeded | failed
+            queued | running -> canceling -> canceled
+            failed | canceled -> queued          (retry: attempt + 1)
+            all but expired -> queued            (edits of people: attempt + 1, revision + 1)
+            succeeded | failed | canceled -> expired
+
+    chunk   waiting -> ready -> running -> done
+            running -> ready                     (lease lost, or a failure worth another try)
+            running -> waiting, done -> ready    (the output of the latter is damaged, and the former needs it)
+            running -> failed
+            waiting | ready | running -> canceled
+"""
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+
+class JobState(StrEnum):
+    """State of a job."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    CANCELING = "canceling"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELED = "canceled"
+    EXPIRED = "expired"
+
+
+class ChunkState(StrEnum):
+    """State of a chunk."""
+
+    WAITING = "waiting"
+    READY = "ready"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELED = "canceled"
+
+
+JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
+    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELING, JobState.FAILED, JobState.QUEUED}),
+    JobState.RUNNING: frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELING, JobState.QUEUED}),
+    JobState.CANCELING: frozenset({JobState.CANCELED, JobState.QUEUED}),
+    JobState.SUCCEEDED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
+    JobState.FAILED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
+    JobState.CANCELED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
+    JobState.EXPIRED: frozenset(),
+}
+
+RETRYABLE = frozenset({JobState.FAILED, JobState.CANCELED})
+EDITABLE = frozenset(JobState) - {JobState.EXPIRED}
+"""States of jobs whose people can be edited, if they have been found."""
+CANCELABLE = frozenset({JobState.QUEUED, JobState.RUNNING})
+AT_WORK = (JobState.QUEUED, JobState.RUNNING)
+"""States of jobs that have chunks to claim."""
+FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED})

@@ -1,0 +1,136 @@
+"""Work of the workers: plans, claims of chunks, their outputs, files to remove, and figures of all of it."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from pipeline.config import ReconstructionConfig
+from pipeline.edits import PeopleEdit
+from worker.jobs.model.jobs import Making, config_of
+from worker.jobs.spec import JobSpec
+
+
+class Precedence(IntEnum):
+    """Order of a tenant's work: edits of people before all other work."""
+
+    EDITS = 0
+    OTHERS = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkPlan:
+    """A chunk to be worked on. Its progress counts ``unit_count`` units, such as frames of a camera."""
+
+    index: int
+    payload: Mapping[
+        str, Any
+    ]  # JSON object; in a map {"start_frame", "stop_frame"}, and "camera" for chunks of a camera
+    unit_count: int
+    output_key: str  # content-addressed key of its output, without the prefix of the session
+
+
+@dataclass(frozen=True, slots=True)
+class StagePlan:
+    """A stage: its chunks may run at once; it becomes ready when the stage before it is done.
+
+    Parameters
+    ----------
+    name
+        As in ``pipeline.stages.plan``.
+    chunks
+        At least one; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
+    code_sha256
+        Digest of the code that can run the chunks, as in ``pipeline.stages.code``.
+    """
+
+    name: str
+    chunks: Iterable[ChunkPlan]
+    code_sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """Chunk that a worker holds by a lease; reports need its ``lease_token``."""
+
+    chunk_id: int
+    job_id: str
+    session_id: str
+    stage: str
+    index: int
+    payload: Mapping[str, Any]
+    unit_count: int
+    output_key: str
+    spec: JobSpec
+    lease_token: str
+    attempt: int  # try of the chunk, from 1
+    job_attempt: int
+    trace: str | None  # W3C traceparent of the request for the job
+    making: Making | None = None  # as of ``Job``, like the next two
+    edits: tuple[PeopleEdit, ...] = ()
+    revision: int = 0
+    of_job: str | None = None  # reconstruction of which it makes visuals
+
+    @property
+    def config(self) -> ReconstructionConfig:
+        """Configuration of the job."""
+        return config_of(self.spec, self.making, self.edits, self.revision)
+
+    @property
+    def listed_by(self) -> str:
+        """Id of the job whose result files those of the chunk are."""
+        return self.of_job or self.job_id
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkOutput:
+    """Output of a chunk; ``sha256`` is ``None`` until the chunk is done."""
+
+    index: int
+    key: str  # as ``ChunkPlan.output_key``
+    sha256: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class KeptPiece:
+    """Stored piece of an output, which later chunks of the session find by its key."""
+
+    key: str
+    sha256: str
+    num_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Progress of a job: the id of its last event, and the number of its finished units."""
+
+    event: int
+    done: int
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """Files of the artifact store to be removed, by the prefix of their keys."""
+
+    id: int
+    prefix: str
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Figures of all jobs, for monitoring.
+
+    Parameters
+    ----------
+    totals
+        Totals by name and label; see ``worker.jobs.database.totals``.
+    jobs, chunks
+        Numbers by state; chunks of unfinished jobs only.
+    longest_queued_s
+        Time that the first job in the queue has waited; 0 without one.
+    """
+
+    totals: Mapping[tuple[str, str], float]
+    jobs: Mapping[str, int]
+    chunks: Mapping[str, int]
+    longest_queued_s: float
