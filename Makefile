@@ -27,7 +27,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 # Sources of the compiled kernels: after a `git pull` that changes them the kernels are compiled here, before anything is
 # started. It takes a moment if nothing has changed.
-KERNELS := pipeline/data.py pipeline/runtime/jit.py pipeline/runtime/warm_up.py \
+KERNELS := $(wildcard pipeline/data/*.py) pipeline/runtime/jit.py pipeline/runtime/warm_up.py \
 	$(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py pipeline/*/*/*kernels.py))),$(wildcard $(folder)*.py))
 
 $(VENV)/.compiled: $(VENV)/.installed $(KERNELS)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.session import CaptureSession, Recording, open_session
     from pipeline.config import ReconstructionConfig
-    from pipeline.data import Reconstruction
+    from pipeline.data.reconstruction import Reconstruction
     from pipeline.detect.models import install as install_network
     from pipeline.detect.models import install_networks
     from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem
@@ -73,7 +73,7 @@ _REFERENCES = {
     "PipelineError": "pipeline.errors:PipelineError",
     "Problem": "pipeline.errors:Problem",
     "Progress": "pipeline.progress:Progress",
-    "Reconstruction": "pipeline.data:Reconstruction",
+    "Reconstruction": "pipeline.data.reconstruction:Reconstruction",
     "ReconstructionConfig": "pipeline.config:ReconstructionConfig",
     "Recording": "pipeline.capture.session:Recording",
     "ServiceError": "api.cli.client:ServiceError",

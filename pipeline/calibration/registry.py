@@ -10,7 +10,7 @@ from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
 from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, parse
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import Problem, listed
 
 

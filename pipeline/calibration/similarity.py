@@ -9,7 +9,8 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.rigid import Rigid3
 

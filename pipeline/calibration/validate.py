@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.data import Camera, LensModel, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, LensModel
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 from pipeline.geometry.rigid import Rigid3

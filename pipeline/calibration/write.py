@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.readers.json_formats import SCHEMA_VERSION
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 
 
 def encode(cameras: Sequence[Camera]) -> bytes:

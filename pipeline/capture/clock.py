@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pipeline.config import MAX_OUTPUT_FRAMES
-from pipeline.data import FrameTimes
+from pipeline.data.cameras import FrameTimes
 from pipeline.errors import Problem
 from pipeline.parsing import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
 from pipeline.video.frame_rate import measured_rate_hz

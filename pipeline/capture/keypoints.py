@@ -21,7 +21,8 @@ from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
 from pipeline.capture.pairing import pair_by_name
-from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.joints import JointSet

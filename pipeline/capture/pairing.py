@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import Problem
 from pipeline.findings import Finding
 

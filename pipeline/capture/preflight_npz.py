@@ -14,7 +14,8 @@ import numpy as np
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession, Session
-from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.findings import Finding
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet

@@ -16,7 +16,7 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
-from pipeline.data import Camera, FrameTimes, Timebase
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S

@@ -18,7 +18,9 @@ from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.linking import link
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import TORSO, Skeleton, skeleton_of
-from pipeline.data import Camera, Detections, FrameTimes, Observations, Poses3D, Timebase, Track3D
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import Observations, Poses3D, Track3D
 from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.track_assembly import Person, number_people, record_life
 from pipeline.joints import JointSet

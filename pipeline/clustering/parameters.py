@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 
 # Diagonal of the paper's images of Shelf (Panoptic is larger; the text gives one threshold for all data sets).
 _PAPER_DIAGONAL_PX = float(np.hypot(1032, 776))

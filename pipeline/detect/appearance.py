@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.joints import JointSet
 
 PARTS = ("torso", "legs")

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Int, UInt8
 
 from pipeline.capture.session import CaptureSession
-from pipeline.data import Detections, MapGrid, PafFields, no_colours, no_frames, read_only
+from pipeline.data.arrays import no_colours, no_frames, read_only
+from pipeline.data.detections import Detections, MapGrid, PafFields
 from pipeline.detect.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.decoders.fields import ImageFields

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int
 
 from pipeline.capture.session import CaptureSession
-from pipeline.data import DamagedVideo, PictureChanges
+from pipeline.data.detections import DamagedVideo, PictureChanges
 from pipeline.detect.doubled import doubled_frames, join_changes
 from pipeline.errors import InputError, Problem
 from pipeline.video.timeline import frames_in, session_timebase, span_s

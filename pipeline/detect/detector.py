@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.decoders.fields import FieldGrid, ImageFields
 from pipeline.detect.decoders.grouping import group

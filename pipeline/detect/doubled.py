@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from pipeline.data import PictureChanges, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.detections import PictureChanges
 
 _SAMPLES_A_SIDE = 64
 # Share of the samples whose changes count, the largest ones: people are a small part of the picture, and the noise of

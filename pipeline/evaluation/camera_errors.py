@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.simulation.scenes import Simulation
 
 

@@ -7,7 +7,9 @@ import numpy as np
 
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration.similarity import align_world
-from pipeline.data import Camera, Detections, FrameTimes, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, FrameTimes
+from pipeline.data.detections import Detections
 from pipeline.evaluation.camera_errors import camera_errors
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet

@@ -6,7 +6,9 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera, Detections, FrameTimes, Source, Timebase, Track3D
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import Source, Track3D
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.tracking.parameters import TrackingParameters

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.data import Track3D
+from pipeline.data.people import Track3D
 from pipeline.joints import COCO_17, JointSet
 
 _NUM_FACE_JOINTS = 5

@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Int
 
-from pipeline.data import Camera, Detections, FrameTimes
+from pipeline.data.cameras import Camera, FrameTimes
+from pipeline.data.detections import Detections
 from pipeline.tracking.initialization import Unmatched, group_unmatched
 from pipeline.tracking.observations import NOBODY, gather, undistorted
 from pipeline.tracking.parameters import TrackingParameters

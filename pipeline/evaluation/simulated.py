@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Track3D
+from pipeline.data.people import Track3D
 from pipeline.evaluation.mot import MotFrame, score_mot
 from pipeline.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy, match_frames, mean_distance_m, select_joints
 from pipeline.joints import JointSet

@@ -20,7 +20,9 @@ from pipeline.clustering.associate import reconstruct_evidence
 from pipeline.clustering.instant.candidates import FieldEvidence
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
-from pipeline.data import Observations, PafFields, Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.detections import PafFields
+from pipeline.data.people import Observations, Track3D
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.joints import COCO_18
 from pipeline.runtime.child_processes import ProcessPool

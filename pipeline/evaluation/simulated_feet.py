@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import SkeletonMotion, Track3D
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.people import Track3D
 from pipeline.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints
 from pipeline.joints import JointSet
 from pipeline.simulation.scenes import Simulation

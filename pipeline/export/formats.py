@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.config import Export, Preset
-from pipeline.data import SkeletonMotion, Timebase, Track3D
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Track3D
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh, c3d_file, csv_table, glb, trc
 from pipeline.joints import JointSet

@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data import Camera, SkeletonMotion, Timebase, Track3D
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Track3D
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.geometry.camera import project
 from pipeline.joints import FINGER_JOINTS, JointSet

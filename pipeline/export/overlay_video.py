@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 
 from pipeline.calibration.sizes import scaled
 from pipeline.capture.session import Session
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.overlay import draw_skeletons, given_names, people_at
 from pipeline.video.decode import decode
 from pipeline.video.playback.h264 import even_size_px

@@ -11,7 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.config import FILE_FORMATS, Export, Preset
-from pipeline.data import Reconstruction, SkeletonMotion, Timebase, Track3D
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.formats import FORMATS, Person
 from pipeline.export.writers import skeletons_json
 from pipeline.joints import JointSet

@@ -7,7 +7,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
-from pipeline.data import Animation, FootContact, Reconstruction, SkeletonMotion, Source, Timebase, Track3D, read_only
+from pipeline.data.animation import Animation, FootContact, SkeletonMotion
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Source, Track3D
+from pipeline.data.reconstruction import Reconstruction
 
 # Frames whose numbers differ by less, but for rounding, are the same.
 _SAME = 1e-9

@@ -16,7 +16,8 @@ from pipeline.config import (
     too_long_for,
     unlimited_alternatives,
 )
-from pipeline.data import Reconstruction, Timebase
+from pipeline.data.cameras import Timebase
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export.person_files import (
     SKELETONS,

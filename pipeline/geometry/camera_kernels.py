@@ -6,7 +6,7 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.fisheye import angle_limit_rad
 from pipeline.geometry.kernels import point_dtype, view_dtype

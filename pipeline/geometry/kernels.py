@@ -10,7 +10,7 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from pipeline.data import Source
+from pipeline.data.people import Source
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
 from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
 
@@ -410,7 +410,7 @@ def fill_gaps(xyz_m, max_gap, last_known, source):
     last_known
         Workspace, (joints,) of -1.
     source
-        Output: source of each joint, (frames, joints) of ``data.Source``.
+        Output: source of each joint, (frames, joints) of ``data.people.Source``.
     """
     for frame in range(xyz_m.shape[0]):
         for k in range(xyz_m.shape[1]):

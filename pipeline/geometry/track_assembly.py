@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera, Observations, Timebase, Track3D, no_detections, read_only
+from pipeline.data.arrays import no_detections, read_only
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations, Track3D
 from pipeline.geometry.kernels import fill_gaps
 from pipeline.geometry.tracks import reproject
 
@@ -75,7 +77,7 @@ def find_life(timebase: Timebase, xyz_m: Float[np.ndarray, "frames joints 3"]) -
 
 
 def close_gaps(timebase: Timebase, xyz_m: Float[np.ndarray, "frames joints 3"]) -> Int[np.ndarray, "frames joints"]:
-    """Fill short gaps of joints in place; return the source of each joint, of ``data.Source``."""
+    """Fill short gaps of joints in place; return the source of each joint, of ``data.people.Source``."""
     source = np.empty(xyz_m.shape[:2], np.int8)
     fill_gaps(xyz_m, round(_MAX_GAP_S * timebase.frame_rate_hz), np.full(xyz_m.shape[1], -1), source)
     return source

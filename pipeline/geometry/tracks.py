@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.camera_kernels import make_lenses, reproject_all
 from pipeline.geometry.kernels import make_solver, triangulate_all

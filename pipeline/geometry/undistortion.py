@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.camera_kernels import block_dtype, undistort
 from pipeline.geometry.fisheye import undistort_fisheye

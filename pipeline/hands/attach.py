@@ -10,7 +10,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera, Observations, People, Timebase, Track3D, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations, People, Track3D
 from pipeline.geometry.camera import center_in_world, projection_matrices, rays_in_world
 from pipeline.geometry.track_assembly import close_gaps
 from pipeline.geometry.tracks import reproject, triangulate_frames

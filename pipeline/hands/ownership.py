@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Observations, People, Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Observations, People, Track3D
 from pipeline.tracking.observations import NOBODY, Bodies
 
 # Distance of a joint from the person's observation at which it counts by half, as a share of the body's size. An

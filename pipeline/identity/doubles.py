@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Camera, Timebase
+from pipeline.data.cameras import Camera, Timebase
 from pipeline.geometry.track_assembly import Person
 from pipeline.identity.merging import merge
 from pipeline.identity.tracklets import Path, pairs_within, path_of

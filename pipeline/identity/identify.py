@@ -10,7 +10,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import UInt8
 
-from pipeline.data import Camera, Doubt, People, Timebase, no_detections
+from pipeline.data.arrays import no_detections
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Doubt, People
 from pipeline.geometry.track_assembly import Person, number_people
 from pipeline.identity.clothes import tracklet_ratios
 from pipeline.identity.doubles import merge_doubles

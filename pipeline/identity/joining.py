@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.data import Doubt
+from pipeline.data.people import Doubt
 from pipeline.identity.links import Ends, link_scores
 from pipeline.identity.proportions import LimbProportions
 from pipeline.identity.tracklets import Tracklet

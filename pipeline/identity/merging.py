@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Camera, Source, Timebase
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Source
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.track_assembly import Person, record_life
 from pipeline.geometry.tracks import triangulate_frames

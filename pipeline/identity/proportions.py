@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Source, Track3D
+from pipeline.data.people import Source, Track3D
 from pipeline.joints import JointSet
 
 # Limbs by the joints at their ends; both sides are measurements of one length.

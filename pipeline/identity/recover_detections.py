@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.data import Camera, Leftovers, Timebase
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Leftovers
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
 from pipeline.identity.merging import relocate

@@ -12,7 +12,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Camera, Observations, Timebase
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations
 from pipeline.geometry.track_assembly import Person
 
 # Expected number of coincidences in a session below which a track is a person.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import Track3D
+from pipeline.data.people import Track3D
 from pipeline.joints import JointSet
 
 _TORSO = "left_shoulder", "right_shoulder", "left_hip", "right_hip"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from pipeline.capture.session import Session
-from pipeline.data import Detections, DetectionsByCamera
+from pipeline.data.detections import Detections, DetectionsByCamera
 from pipeline.detect.chunk import concatenate
 from pipeline.findings import Finding
 from pipeline.joints import JointSet

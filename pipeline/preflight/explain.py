@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.joints import JointSet
 from pipeline.preflight.agreement import disagreement

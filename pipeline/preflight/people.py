@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.preflight.explain import DOUBTFUL, Hypothesis, PairDisagreement, as_given, explain, move_points
 from pipeline.preflight.sightings import SimultaneousPeople

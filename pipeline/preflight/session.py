@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.capture.session import Session
-from pipeline.data import Detections, DetectionsByCamera, PafFields
+from pipeline.data.detections import Detections, DetectionsByCamera, PafFields
 from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.chunk import concatenate, stack_bodies
 from pipeline.detect.decoders.fields import ImageFields

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.joints import FINGER_JOINTS, JointSet
 

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, Source, Track3D
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Source, Track3D
 from pipeline.findings import Finding
 from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.geometry.epipolar import fundamental_matrices

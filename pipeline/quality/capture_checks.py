@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from pipeline.data import DamagedVideo, Reconstruction, Refinement, Synchronization
+from pipeline.data.cameras import Refinement, Synchronization
+from pipeline.data.detections import DamagedVideo
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.findings import SessionCheck
 from pipeline.quality.names import first_names
 

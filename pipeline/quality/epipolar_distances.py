@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, Observations, Track3D
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Observations, Track3D
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.epipolar import epipolar_distance_px, fundamental_matrices
 from pipeline.geometry.undistortion import undistort_views

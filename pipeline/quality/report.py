@@ -32,7 +32,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, Doubt, Floor, FootContact, Reconstruction, Refinement, Source, Track3D
+from pipeline.data.animation import Floor, FootContact
+from pipeline.data.cameras import Camera, Refinement
+from pipeline.data.people import Doubt, Source, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.findings import Finding, Severity
 from pipeline.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.quality.capture_checks import capture_checks

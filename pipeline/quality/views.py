@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Camera, Observations, Reconstruction, Track3D
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Observations, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.geometry.camera import project
 from pipeline.joints import FINGER_JOINTS, JointSet
 from pipeline.quality.epipolar_distances import CameraPairs, PersonPairs

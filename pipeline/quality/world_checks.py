@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, Floor, Reconstruction, Track3D
+from pipeline.data.animation import Floor
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
 from pipeline.quality.epipolar_distances import Pairs

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from pipeline.capture.session import Session
 from pipeline.choices import Choice
 from pipeline.config import CHOICES, ReconstructionConfig
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect.entries import entry_of
 from pipeline.edits import document_of
 from pipeline.errors import InputError

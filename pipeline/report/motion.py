@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera, Reconstruction
+from pipeline.data.cameras import Camera
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.colors import color_rgb
 from pipeline.export.viewer.description import person_frames
 from pipeline.export.viewer.frames import ERROR_STEP_PX, UNKNOWN_ERROR, PersonFrames

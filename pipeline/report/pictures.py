@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from pipeline.calibration.sizes import scaled
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.export.overlay import NO_NAMES, draw_skeletons
 from pipeline.joints import JointSet
 from pipeline.report.motion import Motion

@@ -14,7 +14,9 @@ import numpy as np
 from numba.core import event
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.errors import ModelError
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity

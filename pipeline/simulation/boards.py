@@ -8,7 +8,8 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.board.spec import Board, draw_pattern
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.data import FrameTimes, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import FrameTimes
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.write import encode
-from pipeline.data import Detections
+from pipeline.data.detections import Detections
 from pipeline.joints import BODY_25, COCO_17, FINGER_JOINTS, SIDES, JointSet, finger_joints
 from pipeline.simulation.scenes import Simulation
 

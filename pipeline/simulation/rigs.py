@@ -6,7 +6,8 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, LensModel, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, LensModel
 from pipeline.geometry.rigid import Rigid3
 
 

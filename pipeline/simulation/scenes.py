@@ -7,7 +7,9 @@ from typing import Literal, cast, get_args
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.simulation.clocks import Clock, frame_times

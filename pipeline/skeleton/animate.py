@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from typing import Literal
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Animation, Camera, Floor, Observations, SkeletonMotion, Timebase, Track3D
+from pipeline.data.animation import Animation, Floor, SkeletonMotion
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations, Track3D
 from pipeline.joints import FINGER_JOINTS, MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
 from pipeline.progress import OnShare, ignore, split
 from pipeline.skeleton.feet.floor import estimate_floor

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Source
+from pipeline.data.people import Source
 from pipeline.joints import JointSet
 from pipeline.skeleton.model import SKELETON, TRUNK
 
@@ -22,7 +22,7 @@ class Landmarks:
     xyz_m
         World positions in metres, NaN where unknown. All positions of joints that the detector lacks are NaN.
     source
-        Source of each position, see ``data.Source``.
+        Source of each position, see ``data.people.Source``.
     joints
         Joint set of the track.
     """

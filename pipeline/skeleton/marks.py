@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.joints import JointOffsets, JointSet
 from pipeline.skeleton.landmarks import Landmarks
 from pipeline.skeleton.model import INDEX, TRUNK, joint_pose

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.joints import FINGERS
 
 _UP = (0.0, 0.0, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Track3D
+from pipeline.data.people import Track3D
 from pipeline.joints import JointSet
 from pipeline.skeleton.landmarks import Landmarks
 from pipeline.skeleton.rotations import align, unit

@@ -17,7 +17,9 @@ from jaxtyping import Bool, Float
 from scipy.signal import butter, sosfiltfilt
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, Observations, Timebase, Track3D, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations, Track3D
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.tracks import reproject
 

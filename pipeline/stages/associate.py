@@ -16,7 +16,7 @@ from pipeline.stages.stage import (
 
 def associate(task: Task, context: Context) -> Output:
     """Turn bodies or poses of all frames into tracks."""
-    from pipeline.data import Poses3D
+    from pipeline.data.people import Poses3D
     from pipeline.hands.attach import without_fingers
     from pipeline.joints import without_hands
     from pipeline.stages.association import MeasuredBones, link, track

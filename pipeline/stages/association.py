@@ -22,7 +22,8 @@ from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parameters import derive_parameters as derive_clustering
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig, networks_of
-from pipeline.data import DamagedVideo, Detections, DetectionsByCamera, PafFields, People, Poses3D
+from pipeline.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
+from pipeline.data.people import People, Poses3D
 from pipeline.detect.entries import entry_of
 from pipeline.hands.attach import attach_hands
 from pipeline.identity.identify import identify

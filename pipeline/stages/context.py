@@ -14,7 +14,8 @@ from typing import TypeVar
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.config import ReconstructionConfig, networks_of
-from pipeline.data import DamagedVideo, Detections, DetectionsByCamera, PafFields, Synchronization
+from pipeline.data.cameras import Synchronization
+from pipeline.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
 from pipeline.detect.chunk import concatenate
 from pipeline.detect.damage import CheckedPictures, damaged_videos
 from pipeline.detect.entries import entry_of

@@ -12,7 +12,8 @@ from pipeline.stages.stage import DETECT, LOOK, Context, Output, Stage, Task
 
 def detect(task: Task, context: Context) -> Output:
     """Find bodies or fields. If nothing but the colours is missing, they are measured without the network."""
-    from pipeline.data import Detections, no_colours
+    from pipeline.data.arrays import no_colours
+    from pipeline.data.detections import Detections
     from pipeline.detect.chunk import detect_chunk, detect_fields_chunk, measure_colours
     from pipeline.detect.profiles.detection import load_detector, open_detection
     from pipeline.detect.profiles.sizes import CameraSizes

@@ -7,19 +7,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import (
-    Animation,
-    Doubt,
-    Observations,
-    People,
-    Reconstruction,
-    SkeletonMotion,
-    Source,
-    Timebase,
-    Track3D,
-    no_detections,
-    read_only,
-)
+from pipeline.data.animation import Animation, SkeletonMotion
+from pipeline.data.arrays import no_detections, read_only
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Doubt, Observations, People, Source, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
 from pipeline.stages.people import StoredSequence
 from pipeline.video.timeline import cut_timebase

@@ -13,7 +13,8 @@ from pathlib import Path
 from pipeline.capture.preflight_npz import encode_record
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.config import ReconstructionConfig, method_warnings
-from pipeline.data import Detections, Reconstruction
+from pipeline.data.detections import Detections
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect.chunk import concatenate
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import ChildError, InputError, PipelineError, Problem

@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar, overload
 
-from pipeline.data import DamagedVideo, Doubt, Leftovers, Observations, People, Track3D
+from pipeline.data.detections import DamagedVideo
+from pipeline.data.people import Doubt, Leftovers, Observations, People, Track3D
 from pipeline.edits import PersonSpan
 from pipeline.stages.codec import RecordArchive, save
 

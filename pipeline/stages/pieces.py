@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import PeopleEdit, document_of, without_names
 from pipeline.export.formats import FORMATS
 from pipeline.export.person_files import KeptFile, KeptFiles, PersonOfTake, replacing, spoilt

@@ -16,7 +16,9 @@ from pipeline.capture.session import Session
 from pipeline.clustering.bone_lengths import unknown_lengths
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, CameraBump, CameraMove, Detections, DetectionsByCamera, Poses3D, Refinement, WorldMove
+from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
+from pipeline.data.detections import Detections, DetectionsByCamera
+from pipeline.data.people import Poses3D
 from pipeline.hands.attach import without_fingers
 from pipeline.joints import JointSet, without_hands
 from pipeline.progress import OnShare, ignore, split

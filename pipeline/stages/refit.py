@@ -24,7 +24,7 @@ _ANYBODY = 0
 
 def refit(task: Task, context: Context) -> Output:
     """Animate a part of the people whom edits changed, unless an earlier task has animated the same frames."""
-    from pipeline.data import Animation, Floor
+    from pipeline.data.animation import Animation, Floor
     from pipeline.progress import split
     from pipeline.skeleton.animate import animate
     from pipeline.stages.codec import RecordArchive, decode, encode

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.capture.session import Session
-from pipeline.data import Animation, People, Reconstruction
+from pipeline.data.animation import Animation
+from pipeline.data.people import People
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import without_names
 from pipeline.export.viewer.description import ViewerMotion, footage_of
 from pipeline.findings import SessionCheck

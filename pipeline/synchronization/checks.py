@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from pipeline.data import Camera, CameraClock, FrameTimes
+from pipeline.data.cameras import Camera, CameraClock, FrameTimes
 from pipeline.errors import Problem
 from pipeline.synchronization.coarse import CameraSplit
 from pipeline.synchronization.motions import STEP_S, BodyMotion

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
-from pipeline.data import Synchronization
+from pipeline.data.cameras import Synchronization
 from pipeline.errors import Problem, listed
 from pipeline.synchronization.sound.offsets import SoundOffsets
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.synchronization.motions import BodyMotion
 from pipeline.synchronization.pairs import match_motions, pair_values
 from pipeline.synchronization.refine import Match

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.synchronization.motions import BodyMotion
 
 # Mean truncated cost, in 0 to 1, up to which two motions may be the same person.

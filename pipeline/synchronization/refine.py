@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.synchronization.motions import STEP_S, BodyMotion
 from pipeline.synchronization.pairs import essential_matrix
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, Detections, FrameTimes
+from pipeline.data.cameras import Camera, FrameTimes
+from pipeline.data.detections import Detections
 from pipeline.joints import JointSet
 from pipeline.synchronization.synchronize import synchronize
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 from math import ceil, floor, inf, isfinite
 from statistics import median
 
-from pipeline.data import CameraClock, ClockEvidence, Synchronization
+from pipeline.data.cameras import CameraClock, ClockEvidence, Synchronization
 
 _WIDTH, _HEIGHT, _MARGIN = 640, 240, 36
 _HALF_S = 2.5

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from pipeline.capture.session import Session
-from pipeline.data import Detections, Synchronization, Timebase
+from pipeline.data.cameras import Synchronization, Timebase
+from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.findings import Finding, from_problem
 from pipeline.joints import JointSet

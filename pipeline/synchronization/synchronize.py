@@ -8,7 +8,9 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Int
 
-from pipeline.data import Camera, CameraClock, ClockEvidence, Detections, FrameTimes, Synchronization, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, CameraClock, ClockEvidence, FrameTimes, Synchronization
+from pipeline.data.detections import Detections
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.synchronization.checks import find_doubts

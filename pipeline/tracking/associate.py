@@ -5,7 +5,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera, Detections, FrameTimes, Leftovers, Observations, People, Timebase, Track3D
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import Leftovers, Observations, People, Track3D
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.camera_kernels import make_lenses
 from pipeline.geometry.kernels import make_solver

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.tracking.kernels.observation_kernels import Sampling, clear_unfound
 

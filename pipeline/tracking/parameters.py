@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 
 # Speed of a joint above which its 2D affinity is negative: a brisk walk with swinging arms.

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import rays_in_world
 from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import Camera, FrameTimes
+from pipeline.data.cameras import Camera, FrameTimes
 from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.tracks import triangulate_frames

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import FrameTimes, Timebase
+from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.video.frame_rate import measured_rate_hz
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.calibration.write import encode
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import picture, write_pictures, write_video

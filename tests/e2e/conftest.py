@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_results
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.data import Camera, FrameTimes, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, FrameTimes
 from pipeline.geometry.camera import bend
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.simulation.scenes import Simulation, find_scene, record

@@ -17,7 +17,9 @@ from trc import TRCData
 
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig
-from pipeline.data import Reconstruction, SkeletonMotion, Source, Track3D
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.people import Source, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, hand_bones

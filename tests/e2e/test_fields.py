@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect import models
 from pipeline.export.results import write_results
 from pipeline.joints import COCO_18

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from api.cli.main import app
 from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_results
 from pipeline.runtime.packages.samples import Sample
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics

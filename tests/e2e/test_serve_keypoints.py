@@ -18,7 +18,7 @@ import pytest
 from api.contract.openapi import COMMITTED
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing
-from pipeline.data import FrameTimes
+from pipeline.data.cameras import FrameTimes
 from pipeline.evaluation.camera_errors import disturb_calibration
 from pipeline.export.results import write_results
 from pipeline.simulation.files import simulation_files

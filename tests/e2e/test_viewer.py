@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from pipeline.data import Doubt
+from pipeline.data.people import Doubt
 from tests.api.conftest import Live, running
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of

@@ -10,7 +10,10 @@ import numpy as np
 
 from api.settings import Settings
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Animation, Doubt, FrameTimes, Observations, Reconstruction, Timebase
+from pipeline.data.animation import Animation
+from pipeline.data.cameras import FrameTimes, Timebase
+from pipeline.data.people import Doubt, Observations
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.viewer.description import Footage, ViewerMotion
 from pipeline.joints import COCO_17
 from pipeline.quality.report import quality_report

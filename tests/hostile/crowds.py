@@ -7,7 +7,8 @@ from functools import partial
 import numpy as np
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17

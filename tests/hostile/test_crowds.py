@@ -13,7 +13,7 @@ from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.data import People
+from pipeline.data.people import People
 from pipeline.simulation.clocks import Clock
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig

@@ -13,7 +13,7 @@ import pytest
 
 from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
-from pipeline.data import Detections
+from pipeline.data.detections import Detections
 from tests.e2e.serving import Served, serving
 from tests.hostile.crowds import hostile_crowds
 from tests.hostile.keypoints import archive, keypoint_files, simulate

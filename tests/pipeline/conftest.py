@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.data import Camera, Detections
+from pipeline.data.cameras import Camera
+from pipeline.data.detections import Detections
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 

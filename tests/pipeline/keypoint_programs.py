@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data import Camera, Detections
+from pipeline.data.cameras import Camera
+from pipeline.data.detections import Detections
 from pipeline.joints import COCO_17, COCO_18
 from pipeline.layouts import LAYOUTS
 from pipeline.simulation.files import simulation_files

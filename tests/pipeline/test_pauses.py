@@ -8,7 +8,8 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.data import Detections, FrameTimes, Timebase
+from pipeline.data.cameras import FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.progress import Progress
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.errors import InputError
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct

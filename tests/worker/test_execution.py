@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.capture import preflight
 from pipeline.capture.preflight_record import Preflight
-from pipeline.data import Detections
+from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.stages.codec import decode
 from pipeline.video.info import VideoInfo

@@ -15,7 +15,8 @@ import pytest
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight_npz import encode_keypoints
 from pipeline.capture.preflight_record import Preflight, PreflightTimebase
-from pipeline.data import Detections, FrameTimes, Timebase
+from pipeline.data.cameras import FrameTimes, Timebase
+from pipeline.data.detections import Detections
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.scenes import find_scene, record
 from worker.chunk import Work

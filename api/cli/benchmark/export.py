@@ -12,7 +12,10 @@ import typer
 from api.cli.benchmark.takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
 from api.cli.console import emit, print_table, reporting
 from pipeline.config import FILE_FORMATS, ReconstructionConfig
-from pipeline.data import Animation, Reconstruction, SkeletonMotion, Timebase, Track3D
+from pipeline.data.animation import Animation, SkeletonMotion
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_files
 from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, record

@@ -11,7 +11,9 @@ import typer
 from api.cli.benchmark.takes import longer_observations, longer_track
 from api.cli.console import emit, reporting, show_sizes
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Observations, SkeletonMotion, Timebase, Track3D
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Observations, Track3D
 from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.skeleton.animate import animate

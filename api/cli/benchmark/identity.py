@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.console import emit, print_table, reporting
-from pipeline.data import People, Timebase
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import People
 from pipeline.identity.identify import identify
 from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.motion.director import Cast

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data import Observations, Track3D
+from pipeline.data.people import Observations, Track3D
 
 
 def to_and_fro(values: np.ndarray, num_frames: int) -> np.ndarray:

@@ -32,7 +32,10 @@ from pipeline.capture.session import open_session
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.config import CHOICES, DetectedJoints, Method, Profile, ReconstructionConfig
-from pipeline.data import Animation, Camera, Detections, FrameTimes, People, Refinement, Timebase
+from pipeline.data.animation import Animation
+from pipeline.data.cameras import Camera, FrameTimes, Refinement, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import People
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration

@@ -15,7 +15,8 @@ from pipeline.calibration.adjustment.parameters import (
 )
 from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.calibration.adjustment.structure import Structure
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 
 _MIN_SIGMA_PX, _NUM_SCALES, _MAX_STEPS = 0.01, 4, 60
 _MAX_DAMPING, _MIN_DAMPING = 1e10, 1e-12

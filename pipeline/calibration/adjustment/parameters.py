@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, twelve_coefficients
 from pipeline.geometry.rigid import Rigid3
 

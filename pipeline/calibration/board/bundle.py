@@ -21,7 +21,8 @@ from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Poi
 from pipeline.calibration.adjustment.structure import RigidBodies
 from pipeline.calibration.board.poses import BoardPose
 from pipeline.calibration.board.spec import Board
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 

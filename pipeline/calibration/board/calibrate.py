@@ -34,7 +34,7 @@ from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration.similarity import move_world
 from pipeline.calibration_choices import KnownPoint
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3

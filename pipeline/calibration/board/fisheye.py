@@ -9,7 +9,8 @@ from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.sizes import guessed_camera
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import project
 from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 

@@ -11,7 +11,8 @@ from pipeline.calibration.board.fisheye import FISHEYE_COEFFICIENTS, fisheye_err
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views
 from pipeline.calibration.sizes import guessed_camera
-from pipeline.data import Camera, LensModel, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, LensModel
 from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 from pipeline.geometry.undistortion import undistort_px
 

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.board.spec import Board
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px
 

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.board.poses import BoardPose
 from pipeline.calibration.board.views import BoardViews
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.rigid import Rigid3
 
 # Relative poses of two instants agree within these limits: an angle, and a share of the distance to the board.

@@ -14,7 +14,7 @@ from pipeline.calibration.board.detection.detect import DetectedBoard, find_boar
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration_choices import BOARD_FRAMES
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.errors import InputError, Problem
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo

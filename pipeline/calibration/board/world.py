@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.board.bundle import PlacedBoard
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.geometry.rigid import Rigid3
 
 # A board lies still while it moves and turns less than this from one instant to the next, and for at least this time.

@@ -6,7 +6,7 @@ from pipeline.calibration.checks.lenses import check_lens
 from pipeline.calibration.checks.places import check_places
 from pipeline.calibration.checks.views import check_views
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 
 MIN_CAMERAS = 2

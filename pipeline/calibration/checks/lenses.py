@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.fisheye import MAX_ANGLE_RAD, angle_limit_rad, radius

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.contents import UNITS_M
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.geometry.camera import center_in_world
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.calibration.checks.lenses import growing_radius
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.known_points.checks import MIN_POINTS, point_problems
 from pipeline.calibration.similarity import Similarity, umeyama
 from pipeline.calibration_choices import KnownPoint
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world, project, projection_matrices
 from pipeline.geometry.triangulation import triangulate

@@ -22,7 +22,9 @@ from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, 
 from pipeline.calibration.people.world import PeopleWorld, find_people_world
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration_choices import KnownPoint
-from pipeline.data import Camera, Detections, FrameTimes, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, FrameTimes
+from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore

@@ -8,7 +8,7 @@ from pipeline.calibration.people.pairs import RelativePose
 from pipeline.calibration.people.tracklets import ViewTracklet
 from pipeline.calibration.people.world import PeopleWorld
 from pipeline.calibration.report import CameraReport
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.data import Detections
+from pipeline.data.detections import Detections
 from pipeline.joints import JointSet
 
 JOINTS = (

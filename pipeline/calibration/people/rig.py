@@ -10,7 +10,8 @@ from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.bundle import adjust_poses
 from pipeline.calibration.people.pairs import RelativePose
 from pipeline.calibration.people.stature import scale_from, statures
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px
 

@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.calibration.people.following import MAX_GAP_S, Followed, follow_bodies
-from pipeline.data import Camera, Detections, FrameTimes, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, FrameTimes
+from pipeline.data.detections import Detections
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.joints import JointSet
 

@@ -10,7 +10,9 @@ from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.stature import scale_from, statures
 from pipeline.calibration.vertical import turn_upright, upright_direction
-from pipeline.data import Camera, Floor, read_only
+from pipeline.data.animation import Floor
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3
 from pipeline.skeleton.feet.floor import estimate_floor

@@ -7,7 +7,7 @@ from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.readers import json_datasets, opencv
 from pipeline.calibration.readers.file_storage import with_matrices
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
-from pipeline.data import LensModel
+from pipeline.data.cameras import LensModel
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, read_unique_json
 

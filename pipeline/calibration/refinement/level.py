@@ -12,7 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.vertical import turn_upright, upright_direction
-from pipeline.data import Camera, Floor, Poses3D, read_only
+from pipeline.data.animation import Floor
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Poses3D
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.tracks import triangulate_instants
 from pipeline.joints import JointSet

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import Camera, People, Poses3D, Timebase, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import People, Poses3D
 from pipeline.geometry.tracks import triangulate_instants
 from pipeline.joints import FINGER_JOINTS, JointSet
 

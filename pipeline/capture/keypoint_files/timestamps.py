@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoint_files.people import People
-from pipeline.data import FrameTimes, Timebase
+from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.errors import Problem
 from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S

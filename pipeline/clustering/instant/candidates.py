@@ -10,7 +10,8 @@ from pipeline.clustering.instant.evidence import NOWHERE, AffinityFields, LimbEv
 from pipeline.clustering.instant.hypotheses import Candidates
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
-from pipeline.data import Camera, Detections, FrameTimes, PafFields, Timebase
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections, PafFields
 from pipeline.geometry.undistortion import undistort_px
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from pipeline.clustering.skeleton import Skeleton
-from pipeline.data import Camera, MapGrid
+from pipeline.data.cameras import Camera
+from pipeline.data.detections import MapGrid
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity
 

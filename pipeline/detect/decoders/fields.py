@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 
-from pipeline.data import MapGrid
+from pipeline.data.detections import MapGrid
 from pipeline.detect.letterbox import LetterBox
 from pipeline.geometry.fields import quantise
 
@@ -59,7 +59,7 @@ class ImageFields:
     joint, points_px, score
         Joint of each peak, its position in pixels of the image, and the heatmap's value, at most 1.
     fields
-        Unit vectors (x, y) along each limb, as bytes; see ``pipeline.data.PafFields``.
+        Unit vectors (x, y) along each limb, as bytes; see ``pipeline.data.detections.PafFields``.
     grid
         Positions of the fields' cells on the image.
     """

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Int
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.geometry.fields import connectivity

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import ImageBodies
 
 _STRIDE_PX = 4

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pipeline.data import MapGrid
+from pipeline.data.detections import MapGrid
 from pipeline.detect.decoders.fields import ImageFields, read_fields
 from pipeline.joints import COCO_18
 

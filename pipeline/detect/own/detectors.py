@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.decoders.heatmaps import decode_heatmaps
 from pipeline.detect.decoders.own_heads import decode_rtmo, decode_simcc

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 
 from pipeline.capture.session import CaptureSession
-from pipeline.data import Detections
+from pipeline.data.detections import Detections
 from pipeline.detect.bodies import BodyDetector
 from pipeline.detect.chunk import camera_images, stack_bodies
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.detector import Detector
 from pipeline.detect.profiles.sizes import body_spans_px

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.session import Network
 from pipeline.detect.topdown import blazepose, hands

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Timebase, Track3D, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Track3D
 from pipeline.errors import InputError, Problem
 from pipeline.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy, select_joints
 from pipeline.joints import JointSet

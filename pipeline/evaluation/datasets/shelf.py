@@ -15,7 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.registry import read_calibration
-from pipeline.data import Camera, Detections, FrameTimes, Timebase, Track3D
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import Track3D
 from pipeline.errors import InputError, Problem
 from pipeline.evaluation.pcp import HEAD_RULES, benchmark_joints, score_pcp
 from pipeline.joints import COCO_17

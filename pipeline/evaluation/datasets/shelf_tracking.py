@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.data import Camera, Track3D
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Track3D
 from pipeline.evaluation.datasets.shelf import ShelfBenchmark
 from pipeline.evaluation.mot import MotFrame, box_overlap, score_mot
 from pipeline.evaluation.pcp import LIMB_JOINTS, benchmark_joints

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Side, Track3D
+from pipeline.data.animation import Side
+from pipeline.data.people import Track3D
 from pipeline.joints import JointSet, finger_joints
 
 _SIDES: tuple[Side, ...] = ("left", "right")

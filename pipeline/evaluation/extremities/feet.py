@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.data import Track3D
+from pipeline.data.people import Track3D
 from pipeline.evaluation.extremities.angles import heading_error_deg, pitch_deg
 from pipeline.evaluation.extremities.matching import matched_joints, mean_of
 from pipeline.evaluation.simulated_feet import slide_cm, standing

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data import Track3D
+from pipeline.data.people import Track3D
 from pipeline.evaluation.extremities.bends import count_backward_bends
 from pipeline.evaluation.extremities.matching import matched_joints, mean_of
 from pipeline.joints import SIDES, JointSet, finger_joints

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import SkeletonMotion, Timebase
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.cameras import Timebase
 from pipeline.evaluation.extremities.angles import heading_error_deg, pitch_deg
 from pipeline.skeleton.model import joint_pose
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Source, Track3D
+from pipeline.data.people import Source, Track3D
 from pipeline.evaluation.mpjpe import BODY_JOINTS, UNMATCHED, match_frames, select_joints
 from pipeline.joints import JointSet
 from pipeline.simulation.scenes import Simulation

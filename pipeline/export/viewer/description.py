@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.capture.session import Session
-from pipeline.data import Camera, FrameTimes, Reconstruction, SkeletonMotion, Synchronization
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.cameras import Camera, FrameTimes, Synchronization
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.colors import color_rgb
 from pipeline.export.viewer.clocks import knots
 from pipeline.export.viewer.frames import (

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import Convention
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
 from pipeline.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of, parents_of

@@ -13,7 +13,8 @@ import ezc3d
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Track3D
 from pipeline.joints import JointSet
 
 _MM_PER_M = 1000.0

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Track3D
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
 from pipeline.joints import JointSet
 

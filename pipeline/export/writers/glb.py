@@ -14,7 +14,7 @@ import pygltflib as gltf
 from jaxtyping import Float, Shaped
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.export.colors import color_rgb
 from pipeline.export.presets import GLTF
 from pipeline.export.writers.body_mesh import BodyMesh, body_mesh

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import Camera, Detections, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
+from pipeline.data.detections import Detections
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.simulation.views.faults import NO_FAULTS, Confusion, Faults, confuse, ghosts
 from pipeline.simulation.views.noise import heavy_tailed, lasting_events, lasting_noise

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import Camera, Detections
+from pipeline.data.cameras import Camera
+from pipeline.data.detections import Detections
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.joints import COCO_17, FINGER_JOINTS, SIDES, JointSet, finger_joints
 from pipeline.simulation.views.detector import Bodies, Detector, View, collect, find_bodies, noisy

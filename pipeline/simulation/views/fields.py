@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import Camera, FrameTimes, PafFields
+from pipeline.data.cameras import Camera, FrameTimes
+from pipeline.data.detections import PafFields
 from pipeline.detect.chunk import stack_fields
 from pipeline.detect.decoders.fields import FieldGrid, ImageFields, find_peaks
 from pipeline.detect.decoders.openpose import LIMBS

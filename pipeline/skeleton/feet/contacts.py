@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from scipy.special import expit
 
 from pipeline.config import Feet
-from pipeline.data import Floor, FootContact, FootPart
+from pipeline.data.animation import Floor, FootContact, FootPart
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M, SIDES, runs_of, speed_m_s
 
 # Speed at which a stance has the likelihood 0.5, and the width of the transition.

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
-from pipeline.data import Floor, Side
+from pipeline.data.animation import Floor, Side
 
 SIDES: tuple[Side, Side] = ("left", "right")
 ANKLE_HEIGHT_M = 0.065

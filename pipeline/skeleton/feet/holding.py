@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import FootContact, FootPart, Side
+from pipeline.data.animation import FootContact, FootPart, Side
 from pipeline.skeleton.feet.floor import SIDES
 
 PARTS: tuple[FootPart, FootPart] = ("heel", "toe")

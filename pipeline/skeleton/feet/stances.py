@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import Feet
-from pipeline.data import Floor, FootContact, Side, SkeletonMotion, Track3D
+from pipeline.data.animation import Floor, FootContact, Side, SkeletonMotion
+from pipeline.data.people import Track3D
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare
 from pipeline.skeleton.feet.contacts import find_contacts, mean_slide_m

@@ -7,7 +7,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Camera, Observations, SkeletonMotion, Source, Timebase, Track3D, read_only
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.geometry.tracks import reproject
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.progress import OnShare, ignore

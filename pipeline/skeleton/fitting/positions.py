@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import solveh_banded
 
-from pipeline.data import Camera, Observations, Source, Timebase, Track3D
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.joints import LIMBS, JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.fitting.rays import Rays

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.joints import JointSet

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Side
+from pipeline.data.animation import Side
 from pipeline.joints import FINGERS
 from pipeline.skeleton.fitting.articulation import Articulation, Carried, Freedom, build
 from pipeline.skeleton.model import INDEX, WHOLE_SKELETON

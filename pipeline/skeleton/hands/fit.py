@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Camera, Side, SkeletonMotion
+from pipeline.data.animation import Side, SkeletonMotion
+from pipeline.data.cameras import Camera
 from pipeline.joints import JointSet
 from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of, refine
 from pipeline.skeleton.fitting.articulation import Articulation

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Side, Track3D
+from pipeline.data.animation import Side
+from pipeline.data.people import Track3D
 from pipeline.joints import FINGERS, JointSet
 from pipeline.skeleton.feet.floor import SIDES
 from pipeline.skeleton.hands.anatomy import fingers_of

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_opening, distance_transform_edt
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Side
+from pipeline.data.animation import Side
 from pipeline.skeleton.hands.anatomy import NUM_HINGES, bend_angles_rad, fingers_of, natural_rad
 from pipeline.skeleton.rotations import align, filled
 

@@ -6,7 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, Observations, Side, SkeletonMotion, Source, Track3D, read_only
+from pipeline.data.animation import Side, SkeletonMotion
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.geometry.tracks import reproject
 from pipeline.joints import FINGER_JOINTS, JointSet, finger_joints
 from pipeline.skeleton.feet.floor import SIDES

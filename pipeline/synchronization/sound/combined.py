@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from pipeline.data import Camera, CameraClock, Detections, FrameTimes, Synchronization
+from pipeline.data.cameras import Camera, CameraClock, FrameTimes, Synchronization
+from pipeline.data.detections import Detections
 from pipeline.errors import Problem
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore

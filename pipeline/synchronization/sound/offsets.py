@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float32
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 from pipeline.synchronization.sound.onsets import Lag, find_lag, onset_strength
 

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 from jaxtyping import Float32
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.runtime.child_processes import module_command
 from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.info import VideoInfo

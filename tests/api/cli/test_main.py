@@ -19,7 +19,9 @@ from api.cli.commands import keys
 from api.cli.commands.reconstruct import print_summary
 from api.cli.console import print_table
 from api.cli.main import COMMANDS, app
-from pipeline.data import Animation, Reconstruction, Timebase
+from pipeline.data.animation import Animation
+from pipeline.data.cameras import Timebase
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect import models
 from pipeline.errors import PipelineError
 from pipeline.export.results import write_results

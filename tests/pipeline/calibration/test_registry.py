@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.contents import Units
 from pipeline.calibration.registry import MAX_BYTES, read_calibration
 from pipeline.calibration.write import encode
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3

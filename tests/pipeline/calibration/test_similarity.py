@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.adjustment.parameters import move_camera, offsets
 from pipeline.calibration.similarity import Similarity, align_world, shift_m, turn_deg, umeyama
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3
 from tests.pipeline.calibration.refinement.people import ring

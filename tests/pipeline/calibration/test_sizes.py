@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.sizes import fit_to_picture, fit_to_video
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 

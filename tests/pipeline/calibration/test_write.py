@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import ENCODERS, FORMATS
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.rigid import Rigid3
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.clock import TimeSource, clock_problems
-from pipeline.data import FrameTimes
+from pipeline.data.cameras import FrameTimes
 from pipeline.errors import Problem
 
 DAY_S = 86_400.0

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.data import Detections
+from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.joints import BODY_25, COCO_17, COCO_18
 from pipeline.simulation.scenes import Simulation, find_scene, record

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.pairing import pair_by_name
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.rigid import Rigid3
 
 

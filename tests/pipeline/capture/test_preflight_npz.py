@@ -5,7 +5,7 @@ import numpy as np
 
 from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession
-from pipeline.data import Camera, FrameTimes
+from pipeline.data.cameras import Camera, FrameTimes
 from pipeline.findings import Finding
 from pipeline.geometry.rigid import Rigid3
 from pipeline.video.info import VideoInfo

@@ -14,7 +14,9 @@ from pipeline.clustering.instant.hypotheses import Candidates
 from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
-from pipeline.data import Camera, Detections, FrameTimes, Timebase, Track3D
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import Track3D
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.geometry.camera import image_from_world
 from pipeline.joints import BODY_25, COCO_17, COCO_18, JointSet

@@ -8,7 +8,9 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, FrameTimes, Observations, People, Track3D
+from pipeline.data.cameras import FrameTimes
+from pipeline.data.detections import Detections
+from pipeline.data.people import Observations, People, Track3D
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.association import link, locate_people, measure_bones
 from pipeline.stages.stage import FrameCut

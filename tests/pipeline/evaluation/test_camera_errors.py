@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.similarity import shift_m, turn_deg
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.scenes import find_scene, record

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.data import Source, Track3D
+from pipeline.data.people import Source, Track3D
 from pipeline.evaluation.mpjpe import BODY_JOINTS, UNMATCHED, accuracy, count_switches, match_frames, select_joints
 from pipeline.joints import COCO_17
 

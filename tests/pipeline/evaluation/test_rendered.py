@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.data import Source, Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Source, Track3D
 from pipeline.errors import InputError
 from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
 from pipeline.joints import COCO_17

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data import Track3D
+from pipeline.data.people import Track3D
 from pipeline.evaluation.datasets.shelf import ShelfBenchmark, thin
 from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, score_single_view, score_tracking
 from pipeline.evaluation.pcp import benchmark_joints

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data import Track3D
+from pipeline.data.people import Track3D
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.joints import COCO_17
 from pipeline.simulation.scenes import Simulation, find_scene, record

@@ -3,7 +3,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from pipeline.data import Camera, Timebase
+from pipeline.data.cameras import Camera, Timebase
 from pipeline.export.colors import color_rgb
 from pipeline.export.overlay import draw_skeletons, encode_png, people_at
 from pipeline.geometry.camera import project

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from pipeline.capture.session import CaptureSession
-from pipeline.data import Animation, Camera, FrameTimes, Reconstruction, Timebase, Track3D
+from pipeline.data.animation import Animation
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.people import Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.overlay_video import draw_video, overlay_names
 from pipeline.geometry.camera import project
 from pipeline.joints import COCO_17

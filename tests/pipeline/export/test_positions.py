@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from trc import TRCData
 
-from pipeline.data import Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Track3D
 from pipeline.export.writers import c3d_file, csv_table, trc
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.config import Preset
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
 from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, skeleton_of

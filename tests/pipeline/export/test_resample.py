@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.resample import _rotations_at, resample
 from pipeline.export.results import write_results
 from pipeline.skeleton.model import forward_kinematics

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
-from pipeline.data import Reconstruction, Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.errors import InputError
 from pipeline.export.results import write_files, write_results
 from pipeline.export.writers import csv_table

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from jaxtyping import Bool, Float
 
-from pipeline.data import Detections, People, Source, Track3D
+from pipeline.data.detections import Detections
+from pipeline.data.people import People, Source, Track3D
 from pipeline.hands.attach import attach_hands, has_hands, without_fingers
 from pipeline.identity.identify import identify
 from pipeline.joints import BODY_25, COCO_17, WHOLE_BODY

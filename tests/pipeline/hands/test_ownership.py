@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pipeline.data import Observations, People, Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Observations, People, Track3D
 from pipeline.hands.ownership import owners
 from pipeline.tracking.observations import NOBODY, Bodies
 

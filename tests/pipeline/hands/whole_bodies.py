@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Detections, FrameTimes
+from pipeline.data.cameras import FrameTimes
+from pipeline.data.detections import Detections
 from pipeline.geometry.camera import project
 from pipeline.joints import COCO_17, SIDES, JointSet, finger_joints, hand_bones
 from pipeline.simulation.scenes import Simulation

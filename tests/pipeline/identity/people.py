@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data import Camera, Leftovers, Observations, People, Source, Timebase, Track3D
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Leftovers, Observations, People, Source, Track3D
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
 from pipeline.identity.identify import identify

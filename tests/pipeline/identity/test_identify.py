@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.data import Camera, Leftovers, Track3D
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Leftovers, Track3D
 from pipeline.geometry.camera import project
 from tests.pipeline.identity.people import part, person, spliced, told_apart, walker
 

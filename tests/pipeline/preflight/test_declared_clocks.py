@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, FrameTimes
+from pipeline.data.cameras import FrameTimes
+from pipeline.data.detections import Detections
 from pipeline.findings import Finding
 from pipeline.preflight import declared_clocks
 from pipeline.preflight.declared_clocks import _affordable, _spans, check_clocks

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.preflight.explain import MOVES, Move, move_points
 from pipeline.preflight.people import check_people

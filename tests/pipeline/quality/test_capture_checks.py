@@ -2,7 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data import Camera, CameraBump, CameraMove, DamagedVideo, Doubt, Observations, Refinement, WorldMove
+from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
+from pipeline.data.detections import DamagedVideo
+from pipeline.data.people import Doubt, Observations
 from pipeline.findings import Finding, SessionCheck
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report

@@ -4,18 +4,10 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.data import (
-    Animation,
-    Camera,
-    Doubt,
-    FootContact,
-    FootPart,
-    Observations,
-    Reconstruction,
-    Source,
-    Timebase,
-    Track3D,
-)
+from pipeline.data.animation import Animation, FootContact, FootPart
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Doubt, Observations, Source, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, finger_joints

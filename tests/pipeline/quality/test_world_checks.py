@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.adjustment.parameters import move_camera
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.joints import COCO_17
 from pipeline.quality.epipolar_distances import CameraPairs, Pairs, median_distances_m
 from pipeline.quality.report import estimate_stature_m

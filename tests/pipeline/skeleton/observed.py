@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pipeline.data import Camera, Observations, Source, Track3D
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.geometry.camera import image_from_world, project
 from pipeline.geometry.tracks import reproject
 from pipeline.geometry.triangulation import triangulate

@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.data import Source, Timebase, Track3D
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Source, Track3D
 from pipeline.joints import COCO_17
 
 UPPER_ARM_M, FOREARM_M, THIGH_M, SHIN_M = 0.28, 0.25, 0.42, 0.40

@@ -8,7 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import Feet, ReconstructionConfig, Smoothing
-from pipeline.data import Animation, Observations, SkeletonMotion, Source, Timebase, Track3D
+from pipeline.data.animation import Animation, SkeletonMotion
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.evaluation.simulated_feet import score_feet
 from pipeline.geometry.camera import project
 from pipeline.joints import BODY_25, COCO_17

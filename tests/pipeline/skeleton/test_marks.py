@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from pipeline.config import ReconstructionConfig, Smoothing
-from pipeline.data import Animation, Observations, Reconstruction, Source, Timebase, Track3D
+from pipeline.data.animation import Animation
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Observations, Source, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect.entries import REGISTRY
 from pipeline.geometry.camera import project
 from pipeline.joints import COCO_17, LIMBS, MARKED_AT_CENTERS, JointOffset, JointOffsets

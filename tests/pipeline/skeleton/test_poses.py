@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.joints import COCO_17, JointSet
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, Observations, Timebase, Track3D
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations, Track3D
 from pipeline.errors import InputError
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.geometry.camera import project

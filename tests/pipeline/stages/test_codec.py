@@ -13,26 +13,10 @@ from hypothesis import strategies as st
 from jaxtyping import Float
 
 from pipeline.clustering.bone_lengths import LimbLengths
-from pipeline.data import (
-    Animation,
-    DamagedVideo,
-    Detections,
-    Doubt,
-    Floor,
-    FootContact,
-    FootPart,
-    Leftovers,
-    MapGrid,
-    Observations,
-    PafFields,
-    People,
-    PictureChanges,
-    Poses3D,
-    SkeletonMotion,
-    Track3D,
-    no_colours,
-    no_detections,
-)
+from pipeline.data.animation import Animation, Floor, FootContact, FootPart, SkeletonMotion
+from pipeline.data.arrays import no_colours, no_detections
+from pipeline.data.detections import DamagedVideo, Detections, MapGrid, PafFields, PictureChanges
+from pipeline.data.people import Doubt, Leftovers, Observations, People, Poses3D, Track3D
 from pipeline.edits import PersonSpan
 from pipeline.stages.association import MeasuredBones
 from pipeline.stages.codec import RecordArchive, decode, encode, save

@@ -7,7 +7,7 @@ import pytest
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.config import JointCenters, ReconstructionConfig
-from pipeline.data import Timebase
+from pipeline.data.cameras import Timebase
 from pipeline.detect.entries import REGISTRY
 from pipeline.errors import PipelineError
 from pipeline.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointOffsets, JointSet

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Reconstruction
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import Cut, Exchange, Merge, PeopleEdit, Remove, Rename, Split
 from pipeline.export.results import write_results
 from pipeline.simulation.scenes import find_scene, record

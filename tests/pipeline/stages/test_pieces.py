@@ -11,7 +11,8 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
-from pipeline.data import Reconstruction, SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
 from pipeline.export.formats import FORMATS as FORMATS_BY_NAME
 from pipeline.export.formats import Person

@@ -14,7 +14,8 @@ from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, CameraBump, CameraMove, PafFields, Refinement, WorldMove
+from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
+from pipeline.data.detections import PafFields
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.export.results import write_results
 from pipeline.geometry.rigid import Rigid3

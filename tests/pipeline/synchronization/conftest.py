@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data import Camera, Detections, FrameTimes, Synchronization
+from pipeline.data.cameras import Camera, FrameTimes, Synchronization
+from pipeline.data.detections import Detections
 from pipeline.joints import JointSet
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 from pipeline.simulation.scenes import Scene, find_scene, record

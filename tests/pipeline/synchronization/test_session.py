@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.data import Synchronization
+from pipeline.data.cameras import Synchronization
 from pipeline.errors import InputError
 from pipeline.simulation.motion.script import Gesture
 from pipeline.stages.codec import decode, encode

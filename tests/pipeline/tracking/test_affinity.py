@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px

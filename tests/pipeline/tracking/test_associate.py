@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data import Camera, Detections, FrameTimes, Source, Timebase, Track3D
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import Source, Track3D
 from pipeline.geometry.camera import project
 from pipeline.identity.clothes import clothes_of
 from pipeline.simulation.scenes import find_scene, record

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.data import FrameTimes, Timebase
+from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.stages.stage import FrameCut
 from pipeline.video.timeline import (
     frames_in,

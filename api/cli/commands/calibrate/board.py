@@ -22,7 +22,7 @@ from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.registry import read_calibration
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 
 

@@ -10,7 +10,7 @@ from api.cli.commands.calibration.cameras import FileArgument, JsonOption, Units
 from api.cli.console import console, emit, print_table, reporting, warn
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.write import ENCODERS
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.geometry.camera import center_in_world
 

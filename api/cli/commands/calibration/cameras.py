@@ -9,7 +9,7 @@ import typer
 
 from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, CameraFile, Units
 from pipeline.calibration.registry import read_contents
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 

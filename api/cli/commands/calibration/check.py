@@ -22,7 +22,7 @@ from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding, documents, from_problem, has_error
 from pipeline.quality.findings import join_findings, people_findings

@@ -6,7 +6,8 @@ from contextlib import nullcontext
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import Session
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, Synchronization
+from pipeline.data.cameras import Synchronization
+from pipeline.data.detections import Detections
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.joints import JointSet
 from pipeline.progress import OnProgress, Progress

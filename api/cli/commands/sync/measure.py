@@ -23,7 +23,7 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
-from pipeline.data import Synchronization
+from pipeline.data.cameras import Synchronization
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.synchronization.document import sound_document, sync_document
 from pipeline.synchronization.report import error_pictures

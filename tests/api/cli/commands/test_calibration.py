@@ -14,7 +14,7 @@ from api.cli.main import app
 from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encode, encode_opencv
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig

@@ -9,7 +9,8 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.data import Camera, Doubt, LensModel
+from pipeline.data.cameras import Camera, LensModel
+from pipeline.data.people import Doubt
 from pipeline.export.viewer.description import ViewerMotion
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3

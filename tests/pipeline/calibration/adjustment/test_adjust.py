@@ -23,7 +23,7 @@ from pipeline.calibration.adjustment.parameters import (
 )
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations, observations_of_points
 from pipeline.calibration.adjustment.structure import FreePoints, RigidBodies
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import project
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, move_camera, offsets
 from pipeline.calibration.adjustment.projection import linearise
 from pipeline.calibration.adjustment.structure import FreePoints, RigidBodies, Structure
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.rigs import look_at

@@ -6,7 +6,8 @@ import numpy as np
 
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.rigs import Layout, Rig, build_cameras

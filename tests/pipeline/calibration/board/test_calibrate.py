@@ -11,7 +11,8 @@ from pipeline.calibration.board.detection.detect import find_board, is_exchanged
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.calibration.board.views import BoardViews, choose_views
 from pipeline.calibration_choices import KnownPoint
-from pipeline.data import Camera, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3

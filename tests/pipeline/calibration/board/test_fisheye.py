@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.board.intrinsics import calibrate_intrinsics
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.sizes import guessed_camera
-from pipeline.data import Camera, LensModel, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, LensModel
 from pipeline.geometry.rigid import Rigid3
 from tests.pipeline.calibration.board.conftest import views_of
 

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.spec import Board
-from pipeline.data import Camera, LensModel
+from pipeline.data.cameras import Camera, LensModel
 from pipeline.geometry.camera import project
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, look_at
 

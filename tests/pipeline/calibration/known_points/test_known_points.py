@@ -12,7 +12,7 @@ from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.similarity import Similarity
 from pipeline.calibration_choices import KnownPoint
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.simulation.rigs import Layout, Rig, build_cameras

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data import Camera, Detections, read_only
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
+from pipeline.data.detections import Detections
 from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig

@@ -7,7 +7,8 @@ from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.pairs import relate_by_people, sampson
 from pipeline.calibration.people.stature import scale_from, statures
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of
-from pipeline.data import Detections, FrameTimes
+from pipeline.data.cameras import FrameTimes
+from pipeline.data.detections import Detections
 from pipeline.geometry.camera import project
 from pipeline.joints import JointSet
 from pipeline.simulation.scenes import Simulation

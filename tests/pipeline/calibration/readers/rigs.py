@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import CameraFile, Units
 from pipeline.calibration.registry import read_contents
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3

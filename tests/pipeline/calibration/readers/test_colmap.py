@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.errors import InputError
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
 

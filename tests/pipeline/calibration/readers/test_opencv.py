@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye, problems_of
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, fisheye, problems_of
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.refinement.sightings import JointSightings
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import project
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 

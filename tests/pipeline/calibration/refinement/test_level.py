@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.refinement.level import Level, find_level
 from pipeline.calibration.similarity import move_world
-from pipeline.data import Camera, Poses3D
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Poses3D
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet

@@ -13,7 +13,7 @@ from pipeline.clustering.instant.bodies import agree, bodies_of, join_bodies, ma
 from pipeline.clustering.instant.hypotheses import Candidates
 from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world
 from tests.pipeline.clustering.test_associate import SKELETON, candidates_of, known_lengths, two_people
 

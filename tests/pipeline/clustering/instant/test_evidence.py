@@ -7,7 +7,8 @@ import pytest
 
 from pipeline.clustering.instant.evidence import AffinityFields, JointPoints, ViewFields, limbs_of
 from pipeline.clustering.skeleton import skeleton_of
-from pipeline.data import Camera, MapGrid
+from pipeline.data.cameras import Camera
+from pipeline.data.detections import MapGrid
 from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity, quantise

@@ -2,7 +2,7 @@ import numpy as np
 
 from pipeline.clustering.instant.hypotheses import Candidates, meet, reprojection_px
 from pipeline.clustering.instant.work_limits import WorkLimits
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world
 
 POINTS_M = np.array([[0.1, 0.2, 1.0], [-0.4, 0.3, 1.4]])

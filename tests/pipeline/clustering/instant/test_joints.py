@@ -2,7 +2,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from pipeline.clustering.instant.joints import refine
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world
 
 

@@ -15,7 +15,7 @@ from pipeline.clustering.instant.parsing import Poses
 from pipeline.clustering.instant.people import match_people
 from pipeline.clustering.instant.work_limits import MAX_REPAIRS, WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
 from pipeline.geometry.camera import image_from_world
 from pipeline.simulation.scenes import SCENES, Scene, record

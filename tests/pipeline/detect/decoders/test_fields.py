@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from pipeline.data import MapGrid
+from pipeline.data.detections import MapGrid
 from pipeline.detect.chunk import stack_fields
 from pipeline.detect.decoders.fields import FieldGrid, find_peaks
 from pipeline.detect.decoders.grouping import group

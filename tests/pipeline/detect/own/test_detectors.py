@@ -5,7 +5,7 @@ import numpy as np
 import onnx
 import pytest
 
-from pipeline.data import read_only
+from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.own.description import usual_network
 from pipeline.detect.own.detectors import as_input, crop_matrix, open_own

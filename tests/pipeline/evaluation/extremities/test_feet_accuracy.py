@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data import Source, Track3D
+from pipeline.data.people import Source, Track3D
 from pipeline.evaluation.extremities.angles import heading_error_deg, pitch_deg
 from pipeline.evaluation.extremities.feet import score_heels_and_toes
 from pipeline.joints import COCO_17

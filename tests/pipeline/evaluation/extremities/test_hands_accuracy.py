@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data import Side, Source, Track3D
+from pipeline.data.animation import Side
+from pipeline.data.people import Source, Track3D
 from pipeline.evaluation.extremities.bends import bends_deg, count_backward_bends
 from pipeline.evaluation.extremities.hands import score_hands
 from pipeline.joints import COCO_17, WHOLE_BODY, finger_joints

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import SkeletonMotion, Timebase
+from pipeline.data.animation import SkeletonMotion
+from pipeline.data.cameras import Timebase
 from pipeline.evaluation.extremities.headings import score_foot_directions
 from pipeline.skeleton.model import INDEX, SKELETON, joint_pose
 

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Doubt, FrameTimes, Reconstruction, Timebase, Track3D
+from pipeline.data.cameras import FrameTimes, Timebase
+from pipeline.data.people import Doubt, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.viewer.description import Footage
 from pipeline.joints import COCO_17
 from pipeline.skeleton.animate import animate

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data import Doubt, Reconstruction
+from pipeline.data.people import Doubt
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.viewer.description import ViewerMotion
 from pipeline.quality.report import quality_report
 from pipeline.quality.views import views_of

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import Preset
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
 from pipeline.joints import COCO_17

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers import glb
 from pipeline.export.writers.body_mesh import BodyMesh, body_mesh

@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.data import Animation, Reconstruction, SkeletonMotion, Source, Timebase, Track3D
+from pipeline.data.animation import Animation, SkeletonMotion
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Source, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.writers import skeletons_json
 from pipeline.joints import BODY_FEET, WHOLE_BODY, JointSet
 from pipeline.skeleton.model import SKELETON

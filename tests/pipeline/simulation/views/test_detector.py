@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data import Camera, Detections
+from pipeline.data.cameras import Camera
+from pipeline.data.detections import Detections
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.joints import COCO_17
 from pipeline.simulation.motion.performance import joints_at, perform

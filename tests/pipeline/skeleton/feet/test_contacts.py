@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.config import Feet
-from pipeline.data import Floor, FootContact
+from pipeline.data.animation import Floor, FootContact
 from pipeline.skeleton.feet.contacts import find_contacts
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M, estimate_floor
 from pipeline.skeleton.feet.holding import held_positions_m, stance_weight

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.data import FootContact, FootPart
+from pipeline.data.animation import FootContact, FootPart
 from pipeline.skeleton.feet.holding import held_parts_m
 from tests.pipeline.skeleton.feet.gait import RATE_HZ, gait
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.config import Feet, ReconstructionConfig, Smoothing
-from pipeline.data import Animation, FootContact, FootPart, Side, Timebase
+from pipeline.data.animation import Animation, FootContact, FootPart, Side
+from pipeline.data.cameras import Timebase
 from pipeline.joints import BODY_FEET, COCO_17
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.feet.floor import SIDES

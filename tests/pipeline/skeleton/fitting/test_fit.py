@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, Observations, Source, Timebase, Track3D
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.geometry.camera import project

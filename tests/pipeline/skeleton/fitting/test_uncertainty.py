@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline.config import ReconstructionConfig, Smoothing
-from pipeline.data import Animation, Observations, Source, Track3D
+from pipeline.data.animation import Animation
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints
 from pipeline.joints import COCO_17
 from pipeline.simulation.scenes import Simulation, find_scene, record

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import SkeletonMotion
+from pipeline.data.animation import SkeletonMotion
 from pipeline.joints import WHOLE_BODY
 from pipeline.skeleton.feet.floor import SIDES
 from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import Side
+from pipeline.data.animation import Side
 from pipeline.joints import FINGERS, finger_joints
 from pipeline.skeleton.feet.floor import SIDES
 from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data import Source
+from pipeline.data.people import Source
 from pipeline.joints import WHOLE_BODY, finger_joints
 from pipeline.skeleton.feet.floor import SIDES
 from pipeline.skeleton.hands.proportions import whole_lengths_m

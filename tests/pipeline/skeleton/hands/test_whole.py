@@ -8,7 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import ReconstructionConfig, Smoothing
-from pipeline.data import Animation, Side, SkeletonMotion, Source, Timebase
+from pipeline.data.animation import Animation, Side, SkeletonMotion
+from pipeline.data.cameras import Timebase
+from pipeline.data.people import Source
 from pipeline.joints import BODY_FEET, FINGER_JOINTS, WHOLE_BODY, JointSet, finger_joints
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.feet.floor import SIDES

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipeline.data import Synchronization
+from pipeline.data.cameras import Synchronization
 from pipeline.simulation.motion.script import Gesture
 from pipeline.synchronization.sound.combined import synchronize_with_sound
 from pipeline.synchronization.sound.offsets import SoundOffsets

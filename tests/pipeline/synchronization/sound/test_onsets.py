@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.synchronization.sound.offsets import SPEED_OF_SOUND_M_S, sound_offsets
 from pipeline.synchronization.sound.onsets import find_lag, onset_strength

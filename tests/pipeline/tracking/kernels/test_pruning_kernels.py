@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.data import Camera, FrameTimes, no_colours
+from pipeline.data.arrays import no_colours
+from pipeline.data.cameras import Camera, FrameTimes
 from pipeline.geometry.camera import project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.simulation.scenes import SCENES, record

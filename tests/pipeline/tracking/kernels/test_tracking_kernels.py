@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.data import Camera
+from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.geometry.triangulation import triangulate_robust

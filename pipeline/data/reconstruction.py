@@ -1,0 +1,72 @@
+"""The result of a reconstruction."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from pipeline.data.animation import Animation, SkeletonMotion
+from pipeline.data.cameras import Camera, Refinement, Synchronization, Timebase
+from pipeline.data.detections import DamagedVideo
+from pipeline.data.people import Doubt, Observations, Track3D
+from pipeline.findings import SessionCheck
+from pipeline.joints import JointOffsets, JointSet
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """Result of a reconstruction.
+
+    Parameters
+    ----------
+    cameras, joints, timebase
+        Cameras of the session, refined if they were, joints of the tracks, and times of the output frames.
+    located
+        Tracks with joints as association located them, before smoothing and fit.
+    observations
+        Observations behind the located tracks, in the same order.
+    animation
+        Final tracks and skeletons, in the same order.
+    warnings
+        Sentences for the user.
+    num_approximate_frames
+        Number of output frames that exceeded a limit of the exact methods of association.
+    damaged
+        Videos with damaged frames, in the cameras' order.
+    doubts
+        Doubts about the identity of each person, in the tracks' order; empty if nobody looked for them.
+    offsets
+        Offsets of the detector's marks from the joints' centres, with which the skeletons were fitted.
+    refinement
+        Report of the refinement of the calibration; ``None`` if none was asked for.
+    synchronization
+        Measured clocks; ``None`` if times are as they were declared.
+    check
+        Check of the session by its people.
+    is_emptied
+        Whether edits removed everybody who was found.
+    """
+
+    cameras: tuple[Camera, ...]
+    joints: JointSet
+    timebase: Timebase
+    located: Sequence[Track3D]
+    observations: Sequence[Observations]
+    animation: Animation
+    warnings: tuple[str, ...] = field(default=())
+    num_approximate_frames: int = 0
+    damaged: tuple[DamagedVideo, ...] = ()
+    doubts: Sequence[Sequence[Doubt]] = ()
+    offsets: JointOffsets = field(default_factory=dict)
+    refinement: Refinement | None = None
+    synchronization: Synchronization | None = None
+    check: SessionCheck = field(default_factory=SessionCheck)
+    is_emptied: bool = False
+
+    @property
+    def tracks(self) -> tuple[Track3D, ...]:
+        """Tracks with final positions."""
+        return self.animation.tracks
+
+    @property
+    def motions(self) -> tuple[SkeletonMotion, ...]:
+        """Skeleton motions, in the tracks' order."""
+        return self.animation.motions
