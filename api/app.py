@@ -10,11 +10,14 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
 
-from api import errors
-from api.checks import LimitedChecks
+from api import errors, page
 from api.contract import description as contract
 from api.dependencies import Services
-from api.events import JobChanges
+from api.events.changes import JobChanges
+from api.health.checks import LimitedChecks
+from api.health.metrics import RequestMetrics
+from api.http.bodies import validation
+from api.http.fair_share import share_of_requests, threads_of_blocks, threads_of_checks
 from api.http.keys_in_use import KeysInUse, RevokedKeyGuard
 from api.http.middleware import (
     FailureResponse,
@@ -25,23 +28,12 @@ from api.http.middleware import (
     TusProtocol,
 )
 from api.http.rates import RATE_HEADERS, Rates, WrongKeys
-from api.metrics import RequestMetrics
-from api.requests import validation
-from api.requests.fair_share import share_of_requests, threads_of_blocks, threads_of_checks
-from api.requests.preflight import PreflightProgram
-from api.routes import (
-    calibrations,
-    callers,
-    health,
-    options,
-    page,
-    sessions,
-    uploads,
-)
-from api.routes.job import events, jobs, motion, people, results
-from api.routes.viewing import links, thumbnails, videos
+from api.jobs.webhooks import declare_webhooks
+from api.resources import RESOURCES
+from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
-from api.tus.files import UploadSpool
+from api.uploads.files import UploadSpool
+from api.uploads.routes import VERSION as TUS_VERSION
 from pipeline.stages.code import stage_codes
 from worker.jobs.backup.linked import release_abandoned
 from worker.jobs.errors import DamagedDatabase
@@ -78,31 +70,12 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.metrics = RequestMetrics()
-    app.openapi = lambda: contract.describe(app)  # type: ignore[method-assign]
-    for router in (
-        *(
-            uploads.router,
-            calibrations.router,
-            sessions.router,
-            calibrations.small,
-            sessions.small,
-            videos.router,
-            thumbnails.router,
-            jobs.router,
-            jobs.small,
-            events.router,
-            links.router,
-            results.router,
-        ),
-        motion.router,
-        people.router,
-        options.router,
-    ):
-        app.include_router(router, responses=contract.problems(401, 429))
-    for router in (uploads.described, callers.router, health.router, page.router):
-        app.include_router(router)
+    app.openapi = lambda: contract.describe(app, RESOURCES)  # type: ignore[method-assign]
+    for resource in RESOURCES:
+        app.include_router(resource.router, responses={} if resource.is_open else contract.problems(401, 429))
+    app.include_router(page.router)
     app.mount("/portal", page.PortalFiles())
-    contract.declare_webhooks(app)
+    declare_webhooks(app)
     errors.install(app)
     validation.install(app)
     app.add_middleware(FailureResponse)
@@ -121,7 +94,7 @@ def create_app(settings: Settings) -> FastAPI:
         allowed_hosts=_LOOPBACK_NAMES | settings.allowed_hosts | {settings.host},
         allowed_origins=settings.allowed_origins,
     )
-    app.add_middleware(TusProtocol, prefix="/v1/uploads", version=uploads.VERSION)
+    app.add_middleware(TusProtocol, prefix="/v1/uploads", version=TUS_VERSION)
     app.add_middleware(SlowClientGuard, idle_s=settings.client_idle_s, min_bytes_per_s=settings.client_min_bytes_per_s)
     app.add_middleware(RequestContext, metrics=app.state.metrics)
     return app

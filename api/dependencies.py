@@ -6,15 +6,15 @@ from typing import Annotated
 
 from fastapi import Depends, Path, Query, Request
 
-from api.checks import LimitedChecks
-from api.events import JobChanges
+from api.events.changes import JobChanges
+from api.health.checks import LimitedChecks
+from api.http.bodies.form import Limits
+from api.http.fair_share import FairShare, FairThreads
 from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
-from api.requests.fair_share import FairShare, FairThreads
-from api.requests.form import Limits
-from api.requests.preflight import PreflightProgram
+from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
-from api.tus.files import UploadSpool
+from api.uploads.files import UploadSpool
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import ArtifactStore

@@ -14,8 +14,8 @@ from api.dependencies import Services
 from api.errors import ApiError, ErrorItem
 from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.http.conditional import NOT_MODIFIED, IfNoneMatch
+from api.http.fair_share import FairThreads
 from api.http.file_names import disposition_of
-from api.requests.fair_share import FairThreads
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model.jobs import Result
 
@@ -93,7 +93,7 @@ def file_responses(content: dict[str, Any], redirect: str | None = None) -> dict
     content
         Content of the file by media type.
     redirect
-        Path of the file in a bucket, if the artifact store may send the file itself.
+        Example of the file's path in a bucket, if the artifact store may send the file itself.
     """
     sends = {"content": content, "headers": HEADERS}
     responses: dict[int | str, dict[str, Any]] = {

@@ -1,24 +1,20 @@
-"""OpenAPI document of the web API, and helpers with which routes declare responses, forms and webhooks."""
+"""OpenAPI document of the web API, and helpers with which routes declare responses."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Body, FastAPI
+from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
-from starlette.routing import BaseRoute
 
-from api.contract import bodies, examples
-from api.contract.bodies import SCHEMA_REF
+from api.contract import examples
+from api.contract.bodies import SCHEMA_REF, form_schema
+from api.contract.resource import Resource
 from api.errors import ErrorItem, ProblemDetails
 from api.http.rates import RATE_HEADERS
-from api.schemas.jobs import JobEnded
 
 Responses = dict[int | str, dict[str, Any]]
-
-_ENDED = "Receive a job's end"
-_GONE: Responses = {410: {"description": "The receiver is gone; the message is not sent again."}}
 
 _CONVENTIONS = """
 
@@ -79,7 +75,7 @@ _MEANINGS = {
 
 
 def answer(example: str) -> dict[str, Any]:
-    """Declare the example of a response, one of ``api.contract.examples.ANSWERS``."""
+    """Declare the example of a response, one of ``Resource.answers``."""
     return {"content": {"application/json": {"examples": {"capture": {"$ref": f"#/components/examples/{example}"}}}}}
 
 
@@ -95,9 +91,8 @@ def file_content(media_types: Iterable[str], example: str) -> dict[str, Any]:
     }
 
 
-def location(what: str, path: str) -> dict[str, Any]:
+def location(what: str, example: str) -> dict[str, Any]:
     """Declare the header ``Location`` with an example."""
-    example = path.format(**examples.PATH_PARAMETERS)
     return {"description": f"Address of the {what}.", "schema": {"type": "string"}, "example": example}
 
 
@@ -106,33 +101,7 @@ def problems(*statuses: int) -> Responses:
     return {status: {"$ref": f"#/components/responses/{_problem_name(status)}"} for status in statuses}
 
 
-def _job_ended(
-    message: Annotated[JobEnded, Body(openapi_examples={"default": {"value": examples.JOB_ENDED}})],
-) -> None:
-    """The service sends this message to the `callback_url` of the job's spec when the job has ended.
-
-    It repeats the message for a day, until the receiver answers with 2xx or 410.
-    """
-
-
-def declare_webhooks(app: FastAPI) -> None:
-    """Declare the webhooks that the service sends."""
-    app.webhooks.post("job-ended", operation_id="jobEnded", summary=_ENDED, status_code=204, responses=_GONE)(
-        _job_ended
-    )
-
-
-def job_ended_callbacks(operation_id: str, pointer: str) -> list[BaseRoute]:
-    """Declare the webhook of an operation; ``pointer`` leads to the receiver's URL in the request's body."""
-    router = APIRouter()
-    address = f"{{$request.body#{pointer}}}"
-    router.post(address, operation_id=operation_id, name="jobEnded", summary=_ENDED, status_code=204, responses=_GONE)(
-        _job_ended
-    )
-    return router.routes
-
-
-def describe(app: FastAPI) -> dict[str, Any]:
+def describe(app: FastAPI, resources: Iterable[Resource]) -> dict[str, Any]:
     """OpenAPI document of the app, with the shared responses, examples and schemas."""
     if app.openapi_schema is None:
         schema = get_openapi(
@@ -150,13 +119,15 @@ def describe(app: FastAPI) -> dict[str, Any]:
         for name in ("HTTPValidationError", "ValidationError"):
             schema["components"]["schemas"].pop(name, None)
         models = schema["components"]["schemas"]
+        answers = {name: value for resource in resources for name, value in resource.answers.items()}
         for model in (ErrorItem, ProblemDetails):
             _describe(models, model, "serialization")
-        for part_model in bodies.models():
-            _describe(models, part_model, "validation")
-        models |= bodies.form_schemas()
+        for form in (form for resource in resources for form in resource.forms):
+            for part_model in (*form.models.values(), form.uploaded):
+                _describe(models, part_model, "validation")
+            models[form.name] = form_schema(form)
         schema["components"] |= {
-            "examples": {name: {"value": value} for name, value in examples.ANSWERS.items()},
+            "examples": {name: {"value": answers[name]} for name in sorted(answers)},
             "responses": {_problem_name(status): _problem(status) for status in _MEANINGS},
             "schemas": dict(sorted(models.items())),
         }

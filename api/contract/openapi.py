@@ -12,6 +12,7 @@ from typing import Any
 
 from api.app import create_app
 from api.contract import examples
+from api.resources import RESOURCES
 from api.settings import Settings
 
 FOLDER = Path(__file__).parents[2] / "openapi"
@@ -55,8 +56,9 @@ def _exchanges(contract: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any
 
 def _requests(method: str, path: str, operation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Example requests of an operation, one for each accepted content type."""
-    for name, value in examples.PATH_PARAMETERS.items():
-        path = path.replace(f"{{{name}}}", str(value))
+    for resource in RESOURCES:
+        for name, value in resource.parameters.items():
+            path = path.replace(f"{{{name}}}", str(value))
     parameters = operation.get("parameters", ())
     named = {parameter["name"].lower() for parameter in parameters if parameter["in"] == "header"}
     headers = {name: value for name, value in examples.REQUEST_HEADERS.items() if name.lower() in named}

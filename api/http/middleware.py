@@ -16,8 +16,8 @@ from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import ApiError, handle, problem_response
+from api.health.metrics import RequestMetrics
 from api.http.base import HttpMiddleware
-from api.metrics import RequestMetrics
 
 _log = structlog.get_logger(__name__)
 

@@ -19,8 +19,7 @@ _PIPELINE = Path(__file__).parents[1]
 _FOLDERS = sorted({path.parent for path in _PIPELINE.rglob("*kernels.py")})
 _SOURCES = [
     Path(__file__).with_name("jit.py"),
-    _PIPELINE / "data.py",
-    *(path for folder in _FOLDERS for path in sorted(folder.glob("*.py"))),
+    *(path for folder in (_PIPELINE / "data", *_FOLDERS) for path in sorted(folder.glob("*.py"))),
 ]
 _CPU_INFO = Path("/proc/cpuinfo")
 

@@ -14,8 +14,8 @@ import httpx2
 import pytest
 
 from api.app import ExposedError, create_app, require_keys_if_exposed
-from api.contract.examples import ANSWERS
 from api.contract.openapi import COMMITTED
+from api.motion.examples import ANSWERS
 from api.settings import Settings
 from pipeline.edits import PersonSpan
 from tests.api.conftest import Live, form, problem_of, running

@@ -15,7 +15,7 @@ from api.cli import client as own_client
 from api.cli.client import Client
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from tests.api.tus.test_files import TUS, Uploader
+from tests.api.uploads.test_files import TUS, Uploader
 from tests.s3 import running_s3
 from tests.unreliable import Mode, UnreliableProxy, unreliable
 from worker.jobs.tenant_records import TenantRecords

@@ -30,7 +30,7 @@ from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
 from tests.api.processes import peak_bytes
-from tests.api.tus.test_upload_clients import free_port
+from tests.api.uploads.test_upload_clients import free_port
 from tests.e2e.serving import digests
 from tests.postgres import running_postgres
 from tests.s3 import S3, running_s3

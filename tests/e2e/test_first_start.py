@@ -19,7 +19,7 @@ from pipeline.config import JobChoices, networks_of
 from pipeline.detect import models
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import NUM_COMPILED
-from tests.api.tus.test_upload_clients import free_port
+from tests.api.uploads.test_upload_clients import free_port
 from tests.e2e.serving import COMMAND
 from tests.waiting import wait_for
 

@@ -127,7 +127,7 @@ def other_version(folder: Path) -> Path:
     if not folder.exists():
         for package in PACKAGES:
             shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
-        with (folder / "pipeline" / "data.py").open("a", encoding="utf-8") as file:
+        with (folder / "pipeline" / "data" / "arrays.py").open("a", encoding="utf-8") as file:
             file.write("\nUNUSED = 1\n")
         codes = stage_codes(folder)
         assert all(codes[stage] != code for stage, code in stage_codes().items())

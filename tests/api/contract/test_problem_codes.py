@@ -11,7 +11,7 @@ import pytest
 from api.contract.problem_codes import GROUPS, STATUSES, ProblemCode
 from api.contract.problem_codes.page import PAGE, document, main
 from api.errors import _CODES
-from api.requests.form_kinds import VIEWS
+from api.http.bodies.form_kinds import VIEWS
 from pipeline.config import CHOICES, FILE_FORMATS
 
 ROOT = Path(__file__).parents[3]
@@ -23,8 +23,8 @@ PLACES = {"job", "waiting", "attempt", "readyz", "command", "warning", "finding"
 
 # Functions with tuples whose first items are codes.
 IN_TUPLES = {
-    "api/requests/form_kinds.py": {"_session_faults"},
-    "api/requests/spec_checks.py": {"callback_errors"},
+    "api/sessions/form.py": {"_session_faults"},
+    "api/jobs/spec_checks.py": {"callback_errors"},
     "api/cli/commands/backup.py": {"_code_and_faults"},
     "pipeline/capture/session.py": {"_range_problems"},
     "worker/jobs/spec.py": {"problems"},
@@ -35,24 +35,24 @@ IN_TUPLES = {
 }
 # Functions that get their codes from a caller or a mapping; the codes are found there.
 PASSED_ON = {
-    ("api/requests/form.py", "form"),  # those of FormKind.faults
-    ("api/requests/spec_checks.py", "spec_errors"),  # those of JobSpec.problems
-    ("api/requests/spec_checks.py", "callback_errors"),
-    ("api/requests/validation.py", "_parameter_items"),  # those of _CODES and of validators
-    ("api/requests/validation.py", "_items"),
+    ("api/http/bodies/form.py", "form"),  # those of FormKind.faults
+    ("api/jobs/spec_checks.py", "spec_errors"),  # those of JobSpec.problems
+    ("api/jobs/spec_checks.py", "callback_errors"),
+    ("api/http/bodies/validation.py", "_parameter_items"),  # those of _CODES and of validators
+    ("api/http/bodies/validation.py", "_items"),
     ("api/errors.py", "_from_status"),  # those of _CODES
     ("api/errors.py", "problem_response"),
-    ("api/routes/job/people.py", "edit_job_people"),  # those of edits
-    ("api/routes/health.py", "_database_check"),  # that of database_damaged
-    ("api/requests/calibration_intake.py", "_point_errors"),  # those of known points
-    ("api/routes/job/people.py", "edit_job_people"),  # that of apply_edits
+    ("api/people/routes.py", "edit_job_people"),  # those of edits
+    ("api/health/routes.py", "_database_check"),  # that of database_damaged
+    ("api/calibrations/intake.py", "_point_errors"),  # those of known points
+    ("api/people/routes.py", "edit_job_people"),  # that of apply_edits
     ("pipeline/capture/session.py", "_range_problems"),
     ("pipeline/findings.py", "from_problem"),  # those of the problem
     ("pipeline/quality/report.py", "all_checks"),  # those of the checks of a take
     ("pipeline/stages/calibrate.py", "calibrate"),  # those of problems
     ("pipeline/capture/session.py", "_of_video"),  # those of problems
     ("pipeline/video/unusable.py", "problem"),
-    ("api/requests/intake.py", "adopted"),  # that of upload_elsewhere
+    ("api/sessions/receiving.py", "adopted"),  # that of upload_elsewhere
     ("worker/problems.py", "waiting_for"),  # those of outages
     ("worker/problems.py", "problem_of"),  # those of the pipeline
 }
@@ -231,7 +231,7 @@ def test_every_raised_code_is_documented() -> None:
 
 
 def test_every_documented_code_is_raised() -> None:
-    # `api.requests.validation` uses these by a constant or by default.
+    # `api.http.bodies.validation` uses these by a constant or by default.
     by_constant = {"missing_field", "wrong_type", "invalid_value"}
     assert sorted(CODES.keys() - raised() - by_constant) == []
 

@@ -22,8 +22,8 @@ from schemathesis.specs.openapi.checks import (
 )
 
 from api.contract.openapi import COMMITTED
-from api.routes.uploads import PIECE_TYPE
 from api.settings import KIB, Settings
+from api.uploads.routes import PIECE_TYPE
 from pipeline.config import NETWORKS, NETWORKS_OF_PROFILES
 from tests.api.conftest import Live, running
 from worker.jobs.model.rights import Scope

@@ -7,8 +7,8 @@ import httpx2
 import pytest
 from sse_starlette import ServerSentEvent
 
-from api.routes.job.events import _events
-from api.routes.job.results import _content
+from api.events.routes import _events
+from api.results.routes import _content
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from worker.jobs.model.rights import Scope
@@ -54,8 +54,8 @@ def test_head_begins_no_stream(live: Live, addresses: list[str], monkeypatch: py
         async for event in _events(*arguments):
             yield event
 
-    monkeypatch.setattr("api.routes.job.results._content", content)
-    monkeypatch.setattr("api.routes.job.events._events", events)
+    monkeypatch.setattr("api.results.routes._content", content)
+    monkeypatch.setattr("api.events.routes._events", events)
     streams = [(f"{addresses[10]}/results.zip", "application/zip"), (f"{addresses[10]}/events", "text/event-stream")]
     for address, media_type in streams:
         headed = live.client.head(address)

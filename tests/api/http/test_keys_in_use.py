@@ -12,7 +12,7 @@ import pytest
 
 from api.settings import MIB, Settings
 from tests.api.conftest import Live, running
-from tests.api.tus.test_files import PIECE
+from tests.api.uploads.test_files import PIECE
 from tests.s3 import running_s3
 from worker.jobs.model.rights import Key, Scope
 

@@ -9,7 +9,7 @@ import pytest
 from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
-from api.schemas.jobs import JobEnded
+from api.jobs.schemas import JobEnded
 from tests.worker.conftest import Bench
 from tests.worker.webhooks.conftest import HOUR_S, Receiver, deliver, end_job, make_due
 from worker.jobs.model.webhooks import Delivery

@@ -1,0 +1,1 @@
+"""Calibrations: sent as files, or made from a board or from people."""

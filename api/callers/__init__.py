@@ -1,0 +1,1 @@
+"""Callers: their tenant, quotas, and browsers that sign in."""

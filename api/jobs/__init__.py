@@ -1,0 +1,1 @@
+"""Jobs: reconstruct a session, follow it, cancel, retry, delete."""

@@ -1,0 +1,354 @@
+"""Jobs: reconstruct a session, follow it, cancel, retry, delete."""
+
+import uuid
+from collections.abc import Collection
+from typing import Annotated, Any
+
+import structlog
+from fastapi import APIRouter, Body, Query, Request, Response, status
+from starlette.concurrency import run_in_threadpool
+
+from api.auth import JobViewDep, RecordsDep, ViewerDep
+from api.contract.bodies import body_of
+from api.contract.description import RETRY_AFTER, Responses, answer, location, problems
+from api.contract.examples import JOB_ID
+from api.contract.resource import Resource
+from api.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
+from api.errors import ApiError, unprocessable
+from api.http.bodies.form_kinds import EITHER_TYPE, FORM_TYPE, JSON_TYPE
+from api.http.bodies.reading import SmallBodyRoute
+from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
+from api.jobs import examples
+from api.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
+from api.jobs.spec_checks import callback_errors, for_session, network_errors, spec_errors
+from api.jobs.webhooks import job_ended_callbacks
+from api.sessions.form import CAPTURE_FORM
+from api.sessions.intake import CheckedSession, NewSession, check, stored
+from api.sessions.receiving import received
+from pipeline.video.playback.choices import ProxyChoices
+from worker.jobs.files.removals import remove_files
+from worker.jobs.model.jobs import Job, JobKind
+from worker.jobs.model.sessions import Session
+from worker.jobs.model.states import RETRYABLE, JobState
+from worker.jobs.spec import JobSpec
+from worker.jobs.tenant_records import TenantRecords
+from worker.planning import has_videos, plan_job, plan_visuals
+from worker.telemetry import tracing
+
+router = APIRouter(prefix="/v1", tags=["jobs"])
+# One of these routes takes JSON; the form has its own limits.
+small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
+
+_log = structlog.get_logger(__name__)
+
+_ONE, _PAGE = answer("Job"), answer("JobPage")
+State = Annotated[JobState | None, Query(description="Only jobs in this state.")]
+_ACCEPTED: Responses = {
+    202: _ONE | {"headers": {"Location": location("job", f"/v1/jobs/{JOB_ID}"), **RETRY_AFTER}},
+}
+
+
+@small.post(
+    "/sessions/{session_id}/jobs",
+    operation_id="createJob",
+    summary="Reconstruct a session",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 413, 415, 422, 507)},
+    callbacks=job_ended_callbacks("jobEndedOfJob", "/callback_url"),
+)
+def create_job(
+    session_id: SessionId,
+    services: ServicesDep,
+    idempotent: IdempotentRequestDep,
+    spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.SPEC}})] = JobSpec(),  # noqa: B008 - frozen
+) -> Response:
+    """Reconstruct a session."""
+    if (earlier := idempotent.begin(spec.model_dump(mode="json"))) is not None:
+        return earlier
+    with idempotent.working():
+        session = idempotent.records.sessions.get(session_id)
+        if session.purpose == "calibration":
+            message = "The session was sent for a calibration, and its cameras are not calibrated."
+            raise ApiError("conflict", message, hint="Send its videos as a session with the calibration's id.")
+        spec = for_session(spec, session.preflight.sync)
+        errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
+        if has_videos(session):
+            errors += network_errors(spec, services, ())
+        if errors:
+            raise unprocessable(errors)
+        services.disk.require_room()
+        stages = plan_job(session, spec, services.settings.chunk_frames)
+        with idempotent.records.transaction() as work:
+            job = work.jobs.add(session.id, spec, stages, services.settings.retention_s, tracing.current())
+            _queue_proxies(work, services, session)
+            answer = idempotent.store(work, _accepted(job))
+    _announce(services, job)
+    return answer.response()
+
+
+def _creates_session_and_job(types: Collection[str], callback: str) -> dict[str, Any]:
+    """Declare an operation that creates a session with a job; ``callback`` is the id of its webhook."""
+    return {
+        "status_code": status.HTTP_202_ACCEPTED,
+        "response_model": JobOut,
+        "responses": {**_ACCEPTED, **problems(400, 408, 409, 413, 415, 422, 507)},
+        "openapi_extra": body_of(CAPTURE_FORM, types),
+        "callbacks": job_ended_callbacks(callback, "/spec/callback_url"),
+    }
+
+
+@router.post(
+    "/jobs",
+    operation_id="createSessionAndJob",
+    summary="Send and reconstruct a session",
+    **_creates_session_and_job(EITHER_TYPE, "jobEndedOfSession"),
+)
+async def create_session_and_job(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads.
+
+    The choices of the job, its `callback_url` too, are in `spec`. Generated clients use `createSessionAndJobFromFiles`
+    and `createSessionAndJobFromUploads`, which do the same with one kind of body each.
+    """
+    return await _create_session_and_job(request, services, idempotent, EITHER_TYPE)
+
+
+@router.post(
+    "/jobs/from-files",
+    operation_id="createSessionAndJobFromFiles",
+    summary="Reconstruct a session's files",
+    **_creates_session_and_job({FORM_TYPE}, "jobEndedOfFiles"),
+)
+async def create_session_and_job_from_files(
+    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
+) -> Response:
+    """Send a session as a form with its files, and reconstruct it; otherwise as `createSessionAndJob`."""
+    return await _create_session_and_job(request, services, idempotent, {FORM_TYPE})
+
+
+@router.post(
+    "/jobs/from-uploads",
+    operation_id="createSessionAndJobFromUploads",
+    summary="Reconstruct a session's uploads",
+    **_creates_session_and_job({JSON_TYPE}, "jobEndedOfUploads"),
+)
+async def create_session_and_job_from_uploads(
+    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
+) -> Response:
+    """Send a session as JSON that names finished uploads, and reconstruct it; otherwise as `createSessionAndJob`."""
+    return await _create_session_and_job(request, services, idempotent, {JSON_TYPE})
+
+
+async def _create_session_and_job(
+    request: Request, services: Services, idempotent: IdempotentRequest, types: Collection[str]
+) -> Response:
+    async with received(request, services, idempotent, CAPTURE_FORM, types) as sent:
+        if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
+            return earlier
+        async with idempotent.held():
+            checked = await check(request, services, idempotent.records, sent)
+            answer = await run_in_threadpool(_add_session_and_job, services, idempotent, checked)
+    return answer.response()
+
+
+def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
+    """Store the files of a session, and record both or neither."""
+    settings, spec = services.settings, checked.spec
+    with stored(services, checked) as new:
+        stages = plan_job(new, spec, settings.chunk_frames)
+        with idempotent.records.transaction() as work:
+            work.uploads.use(new.upload_ids)
+            work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
+            job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current())
+            _queue_proxies(work, services, new)
+            answer = idempotent.store(work, _accepted(job))
+    _announce(services, job)
+    return answer
+
+
+@small.get("/jobs", operation_id="listJobs", summary="List jobs", responses={200: _PAGE, **problems(422)})
+def list_jobs(
+    records: RecordsDep,
+    state: State = None,
+    session_id: Annotated[uuid.UUID | None, Query(description="Only jobs of this session.")] = None,
+    kind: Annotated[
+        JobKind | None, Query(description="Only jobs of this kind; without it all but `proxies` and `visuals`.")
+    ] = None,
+    limit: Limit = 50,
+    cursor: Cursor = None,
+) -> JobPage:
+    """List jobs, the newest first: all of them, or those of a session or in a state."""
+    return _page(records, state, str(session_id) if session_id else None, limit, cursor, kind)
+
+
+@small.get(
+    "/sessions/{session_id}/jobs",
+    operation_id="listSessionJobs",
+    summary="List a session's jobs",
+    responses={200: _PAGE, **problems(404, 422)},
+)
+def list_session_jobs(
+    session_id: SessionId, records: RecordsDep, state: State = None, limit: Limit = 50, cursor: Cursor = None
+) -> JobPage:
+    """List the jobs of a session, the newest first."""
+    records.sessions.get(session_id)
+    return _page(records, state, session_id, limit, cursor)
+
+
+@small.get(
+    "/jobs/{job_id}",
+    operation_id="getJob",
+    summary="Read a job",
+    response_model=JobOut,
+    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+)
+def get_job(job_id: JobId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None) -> Response:
+    """Read a job: its state, its stages, how far they are."""
+    job = JobOut.of(records.jobs.get(job_id))
+    return conditional(job.for_link() if viewer.link else job, if_none_match)
+
+
+@small.get(
+    "/jobs/{job_id}/attempts",
+    operation_id="listAttempts",
+    summary="List a job's attempts",
+    responses={200: answer("AttemptList"), **problems(404)},
+)
+def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
+    """List a job's attempts, with the reason of each failure: of the attempt, and of what was tried again in it."""
+    return AttemptList(attempts=tuple(AttemptOut.of(attempt) for attempt in records.jobs.attempts(job_id)))
+
+
+@small.post(
+    "/jobs/{job_id}/cancel",
+    operation_id="cancelJob",
+    summary="Cancel a job",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
+)
+def cancel_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Cancel a job. What runs of it stops within seconds."""
+    return services.disk.using_reserve(lambda: _cancel(services, idempotent, job_id))
+
+
+def _cancel(services: Services, idempotent: IdempotentRequest, job_id: str) -> Response:
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        # Tried again before the key is given back, which may need the reserve too.
+        return services.disk.using_reserve(lambda: _canceled(idempotent, job_id)).response()
+
+
+def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
+    with idempotent.records.transaction() as work:
+        return idempotent.store(work, _accepted(work.jobs.cancel(job_id)))
+
+
+@small.post(
+    "/jobs/{job_id}/retry",
+    operation_id="retryJob",
+    summary="Retry a job",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
+)
+def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Try a failed or canceled job again. What it had finished is not done again."""
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        job = idempotent.records.jobs.get(job_id)
+        session = idempotent.records.sessions.get(job.session_id)
+        may_retry = job.state in RETRYABLE  # else the store says why not
+        if may_retry and has_videos(session) and (errors := network_errors(job.spec, services, None)):
+            raise unprocessable(errors)
+        services.disk.require_room()
+        frames = services.settings.chunk_frames
+        stages = plan_job(session, job.spec, frames, making=job.making, edits=job.edits, revision=job.revision)
+        with idempotent.records.transaction() as work:
+            answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
+    services.queue.publish()
+    return answer.response()
+
+
+@small.post(
+    "/jobs/{job_id}/visuals",
+    operation_id="makeJobVisuals",
+    summary="Make visuals of a job anew",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
+)
+def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Make the overlay videos and the report of an edited job anew, by a job of their own, which is answered.
+
+    It is the same job if it is at work already. A newer edit deletes it. Each file takes the place of the earlier one.
+    """
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        job = idempotent.records.jobs.get(job_id)
+        services.disk.require_room()
+        session = idempotent.records.sessions.get(job.session_id)
+        stages = plan_visuals(session, job, services.settings.chunk_frames)
+        with idempotent.records.transaction() as work:
+            made = work.visuals.add(job_id, stages, job.revision, tracing.current())
+            answer = idempotent.store(work, _accepted(made))
+    services.queue.publish()
+    return answer.response()
+
+
+@small.delete(
+    "/jobs/{job_id}",
+    operation_id="deleteJob",
+    summary="Delete a job",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(404, 409),
+)
+def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> None:
+    """Delete a finished job with its results."""
+    services.disk.using_reserve(lambda: records.jobs.delete(job_id))
+    services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
+
+
+def _page(
+    records: TenantRecords,
+    state: JobState | None,
+    session_id: str | None,
+    limit: int,
+    cursor: uuid.UUID | None,
+    kind: JobKind | None = None,
+) -> JobPage:
+    """Build a page of a list of jobs."""
+    after = str(cursor) if cursor else None
+    jobs = records.jobs.page(state=state, limit=limit, after=after, session_id=session_id, kind=kind)
+    next_cursor = jobs[-1].id if len(jobs) == limit else None
+    return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
+
+
+def _queue_proxies(work: TenantRecords, services: Services, session: Session | NewSession) -> None:
+    """Queue the job that makes a session's proxies, in an open transaction, unless there is one or none is needed."""
+    cameras = tuple(camera.name for camera in session.preflight.cameras if camera.media_type is None)
+    if not cameras or not has_videos(session) or work.jobs.page(session_id=session.id, kind="proxies", limit=1):
+        return
+    making = ProxyChoices(cameras)
+    stages = plan_job(session, JobSpec(), services.settings.chunk_frames, making=making)
+    work.jobs.add(session.id, JobSpec(), stages, None, tracing.current(), making)
+
+
+def _announce(services: Services, job: Job) -> None:
+    """Wake a worker for a new job."""
+    _log.info("job_created", job=job.id, session=job.session_id)
+    # When the broker is away, the reaper publishes later.
+    services.queue.publish()
+
+
+def _accepted(job: Job) -> Answer:
+    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
+    return Answer(202, headers, JobOut.of(job).model_dump_json())
+
+
+CREATION = Resource(router=router, forms=(CAPTURE_FORM,))
+RESOURCE = Resource(router=small, answers=examples.ANSWERS, parameters={"job_id": JOB_ID})

@@ -1,0 +1,1 @@
+"""Options of a form that sends captures, and the sample capture."""

@@ -1,0 +1,155 @@
+"""Routes for a form that sends captures: the choices of a job, the installed networks, a sample capture."""
+
+import mimetypes
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from typing import Annotated
+from urllib.parse import quote
+
+from fastapi import APIRouter, Path, Response
+from starlette.responses import FileResponse
+
+from api.auth import RecordsDep
+from api.contract.description import answer, file_content, problems
+from api.contract.resource import Resource
+from api.dependencies import ServicesDep
+from api.errors import ApiError
+from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.options import examples
+from api.options.schemas import (
+    ChoiceOut,
+    DetectorOut,
+    Options,
+    ProfileNetworksOut,
+    ProfileOut,
+    SampleFileOut,
+    SampleOut,
+)
+from pipeline.config import (
+    CHOICES,
+    JOINTS,
+    NETWORKS,
+    PROFILES,
+    JobChoices,
+    JointsOfBody,
+    Profile,
+    detected_joints,
+    install_command,
+    networks_of,
+)
+from pipeline.runtime.packages import samples
+from worker.jobs.repositories.work.workers import installed_detectors
+
+router = APIRouter(prefix="/v1", tags=["jobs"])
+
+# Seconds of a job a camera's frame, by profile and joints: docs/measurements.md, "Profiles".
+_CAMERA_FRAME_S: Mapping[tuple[Profile, JointsOfBody], float] = {
+    ("fast", "body"): 0.023,
+    ("fast", "feet"): 0.054,
+    ("balanced", "feet"): 0.063,
+    ("balanced", "whole"): 0.100,
+    ("accurate", "feet"): 0.151,
+}
+
+_INSTALL = "Run: multicap samples install"
+
+
+@router.get(
+    "/options",
+    operation_id="getOptions",
+    summary="Read the choices of a job",
+    response_model=Options,
+    responses={200: answer("Options") | {"headers": ETAG}, **NOT_MODIFIED},
+)
+def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
+    """List the choices of a job with their values, limits and defaults, and the networks that are installed."""
+    installed = installed_detectors(services.store.workers.all())
+    options = Options(
+        profiles=tuple(_profile(name, installed) for name in PROFILES),
+        detectors=tuple(
+            DetectorOut(
+                name=name,
+                installed=None if installed is None else name in installed,
+                install=install_command(name),
+            )
+            for name in NETWORKS
+        ),
+        choices=tuple(ChoiceOut.of(choice) for choice in CHOICES.values()),
+    )
+    return conditional(options, if_none_match)
+
+
+@router.get("/sample", operation_id="getSample", summary="Read the sample capture", responses={200: answer("Sample")})
+def get_sample(_: RecordsDep) -> SampleOut:
+    """List the files of the sample capture, a real take to try the service with."""
+    paths = _sample_paths()
+    return SampleOut(
+        installed=bool(paths),
+        install=_INSTALL,
+        attribution=samples.ATTRIBUTION,
+        files=tuple(
+            SampleFileOut(
+                name=path.name,
+                media_type=_media_type(path),
+                num_bytes=path.stat().st_size,
+                link=f"/v1/sample/{quote(path.name)}",
+            )
+            for path in paths
+        ),
+    )
+
+
+@router.get(
+    "/sample/{sample_file}",
+    operation_id="getSampleFile",
+    summary="Download a file of the sample capture",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "File of the sample capture.",
+            "content": file_content(["application/octet-stream", "application/toml", "video/mp4"], "(the file)"),
+        },
+        **problems(404),
+    },
+)
+def get_sample_file(
+    sample_file: Annotated[str, Path(description="Name of a file of the sample capture.")], _: RecordsDep
+) -> FileResponse:
+    """Download a file of the sample capture."""
+    found = [path for path in _sample_paths() if path.name == sample_file]
+    if not found:
+        raise ApiError("not_found", "The sample capture has no such file, or is not installed.", hint=_INSTALL)
+    return FileResponse(found[0], media_type=_media_type(found[0]))
+
+
+def _sample_paths() -> list[FilePath]:
+    """Files of the sample capture; none if it is not installed."""
+    sample = samples.locate()
+    return [] if sample is None else [*sample.videos.values(), sample.calibration]
+
+
+def _media_type(path: FilePath) -> str:
+    return mimetypes.guess_type(path.name)[0] or "application/octet-stream"
+
+
+def _profile(name: Profile, installed: frozenset[str] | None) -> ProfileOut:
+    return ProfileOut(
+        name=name,
+        default_joints=detected_joints(JobChoices(profile=name)),
+        joints=tuple(_profile_networks(name, joints, installed) for joints in JOINTS),
+    )
+
+
+def _profile_networks(profile: Profile, joints: JointsOfBody, installed: frozenset[str] | None) -> ProfileNetworksOut:
+    networks = networks_of(JobChoices(profile=profile, joints=joints)).names
+    missing = [name for name in networks if name not in (installed or ())]
+    return ProfileNetworksOut(
+        joints=joints,
+        networks=networks,
+        camera_frame_s=_CAMERA_FRAME_S.get((profile, joints)),
+        installed=None if installed is None else not missing,
+        install=install_command(*networks),
+    )
+
+
+RESOURCE = Resource(router=router, answers=examples.ANSWERS, parameters={"sample_file": "cam01.mp4"})

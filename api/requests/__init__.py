@@ -1,1 +1,0 @@
-"""Bodies of requests: forms, JSON, limits, validation, idempotency, and the check of a session's files."""

@@ -1,0 +1,28 @@
+"""Examples of result files."""
+
+from typing import Any
+
+from api.contract.examples import JOB_ID, SHA256
+
+_RESULTS: dict[str, Any] = {
+    "results": [
+        {
+            "name": "person-1.bvh",
+            "kind": "bvh",
+            "person": "person-1",
+            "person_name": "person-1",
+            "format": "bvh",
+            "preset": "default",
+            "download_name": "handshake-take-3_person-1.bvh",
+            "media_type": "text/plain; charset=utf-8",
+            "num_bytes": 204800,
+            "sha256": SHA256,
+            "revision": 0,
+            "link": f"/v1/jobs/{JOB_ID}/results/person-1.bvh",
+        }
+    ]
+}
+
+ANSWERS: dict[str, Any] = {
+    "ResultList": _RESULTS,
+}

@@ -1,1 +1,0 @@
-"""Routes of the web API, a module for each resource."""

@@ -1,1 +1,0 @@
-"""Routes of a job: its course, events, results, motion and people."""

@@ -1,1 +1,0 @@
-"""Bodies of requests and responses as Pydantic models; the stored records are in ``worker.jobs.model``."""

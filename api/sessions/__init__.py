@@ -1,0 +1,1 @@
+"""Capture sessions: how they come in, their check, their videos and thumbnails."""

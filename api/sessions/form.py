@@ -1,0 +1,69 @@
+"""Forms that create sessions, alone or with their reconstruction."""
+
+from collections.abc import Iterator, Mapping
+
+from api.contract.examples import UPLOAD_IDS
+from api.http.bodies.form_kinds import (
+    CALIBRATION,
+    CALIBRATION_ID,
+    KEYPOINTS,
+    MANIFEST,
+    SPEC,
+    TIMESTAMPS,
+    VIDEOS,
+    VIEWS,
+    FormKind,
+)
+from api.jobs import examples as job_examples
+from api.sessions import examples
+from api.sessions.schemas import Manifest, UploadedCapture, UploadedSession
+from worker.jobs.spec import JobSpec
+
+
+def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[str, str, str]]:
+    if not any(counts[part] for part in VIEWS):
+        yield "missing_part", "There are no videos and no keypoints: a session needs either.", VIDEOS
+    if not counts[CALIBRATION] and not counts[CALIBRATION_ID]:
+        yield "missing_part", "There is no calibration: a session needs one.", CALIBRATION
+    if counts[CALIBRATION] and counts[CALIBRATION_ID]:
+        message = "There is a calibration and a calibration_id: a session needs one of both."
+        yield "part_not_allowed", message, CALIBRATION_ID
+    if counts[VIDEOS]:
+        for part in (KEYPOINTS, TIMESTAMPS):
+            if counts[part]:
+                yield "part_not_allowed", "A session of videos has no such files.", part
+
+
+_PARTS: Mapping[str, str] = {
+    VIDEOS: "Videos, one for each camera.",
+    KEYPOINTS: "Keypoints in place of videos: for each camera a zip of its keypoint files, named as the camera.",
+    CALIBRATION: "Calibration of all cameras; or `calibration_id`.",
+    TIMESTAMPS: "Timestamps of keypoints: CSV with the columns camera, frame and time_s.",
+}
+_FILES = {VIDEOS: ["cam_0.mp4", "cam_1.mp4"], CALIBRATION: "calibration.toml"}
+_UPLOADS = {VIDEOS: UPLOAD_IDS[:2], CALIBRATION: UPLOAD_IDS[2]}
+_SESSION = {MANIFEST: examples.MANIFEST}
+_CAPTURE = {MANIFEST: examples.MANIFEST, SPEC: job_examples.SPEC}
+
+SESSION_FORM = FormKind(
+    name="SessionForm",
+    noun="session",
+    parts=_PARTS,
+    documents={CALIBRATION_ID: None, MANIFEST: Manifest},
+    uploaded=UploadedSession,
+    form_example=_FILES | _SESSION,
+    uploaded_example=_UPLOADS | _SESSION,
+    faults=_session_faults,
+)
+CAPTURE_FORM = FormKind(
+    name="CaptureForm",
+    noun="session",
+    parts=_PARTS,
+    documents={CALIBRATION_ID: None, MANIFEST: Manifest, SPEC: JobSpec},
+    uploaded=UploadedCapture,
+    form_example=_FILES | _CAPTURE,
+    uploaded_example=_UPLOADS | _CAPTURE,
+    faults=_session_faults,
+    has_job=True,
+)
+"""A session that is reconstructed at once."""

@@ -1,0 +1,319 @@
+"""Bodies of capture sessions: requests of clients, and the session with the report of its check."""
+
+import json
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, Self
+from urllib.parse import quote
+from uuid import UUID
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
+from api.http.bodies.form_kinds import UploadedFiles
+from pipeline.capture.preflight_record import Clock, PreflightCamera
+from pipeline.video.playback.choices import proxy_name
+from worker.jobs.model.jobs import NewestJob
+from worker.jobs.model.sessions import Capture
+from worker.jobs.model.states import JobState
+from worker.jobs.spec import JobSpec
+
+
+def _json(value: dict[str, Any]) -> dict[str, Any]:
+    """Refuse values that Python's parser accepts and JSON does not allow, such as NaN and lone surrogates."""
+    try:
+        json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
+    except ValueError:
+        message = "metadata must be valid JSON: no NaN, no infinity, no lone surrogates."
+        raise PydanticCustomError("json_value", message) from None
+    return value
+
+
+SessionName = Annotated[
+    str,
+    AfterValidator(printable_name),
+    Field(min_length=1, max_length=200, description="Name of the session for people."),
+]
+
+
+class CameraManifest(BaseModel):
+    """Facts about a camera's video that neither the file nor the calibration states."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
+        min_length=1, max_length=64, description="Name of the camera in the calibration."
+    )
+    file: Annotated[str, AfterValidator(printable_name)] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=200,
+        description="Name of the camera's video; by default the video with the camera's name.",
+    )
+    offset_s: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-86_400.0,
+        le=86_400.0,
+        allow_inf_nan=False,
+        description="Time of the first frame on the clock that all cameras share.",
+    )
+    rate: float | None = Field(
+        default=None,
+        strict=True,
+        ge=1.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Frame rate in Hz, if the times in the video are wrong, or of images in place of a video.",
+    )
+
+
+class Manifest(BaseModel):
+    """Description of a session beside its files. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: SessionName = "untitled"
+    frame_rate_hz: float | None = Field(
+        default=None,
+        strict=True,
+        ge=1.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Frame rate of keypoints without timestamps, by default 25 Hz; or of images in place of videos, "
+        "which need one unless their cameras have a `rate`.",
+    )
+    cameras: tuple[CameraManifest, ...] = Field(
+        default=(), max_length=256, description="Facts about some cameras of a session of videos."
+    )
+    units: Literal["m", "cm", "mm"] = Field(
+        default="m",
+        description="Unit of length of a calibration whose format does not state it (TOML, and JSON with K, R, t).",
+    )
+    clock: Clock = Field(
+        default="declared",
+        description="Clock of the first frames of videos: `declared` is their start plus `offset_s`; `timecode` and "
+        "`creation_time` are those that the files state, to which `offset_s` is added.",
+    )
+    sync: Literal["declared", "auto"] = Field(
+        default="declared",
+        description="Synchronisation of the session's jobs whose spec does not state `sync`: `auto` measures the "
+        "clocks of the cameras from the people.",
+    )
+    metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
+        default={}, description="Data of the client, which every response with the session repeats."
+    )
+
+
+class UploadedSession(UploadedFiles):
+    """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
+
+    keypoints: tuple[UUID, ...] = Field(
+        default=(),
+        description="Uploads of keypoints in place of videos: for each camera a zip of its keypoint files, named as "
+        "the camera.",
+    )
+    calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
+    calibration_id: UUID | None = Field(
+        default=None, description="Id of a stored calibration, in place of `calibration`."
+    )
+    timestamps: UUID | None = Field(
+        default=None,
+        description="Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s.",
+    )
+    session_id: UUID | None = Field(
+        default=None,
+        description="Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as "
+        "the session of a calibration. Name, offsets and rates are those of `manifest`.",
+    )
+    manifest: Manifest = Manifest()
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        single = (("calibration", self.calibration), ("timestamps", self.timestamps))
+        keypoints = [("keypoints", one) for one in self.keypoints]
+        return [*super().uploads(), *keypoints, *((part, one) for part, one in single if one is not None)]
+
+    def named(self) -> Iterable[str]:
+        """Names of the form's documents that the fields stand for."""
+        return () if self.calibration_id is None else ("calibration_id",)
+
+    def source_id(self) -> str | None:
+        """Id of the session whose videos or keypoints are copied."""
+        return None if self.session_id is None else str(self.session_id)
+
+
+class UploadedCapture(UploadedSession):
+    """Session of uploaded files with the choices of its job. Unknown fields are refused."""
+
+    spec: JobSpec = JobSpec()
+
+
+class FileOut(ResponseModel):
+    """File of a session."""
+
+    name: str = Field(description="Name of the file.")
+    kind: str = Field(description="Kind of the file: `video`, `keypoints`, `calibration` or `timestamps`.")
+    num_bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="SHA-256 of the file in hexadecimal.")
+
+
+class ThumbnailOut(ResponseModel):
+    """Small copy of a picture of a video."""
+
+    time_s: float = Field(description="Time of the picture on the session's clock.")
+    link: str = Field(description="Path of the JPEG, whose longer side is at most 320 pixels.")
+
+
+class CameraOut(ResponseModel):
+    """Camera of the calibration with its video or its keypoints.
+
+    A player shows the frame of the session's time t at ``t - start_time_s + media_start_s``.
+    """
+
+    name: str = Field(description="Name of the camera in the calibration.")
+    file: str = Field(description="Name of the file with the camera's video or keypoints.")
+    size_px: tuple[int, int] = Field(description="Width and height of the frames.")
+    frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.")
+    num_frames: int = Field(description="Number of frames in the file.")
+    start_time_s: float = Field(description="Time of the camera's first frame on the session's clock.")
+    plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.")
+    video_link: str | None = Field(
+        description="Path of a video that browsers play: the one that was sent, or a proxy of it. Null until the proxy "
+        "is made, and for keypoints."
+    )
+    media_start_s: float = Field(description="Time of the first frame on the clock of the video at `video_link`.")
+    thumbnails: tuple[ThumbnailOut, ...] = Field(
+        default=(),
+        description="Pictures at which the check looked, ascending in time; `pictures` of a finding's evidence has "
+        "their places in this list. None for keypoints.",
+    )
+
+    @classmethod
+    def of(cls, session_id: str, camera: PreflightCamera, has_proxy: bool) -> Self:
+        """Build the response from a camera of a session."""
+        plays = camera.media_type is not None
+        session, name = f"/v1/sessions/{session_id}", quote(camera.name, safe="")
+        path = f"{session}/videos/{name}"
+        return cls(
+            **fields_of(camera, cls, without=("plays_in_browsers", "video_link", "media_start_s", "thumbnails")),
+            plays_in_browsers=plays,
+            video_link=path if plays or has_proxy else None,
+            media_start_s=camera.media_start_s if plays else 0.0,
+            thumbnails=tuple(
+                ThumbnailOut(time_s=one.time_s, link=f"{session}/thumbnails/{name}/{number}")
+                for number, one in enumerate(camera.thumbnails)
+            ),
+        )
+
+
+class TimebaseOut(ResponseModel):
+    """Clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
+
+    start_time_s: float = Field(description="Time of output frame 0.")
+    frame_rate_hz: float = Field(description="Output frames a second.")
+    num_frames: int = Field(description="Number of output frames.")
+
+
+class PreflightOut(ResponseModel):
+    """Result of the check of a session's files."""
+
+    cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
+    timebase: TimebaseOut = Field(description="Clock of the output frames.")
+    warnings: tuple[str, ...] = Field(description="Sentences of the findings.")
+    findings: tuple[FindingOut, ...] = Field(
+        default=(), description="Findings of the check; none for sessions of versions that had sentences only."
+    )
+
+    @classmethod
+    def of(cls, capture: Capture) -> Self:
+        """Build the response from a session and its proxies."""
+        session, preflight = capture.session, capture.session.preflight
+        return cls(
+            cameras=tuple(
+                CameraOut.of(session.id, camera, proxy_name(number) in capture.proxies)
+                for number, camera in enumerate(preflight.cameras)
+            ),
+            timebase=TimebaseOut(**fields_of(preflight.timebase, TimebaseOut)),
+            warnings=preflight.warnings,
+            findings=tuple(FindingOut(**fields_of(finding, FindingOut)) for finding in preflight.findings),
+        )
+
+
+class SessionLinks(ResponseModel):
+    """Paths of a session and of its jobs."""
+
+    self: str = Field(description="Path of the session.")
+    jobs: str = Field(description="Path of the session's jobs.")
+
+
+class NewestJobOut(ResponseModel):
+    """Newest job of a session."""
+
+    id: Id
+    state: JobState = Field(description="State of the job.")
+
+    @classmethod
+    def of(cls, job: NewestJob | None) -> Self | None:
+        """Build the response from a job, if there is one."""
+        return None if job is None else cls(id=job.id, state=job.state)
+
+
+class SessionChanges(BaseModel):
+    """Changes of a session. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: SessionName
+
+
+class SessionOut(ResponseModel):
+    """Capture session."""
+
+    id: Id
+    name: str = Field(description="Name of the session for people.")
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    files: tuple[FileOut, ...] = Field(description="Files of the session.")
+    num_bytes: int = Field(description="Size of all files.")
+    duration_s: float = Field(description="Duration: output frames divided by the frame rate.")
+    num_jobs: int = Field(description="Number of the session's reconstructions.")
+    newest_job: NewestJobOut | None = Field(description="Reconstruction that was queued last; null without any.")
+    proxies_job: NewestJobOut | None = Field(
+        description="Job that makes small copies of the videos that browsers can't play; null if none had to."
+    )
+    preflight: PreflightOut = Field(description="Result of the check of the files.")
+    sync: Literal["declared", "auto"] = Field(description="Synchronisation of jobs whose spec does not state `sync`.")
+    metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
+    links: SessionLinks
+
+    @classmethod
+    def of(cls, capture: Capture) -> Self:
+        """Build the response from a session and its jobs."""
+        session = capture.session
+        address = f"/v1/sessions/{session.id}"
+        return cls(
+            id=session.id,
+            name=session.name,
+            created_at=session.created_at,
+            files=tuple(FileOut(**fields_of(file, FileOut)) for file in session.files),
+            num_bytes=sum(file.num_bytes for file in session.files),
+            duration_s=session.preflight.duration_s,
+            num_jobs=capture.num_jobs,
+            newest_job=NewestJobOut.of(capture.newest_job),
+            proxies_job=NewestJobOut.of(capture.proxies_job),
+            preflight=PreflightOut.of(capture),
+            sync=session.preflight.sync,
+            metadata=dict(session.metadata),
+            links=SessionLinks(self=address, jobs=f"{address}/jobs"),
+        )
+
+    def for_link(self) -> Self:
+        """Session as a link to one of its jobs shows it: nothing of its other jobs, and no data of the client."""
+        return self.model_copy(update={"num_jobs": 1, "newest_job": None, "proxies_job": None, "metadata": {}})
+
+
+class SessionPage(ResponseModel):
+    """Page of sessions, the newest session first."""
+
+    sessions: tuple[SessionOut, ...]
+    next_cursor: NextCursor

@@ -1,0 +1,59 @@
+"""Thumbnails of sessions: small copies of the pictures at which the check of a session looked."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+
+from api.auth import VideoViewDep
+from api.contract.description import file_content, problems
+from api.contract.resource import Resource
+from api.dependencies import ServicesDep, SessionId
+from api.downloads import ConditionsDep, Download, file_responses, send_file
+from api.sessions.videos import Camera
+from pipeline.capture.preflight_record import thumbnail_name
+from worker.jobs.errors import NotFound
+from worker.jobs.files.artifacts import thumbnail_key
+
+router = APIRouter(prefix="/v1/sessions/{session_id}/thumbnails", tags=["sessions"])
+
+_JPEG = file_content(["image/jpeg"], "(the picture)")
+Number = Annotated[int, Path(ge=0, le=255, description="Place of the picture in `thumbnails` of the camera.")]
+
+
+@router.get(
+    "/{camera}/{number}",
+    operation_id="getSessionThumbnail",
+    summary="Look at a picture of a session's video",
+    response_class=Response,
+    responses={**file_responses(_JPEG), **problems(404, 410, 416, 422)},
+)
+def get_session_thumbnail(
+    session_id: SessionId,
+    camera: Camera,
+    number: Number,
+    request: Request,
+    services: ServicesDep,
+    records: VideoViewDep,
+    conditions: ConditionsDep,
+) -> Response:
+    """Look at a small copy of a picture of a camera, at most 320 pixels wide and high, at which the check looked."""
+    cameras = records.sessions.get(session_id).preflight.cameras
+    place = next((place for place, one in enumerate(cameras) if one.name == camera), None)
+    if place is None:
+        raise NotFound("The session has no camera of this name.")
+    if number >= len(cameras[place].thumbnails):
+        raise NotFound("The camera has no such picture.")
+    thumbnail, name = cameras[place].thumbnails[number], thumbnail_name(place, number)
+    file = Download(
+        name=f"{camera}-{number}.jpg",
+        media_type="image/jpeg",
+        key=thumbnail_key(session_id, name),
+        num_bytes=thumbnail.num_bytes,
+        sha256=thumbnail.sha256,
+        disposition="inline",
+        remedy="Send the session again.",
+    )
+    return send_file(request, services, file, conditions)
+
+
+RESOURCE = Resource(router=router, parameters={"number": 0})

@@ -1,0 +1,1 @@
+"""Uploads: files in pieces, by tus 1.0."""
