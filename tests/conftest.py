@@ -37,6 +37,7 @@ SLOW = (
     "e2e/test_first_start.py",
     "e2e/test_foreign_code.py",
     "e2e/test_full_disk.py",
+    "e2e/test_generated_clients.py",
     "e2e/test_interrupt.py",
     "e2e/test_postgres.py",
     "e2e/test_rendered.py",

@@ -36,11 +36,14 @@ class Postgres:
 
     def control(self, *arguments: str) -> None:
         """Call ``pg_ctl``."""
+        _call(*self.command(*arguments))
+
+    def command(self, *arguments: str) -> list[str]:
+        """Command that calls ``pg_ctl``."""
         options = f"-p {self.port} -c listen_addresses={self.address} -c unix_socket_directories={self.folder}"
         log = ["-l", str(self.folder / "log"), "-o", " ".join([options, *_TESTS_ONLY])]
-        _call(
-            *self.prefix, *_as_postgres(), self.bin_dir / "pg_ctl", "-w", "-D", self.folder / "data", *log, *arguments
-        )
+        control = [str(self.bin_dir / "pg_ctl"), "-w", "-D", str(self.folder / "data")]
+        return [*self.prefix, *_as_postgres(), *control, *log, *arguments]
 
 
 def _as_postgres() -> list[str]:
@@ -76,7 +79,7 @@ def running_postgres(address: str = "127.0.0.1", prefix: Sequence[str] = ()) -> 
         with (server.folder / "data" / "pg_hba.conf").open("a") as rules:
             rules.write("host all all samenet trust\nhost all all 10.0.0.0/8 trust\n")
         server.control("start")
-        try:
+        # The server is nobody's child. What stops it waits for the end of these tests, also when they are killed.
+        stop = ["sh", "-c", 'cat; exec "$@"', "sh", *server.command("-m", "immediate", "stop")]
+        with subprocess.Popen(stop, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True):
             yield server
-        finally:
-            server.control("-m", "immediate", "stop")

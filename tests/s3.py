@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import httpx2
 import uuid_utils
 
+from pipeline.runtime.parent_watch import tied_to_parent
+
 
 @dataclass
 class S3:
@@ -41,7 +43,7 @@ def running_s3() -> Iterator[S3]:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
+    command = tied_to_parent([sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)])
     with subprocess.Popen(command, env=os.environ, **quiet) as process:  # type: ignore[call-overload]
         server = S3(process, f"http://127.0.0.1:{port}", "multicap")
         try:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ import httpx2
 import psutil
 
 from api.settings import GIB, Settings
+from pipeline.runtime.parent_watch import tied_to_parent
 from tests.api.conftest import NO_BROKER
 
 
@@ -40,7 +42,10 @@ def serving(
     log = settings.data_dir.parent / "log"
     with log.open("ab") as output:
         child = subprocess.Popen(
-            [*_limited(descriptors), sys.executable, "-m", "api"], env=environment, stdout=output, stderr=output
+            tied_to_parent([*_limited(descriptors), sys.executable, "-m", "api"]),
+            env=environment,
+            stdout=output,
+            stderr=output,
         )
     try:
         process = psutil.Process(child.pid)
@@ -58,7 +63,7 @@ def serving(
 
 
 def _limited(descriptors: int | None) -> list[str]:
-    return [] if descriptors is None else ["prlimit", f"--nofile={descriptors}:"]
+    return [] if descriptors is None else [str(shutil.which("prlimit")), f"--nofile={descriptors}:"]
 
 
 def peak_bytes(process: psutil.Process) -> int:

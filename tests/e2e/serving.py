@@ -16,6 +16,7 @@ import psutil
 
 from api.cli.commands.serve import READY
 from pipeline.runtime.packages.samples import Sample
+from pipeline.runtime.parent_watch import tied_to_parent
 from tests.waiting import wait_for
 
 COMMAND = [sys.executable, "-P", "-m", "api.cli.main", "serve", "--workers", "2"]
@@ -74,7 +75,7 @@ class Served:
 @contextmanager
 def serving(data_dir: Path, **environment: str) -> Iterator[Served]:
     """Run a service on a folder during the block."""
-    command = [*COMMAND, "--port", "0", "--data", str(data_dir)]
+    command = tied_to_parent([*COMMAND, "--port", "0", "--data", str(data_dir)])
     with Popen(command, stdout=PIPE, text=True, env=os.environ | {"MULTICAP_NICE": "0"} | environment) as process:
         try:
             assert process.stdout is not None

@@ -26,6 +26,7 @@ from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
 from pipeline.export.results import write_results
 from pipeline.runtime.packages.samples import Sample
+from pipeline.runtime.parent_watch import tied_to_parent
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
@@ -100,13 +101,15 @@ class Distributed:
 
 
 @contextlib.contextmanager
-def started(command: Sequence[str | Path], folder: Path, environment: Mapping[str, str]) -> Iterator[psutil.Process]:
+def started(command: Sequence[str], folder: Path, environment: Mapping[str, str]) -> Iterator[psutil.Process]:
     """Run a part of the service with its own folder during the block."""
     folder.mkdir(parents=True)
     own = {"MULTICAP_DATA_DIR": str(folder), "TMPDIR": str(folder)}
     with (
         (folder / "log").open("wb") as log,
-        subprocess.Popen(command, env={**os.environ, **environment, **own}, stdout=log, stderr=log) as process,
+        subprocess.Popen(
+            tied_to_parent(command), env={**os.environ, **environment, **own}, stdout=log, stderr=log
+        ) as process,
     ):
         try:
             yield psutil.Process(process.pid)

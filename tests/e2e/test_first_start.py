@@ -18,6 +18,7 @@ from api.cli.commands.serve import READY
 from pipeline.config import JobChoices, networks_of
 from pipeline.detect import models
 from pipeline.runtime.packages.samples import Sample
+from pipeline.runtime.parent_watch import tied_to_parent
 from pipeline.runtime.warm_up import NUM_COMPILED
 from tests.api.uploads.test_upload_clients import free_port
 from tests.e2e.serving import COMMAND
@@ -31,7 +32,7 @@ LONGEST_S = 600.0
 @contextmanager
 def starting(folder: Path, home: Path) -> Iterator[tuple[httpx2.Client, subprocess.Popen[str]]]:
     port = free_port()
-    command = [*COMMAND, "--port", str(port), "--data", str(folder / "data")]
+    command = tied_to_parent([*COMMAND, "--port", str(port), "--data", str(folder / "data")])
     environment = os.environ | {"MULTICAP_HOME": str(home)}
     with (folder / "stderr").open("wb") as errors, ExitStack() as stack:
         process = stack.enter_context(

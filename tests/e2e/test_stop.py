@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from api.cli.commands.serve import READY
+from pipeline.runtime.parent_watch import tied_to_parent
 from tests.e2e.serving import COMMAND, NUM_PROCESSES
 from tests.waiting import wait_for
 
@@ -20,7 +21,7 @@ IDLE_S = 2.0
 
 
 def start(data_dir: Path) -> subprocess.Popen[str]:
-    command = [*COMMAND, "--port", "0", "--data", str(data_dir)]
+    command = tied_to_parent([*COMMAND, "--port", "0", "--data", str(data_dir)])
     environment = os.environ | {"MULTICAP_NICE": "0"}
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from pipeline.runtime.parent_watch import tied_to_parent
 from tests.waiting import is_alive, wait_for
 from tests.worker.conftest import RESULT, Bench, open_bench
 from worker.jobs.model.jobs import Job
@@ -77,7 +78,7 @@ def start(data_dir: Path) -> subprocess.Popen[bytes]:
         "MULTICAP_REAP_INTERVAL_S": "1",
     }
     return subprocess.Popen(
-        [sys.executable, str(ROOT / "tests" / "worker" / "light_service.py"), str(data_dir)],
+        tied_to_parent([sys.executable, str(ROOT / "tests" / "worker" / "light_service.py"), str(data_dir)]),
         env=environment,
         stderr=subprocess.PIPE,
     )

