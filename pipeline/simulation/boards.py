@@ -50,12 +50,7 @@ class BoardPainter:
         while min(self._textures[-1].shape) > 64:
             coarser = cv2.resize(self._textures[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             self._textures.append(np.asarray(coarser, np.float32))
-        width, height = camera.size_px
-        fine = _SUPERSAMPLING
-        grid = np.stack(np.meshgrid(np.arange(width * fine), np.arange(height * fine)), axis=-1)
-        ideal_px = undistort_px(camera, ((grid + 0.5) / fine - 0.5).reshape(-1, 2))
-        rays = np.column_stack([ideal_px, np.ones(len(ideal_px))]) @ np.linalg.inv(camera.matrix).T
-        self._rays = rays.reshape(height * fine, width * fine, 3)
+        self._rays = _fine_rays(camera)
         # The board lies or is held still for many pictures, which differ by their noise alone.
         self._last: tuple[Rigid3, Float[np.ndarray, "height width"]] | None = None
 
@@ -110,6 +105,16 @@ class BoardPainter:
         )
         rows, columns = (one.stop - one.start for one in window)
         return np.asarray(cv2.resize(shades, (columns, rows), interpolation=cv2.INTER_AREA))
+
+
+def _fine_rays(camera: Camera) -> Float[np.ndarray, "rows columns 3"]:
+    """Rays of the pixels of a finer picture. They change slowly: between the picture's own pixels they are interpolated."""
+    width, height = camera.size_px
+    grid = np.stack(np.meshgrid(np.arange(-1.0, width + 1), np.arange(-1.0, height + 1)), axis=-1)
+    ideal_px = undistort_px(camera, grid.reshape(-1, 2)).reshape(height + 2, width + 2, 2)
+    fine = _SUPERSAMPLING
+    ideal_px = cv2.resize(ideal_px, None, fx=fine, fy=fine, interpolation=cv2.INTER_LINEAR)[fine:-fine, fine:-fine]
+    return np.concatenate([ideal_px, np.ones_like(ideal_px[..., :1])], axis=-1) @ np.linalg.inv(camera.matrix).T
 
 
 def board_poses(

@@ -24,7 +24,7 @@ def broker() -> Iterator[Path]:
     path = folder / "broker"
     server = subprocess.Popen(
         tied_to_parent(
-            [get_binary_path(), "--port", "0", "--unixsocket", str(path), "--save", "", "--dir", str(folder)]
+            [str(get_binary_path()), "--port", "0", "--unixsocket", str(path), "--save", "", "--dir", str(folder)]
         ),
         stdout=subprocess.DEVNULL,
     )
