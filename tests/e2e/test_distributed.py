@@ -133,7 +133,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
             "MULTICAP_WEBHOOK_PRIVATE": "true",
             "MULTICAP_MAX_KEYPOINTS_BYTES": str(2 * GIB),
         }
-        broker = [get_binary_path(), "--port", str(broker_port), "--bind", "127.0.0.1", "--save", ""]
+        broker = [str(get_binary_path()), "--port", str(broker_port), "--bind", "127.0.0.1", "--save", ""]
         python = [sys.executable, "-m"]
         stack.enter_context(started(broker, folder / "broker", {}))
         api = stack.enter_context(started([*python, "api"], folder / "api", environment))
