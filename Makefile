@@ -27,12 +27,12 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 # Sources of the compiled kernels: after a `git pull` that changes them the kernels are compiled here, before anything is
 # started. It takes a moment if nothing has changed.
-KERNELS := $(wildcard pipeline/data/*.py) pipeline/runtime/jit.py pipeline/runtime/warm_up.py \
+KERNELS := $(wildcard pipeline/data/*.py) pipeline/runtime/jit.py pipeline/warm_up.py \
 	$(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py pipeline/*/*/*kernels.py))),$(wildcard $(folder)*.py))
 
 $(VENV)/.compiled: $(VENV)/.installed $(KERNELS)
 	@echo "Compiling the numeric kernels; the first time takes two or three minutes."
-	$(BIN)/python -P -m pipeline.runtime.warm_up
+	$(BIN)/python -P -m pipeline.warm_up
 	touch $@
 
 $(PORTAL)/vendor/.installed: $(PORTAL)/package-lock.json $(PORTAL)/vendor.mjs $(VENV)/.installed

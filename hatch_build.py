@@ -46,10 +46,7 @@ class NestedPackages(BuildHookInterface[BuilderConfig]):
 def write_sources(root: Path, folder: Path) -> None:
     """Write the sources of the package ``multicap``, with the other packages inside, to a folder.
 
-    Parameters
-    ----------
-    root
-        The checkout.
+    ``root`` is the checkout.
     """
     for package in (PARENT, *PACKAGES):
         target = folder if package == PARENT else folder / package
@@ -69,14 +66,8 @@ def write_sources(root: Path, folder: Path) -> None:
 def install_page_libraries(portal: Path) -> bool:
     """Install the JavaScript libraries of the page at ``/`` from npm, unless the checkout has them.
 
-    Parameters
-    ----------
-    portal
-        Folder of the page in the wheel's sources.
-
-    Returns
-    -------
-        False without npm, and if its packages can't be downloaded.
+    ``portal`` is the page's folder in the wheel's sources. Returns False without npm, and if its packages can't be
+    downloaded.
     """
     if (portal / "vendor").is_dir():
         return True
@@ -111,7 +102,7 @@ def nest(source: bytes) -> bytes:
                 name = module
             case ast.Constant(value=str(name)) if _REFERENCE.fullmatch(name):
                 pass
-            case ast.Import(names=names) if any(one.name.partition(".")[0] in PACKAGES for one in names):
+            case ast.Import(names=names) if any(alias.name.partition(".")[0] in PACKAGES for alias in names):
                 raise ValueError(
                     f"line {node.lineno}: write `from ... import ...`, which the wheel's build can change."
                 )

@@ -57,23 +57,13 @@ _link = APIKeyQuery(
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Caller of a request: tenant, scopes, key or link, and network.
-
-    Parameters
-    ----------
-    key
-        ``None`` as long as the service has no keys.
-    network
-        Network that the request comes from (``api.http.clients``).
-    link
-        Link that the request brings in place of a key; ``None`` without one.
-    """
+    """Caller of a request: tenant, scopes, key or link, and network."""
 
     tenant: str
     scopes: frozenset[Scope]
-    key: Key | None
-    network: str
-    link: Link | None = None
+    key: Key | None  # ``None`` as long as the service has no keys
+    network: str  # Network that the request comes from (``api.http.clients``)
+    link: Link | None = None  # Link that the request brings in place of a key; ``None`` without one
 
     @property
     def owner(self) -> str:
@@ -248,10 +238,7 @@ async def _viewer_in_turn(
 class Viewing:
     """Dependency of a route that links may open: records of the caller's tenant.
 
-    Parameters
-    ----------
-    scope
-        Scope of the links that open the route, beside those to look at the whole job.
+    Links of ``scope`` open it, beside those to look at the whole job.
     """
 
     def __init__(self, scope: LinkScope) -> None:

@@ -34,28 +34,17 @@ HEADERS: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """A stored file as clients see it.
+    """A stored file as clients see it."""
 
-    Parameters
-    ----------
-    name
-        Name under which clients save it.
-    key, num_bytes, sha256
-        Key in the artifact store, size and digest.
-    is_compared
-        Whether the file is compared with its digest when it is opened; else only with its size.
-    remedy
-        Advice if a file that is no result is missing or damaged.
-    """
-
-    name: str
+    name: str  # Name under which clients save it
     media_type: str
+    # Key in the artifact store, size and digest
     key: str
     num_bytes: int
     sha256: str
     disposition: Literal["attachment", "inline"] = "attachment"
-    is_compared: bool = True
-    remedy: str | None = None
+    is_compared: bool = True  # Whether the file is compared with its digest when it is opened; else only with its size
+    remedy: str | None = None  # Advice if a file that is no result is missing or damaged
 
     @classmethod
     def of(cls, result: Result, name: str | None = None) -> Self:
@@ -88,12 +77,7 @@ ConditionsDep = Annotated[Conditions, Depends(_conditions)]
 def file_responses(content: dict[str, Any], redirect: str | None = None) -> dict[int | str, dict[str, Any]]:
     """Declare the responses of a route that sends a file.
 
-    Parameters
-    ----------
-    content
-        Content of the file by media type.
-    redirect
-        Example of the file's path in a bucket, if the artifact store may send the file itself.
+    ``content`` is the file's by media type; ``redirect`` is an example of its path in a bucket that may send it itself.
     """
     sends = {"content": content, "headers": HEADERS}
     responses: dict[int | str, dict[str, Any]] = {

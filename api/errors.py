@@ -111,16 +111,7 @@ class ProblemDetails(BaseModel):
 class ApiError(Exception):
     """Request that can't be served; the handler answers with a problem.
 
-    Parameters
-    ----------
-    code, detail
-        Of the problem.
-    status
-        Status of the answer; ``None``: the first one of the code in ``api.contract.problem_codes``.
-    errors
-        Everything that is wrong with the request.
-    headers
-        Further headers of the response.
+    Without a status it is the first one of the code in ``api.contract.problem_codes``.
     """
 
     def __init__(

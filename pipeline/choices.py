@@ -12,53 +12,29 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A value of a choice.
+    """A value of a choice."""
 
-    Parameters
-    ----------
-    label
-        What forms and documentation call it.
-    note
-        Further sentence for the documentation, such as a cost; empty for none.
-    """
-
-    label: str
+    label: str  # What forms and documentation call it
+    # Further sentence for the documentation, such as a cost; empty for none
     note: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
 class Network(Value):
-    """A detector network; ``pipeline.detect.entries`` has its files, input and outputs.
+    """A detector network; ``pipeline.detect.entries`` has its files, input and outputs."""
 
-    Parameters
-    ----------
-    leaves_fields
-        Whether it outputs part affinity fields; the other networks find whole bodies.
-    publisher
-        Where users get its files; ``None``: Multicap installs it from a package.
-    """
-
-    leaves_fields: bool = False
-    publisher: str | None = None
+    leaves_fields: bool = False  # Whether it outputs part affinity fields; the other networks find whole bodies
+    publisher: str | None = None  # Where users get its files; ``None``: Multicap installs it from a package
 
 
 @dataclass(frozen=True, slots=True)
 class FileFormat(Value):
-    """A format of a person's file; ``pipeline.export.formats`` writes and reads it.
+    """A format of a person's file; ``pipeline.export.formats`` writes and reads it."""
 
-    Parameters
-    ----------
-    media_type
-        RFC 6838, as the service sends it.
-    holds
-        ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints.
-    max_frames
-        Largest number of frames of a file; ``None``: no limit.
-    """
-
-    media_type: str
+    media_type: str  # RFC 6838, as the service sends it
+    # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints
     holds: Literal["motion", "joints"]
-    max_frames: int | None = None
+    max_frames: int | None = None  # Largest number of frames of a file; ``None``: no limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,35 +50,18 @@ Group = Literal["purpose", "people", "quality", "advanced"]
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What a declaration says of a choice beside its type and default.
+    """What a declaration says of a choice beside its type and default."""
 
-    Parameters
-    ----------
-    label
-        Heading of its field in a form.
-    sentence
-        Description for the API, the command line and the documentation.
-    minimum, above, maximum
-        Limits of numbers: at least, more than, at most.
-    unset
-        Meaning of an omitted value, where the default is ``None``.
-    option
-        Name of the option of the command line, if other than the field's.
-    noun
-        Name of one value in problems of the command line, if other than the option's.
-    group
-        Part of a form that asks for it.
-    """
-
-    label: str
-    sentence: str
+    label: str  # Heading of its field in a form
+    sentence: str  # Description for the API, the command line and the documentation
+    # Limits of numbers: at least, more than, at most
     minimum: int | float | None = None
     above: int | float | None = None
     maximum: int | float | None = None
-    unset: str | None = None
-    option: str | None = None
-    noun: str | None = None
-    group: Group = "advanced"
+    unset: str | None = None  # Meaning of an omitted value, where the default is ``None``
+    option: str | None = None  # Name of the option of the command line, if other than the field's
+    noun: str | None = None  # Name of one value in problems of the command line, if other than the option's
+    group: Group = "advanced"  # Part of a form that asks for it
 
 
 Kind = Literal["one", "several", "flag", "number", "whole_number", "frame_range"]
@@ -110,24 +69,12 @@ Kind = Literal["one", "several", "flag", "number", "whole_number", "frame_range"
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A declared choice.
+    """A declared choice."""
 
-    Parameters
-    ----------
-    name
-        Name of the field.
-    kind
-        ``one`` of the values, ``several`` of them, yes or no, a number, a whole number, or a range of frames.
-    hint
-        Type of the field, with the labels of its values.
-    values
-        Named values by name; of numbers, names that stand for no number.
-    """
-
-    name: str
-    kind: Kind
-    hint: Any
-    values: Mapping[str, Value]
+    name: str  # Name of the field
+    kind: Kind  # ``one`` of the values, ``several`` of them, yes or no, a number, a whole number, or a range of frames
+    hint: Any  # Type of the field, with the labels of its values
+    values: Mapping[str, Value]  # Named values by name; of numbers, names that stand for no number
     default: Any
     about: About
 
@@ -180,11 +127,11 @@ def choices_of(declaration: type[Any]) -> tuple[Choice, ...]:
     """Choices that a dataclass declares, in their order; fields without ``About`` are left out."""
     hints = get_type_hints(declaration, include_extras=True)
     found = []
-    for one in fields(declaration):
-        hint = hints[one.name]
+    for declared in fields(declaration):
+        hint = hints[declared.name]
         if get_origin(hint) is Annotated:
             inner, about = get_args(hint)
-            found.append(Choice(one.name, _kind(inner), inner, values_of(inner, Value), one.default, about))
+            found.append(Choice(declared.name, _kind(inner), inner, values_of(inner, Value), declared.default, about))
     return tuple(found)
 
 

@@ -9,11 +9,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Literal, cast, get_args
 
-from pipeline.calibration_choices import CalibrationChoices
 from pipeline.choices import About, FileFormat, Network, OtherNames, Value, choices_of, values_of
 from pipeline.edits import PeopleEdit
-from pipeline.video.playback.choices import ProxyChoices
-from pipeline.visual_choices import VisualChoices
+from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
@@ -273,7 +271,7 @@ class ReconstructionConfig(JobChoices):
     @classmethod
     def of(cls, choices: JobChoices) -> "ReconstructionConfig":
         """Configuration for the choices of a job; fields that jobs do not have keep their defaults."""
-        return cls(**{one.name: getattr(choices, one.name) for one in fields(JobChoices)})
+        return cls(**{choice.name: getattr(choices, choice.name) for choice in fields(JobChoices)})
 
     @property
     def frames(self) -> range | None:
@@ -329,27 +327,15 @@ JOINTS: tuple[JointsOfBody, ...] = get_args(JointsOfBody)
 
 @dataclass(frozen=True, slots=True)
 class Networks:
-    """Networks of a reconstruction by their names in ``pipeline.detect.entries``.
+    """Networks of a reconstruction by their names in ``pipeline.detect.entries``."""
 
-    Parameters
-    ----------
-    body
-        Network that finds bodies in whole images.
-    near
-        Network that reads joints, heels and toes in the crop of each body; ``None`` without crops.
-    hand
-        Network that reads fingers in the crop of each hand; ``None`` without fingers.
-    refines_body
-        Whether ``near`` refines the joints of the body; otherwise it adds heels and toes alone.
-    is_sized
-        Whether the size of the images for ``body`` follows the size of the people in them.
-    """
-
-    body: str
+    body: str  # Network that finds bodies in whole images
+    # Network that reads joints, heels and toes in the crop of each body; ``None`` without crops
     near: str | None = None
-    hand: str | None = None
+    hand: str | None = None  # Network that reads fingers in the crop of each hand; ``None`` without fingers
+    # Whether ``near`` refines the joints of the body; otherwise it adds heels and toes alone
     refines_body: bool = False
-    is_sized: bool = False
+    is_sized: bool = False  # Whether the size of the images for ``body`` follows the size of the people in them
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -399,7 +385,7 @@ FILE_FORMATS = cast(Mapping[Export, FileFormat], values_of(Export, FileFormat))
 
 def _networks_of_profiles() -> tuple[str, ...]:
     choices = (JobChoices(profile=profile, joints=joints) for profile in PROFILES for joints in JOINTS)
-    return tuple(dict.fromkeys(name for one in choices for name in networks_of(one).names))
+    return tuple(dict.fromkeys(name for choice in choices for name in networks_of(choice).names))
 
 
 NETWORKS_OF_PROFILES = _networks_of_profiles()
@@ -426,4 +412,8 @@ def too_long_for(exports: Collection[Export], num_frames: int) -> tuple[tuple[Ex
 def unlimited_alternatives(export: Export) -> tuple[Export, ...]:
     """Formats that hold the same as another one, with any number of frames."""
     holds = FILE_FORMATS[export].holds
-    return tuple(name for name, one in FILE_FORMATS.items() if one.holds == holds and one.max_frames is None)
+    return tuple(
+        name
+        for name, file_format in FILE_FORMATS.items()
+        if file_format.holds == holds and file_format.max_frames is None
+    )

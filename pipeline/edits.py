@@ -126,21 +126,11 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class EditedPerson:
-    """A person after all edits.
+    """A person after all edits."""
 
-    Parameters
-    ----------
-    id
-        Number of the person.
-    pieces
-        Frames of people of the reconstruction, ascending, without overlaps, at least one.
-    name
-        Name that was given; ``None``: none was.
-    """
-
-    id: int
-    pieces: tuple[Piece, ...]
-    name: str | None = None
+    id: int  # Number of the person
+    pieces: tuple[Piece, ...]  # Frames of people of the reconstruction, ascending, without overlaps, at least one
+    name: str | None = None  # Name that was given; ``None``: none was
 
     @property
     def start_frame(self) -> int:
@@ -183,12 +173,8 @@ def apply_edits(
 
     Parameters
     ----------
-    people
-        People of the reconstruction.
     edits
         In the order in which they were made.
-    num_frames
-        Frames of the reconstruction.
     max_pieces
         Largest number of pieces of which all people may consist; ``None``: any number, for edits that are stored.
 
@@ -199,8 +185,10 @@ def apply_edits(
     """
     take = _Take(
         {
-            one.id: EditedPerson(one.id, (Piece(one.id, one.start_frame, one.start_frame + one.num_frames),))
-            for one in people
+            person.id: EditedPerson(
+                person.id, (Piece(person.id, person.start_frame, person.start_frame + person.num_frames),)
+            )
+            for person in people
         },
         num_frames,
     )
@@ -282,7 +270,7 @@ class _Take:
         self.people[person.id] = replace(person, pieces=_within(person.pieces, person.start_frame, frame))
         self.people[self._last_id] = EditedPerson(self._last_id, _within(person.pieces, frame, person.stop_frame))
 
-    def _exchange(self, one: EditedPerson, other: EditedPerson, start: int, stop: int) -> None:
+    def _exchange(self, first: EditedPerson, second: EditedPerson, start: int, stop: int) -> None:
         self._range(start, stop)
         exchanged = {
             mine.id: _chained(
@@ -290,11 +278,11 @@ class _Take:
                 _within(theirs.pieces, start, stop),
                 _within(mine.pieces, stop, self.num_frames),
             )
-            for mine, theirs in ((one, other), (other, one))
+            for mine, theirs in ((first, second), (second, first))
         }
-        if exchanged[one.id] == one.pieces:
+        if exchanged[first.id] == first.pieces:
             self._refuse("start_frame", "Neither person is there in these frames.", "Choose other frames.")
-        for person in (one, other):
+        for person in (first, second):
             if exchanged[person.id]:
                 self.people[person.id] = replace(person, pieces=exchanged[person.id])
             else:

@@ -16,31 +16,17 @@ _DECIMALS = 4
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that a check found to be wrong, doubtful or worth knowing.
+    """One thing that a check found to be wrong, doubtful or worth knowing."""
 
-    Parameters
-    ----------
-    code
-        Stable, documented code, such as ``same_place``.
-    message
-        Sentence for the user.
-    camera
-        Name of the camera; ``None`` if the finding is not about a single one.
-    severity
-        ``error``: a reconstruction would fail or be wrong. ``warning``: it may be worse than it could be. ``info``:
-        something to know.
-    hint
-        What to do; ``None`` if there is nothing to say.
-    evidence
-        What was measured, by name: numbers with their units in the names, ``file`` for the name of a file,
-        ``other_camera`` for a second camera. JSON values.
-    """
-
-    code: str
-    message: str
-    camera: str | None = None
+    code: str  # Stable, documented code, such as ``same_place``
+    message: str  # Sentence for the user
+    camera: str | None = None  # Name of the camera; ``None`` if the finding is not about a single one
+    # ``error``: a reconstruction would fail or be wrong. ``warning``: it may be worse than it could be. ``info``:
+    # something to know.
     severity: Severity = "warning"
-    hint: str | None = None
+    hint: str | None = None  # What to do; ``None`` if there is nothing to say
+    # What was measured, by name: numbers with their units in the names, ``file`` for the name of a file,
+    # ``other_camera`` for a second camera. JSON values.
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -72,21 +58,11 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class SessionCheck:
-    """Check of a session by the people whom its cameras see at a few instants.
+    """Check of a session by the people whom its cameras see at a few instants."""
 
-    Parameters
-    ----------
-    findings
-        What is wrong.
-    people
-        Number of people by camera, at all instants together.
-    num_instants
-        Number of instants.
-    """
-
-    findings: tuple[Finding, ...] = ()
-    people: Mapping[str, int] = field(default_factory=dict)
-    num_instants: int = 0
+    findings: tuple[Finding, ...] = ()  # What is wrong
+    people: Mapping[str, int] = field(default_factory=dict)  # Number of people by camera, at all instants together
+    num_instants: int = 0  # Number of instants
 
 
 def _shown(value: Any) -> Any:
@@ -105,14 +81,14 @@ def from_problem(problem: Problem) -> Finding:
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
     """Findings by severity, errors first; those of a severity keep their order."""
-    return sorted(findings, key=lambda one: _SEVERITIES.index(one.severity))
+    return sorted(findings, key=lambda finding: _SEVERITIES.index(finding.severity))
 
 
 def documents(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     """Findings as JSON objects, errors first."""
-    return [one.to_json() for one in worst_first(findings)]
+    return [finding.to_json() for finding in worst_first(findings)]
 
 
 def has_error(findings: Iterable[Finding]) -> bool:
     """Whether a finding is an error."""
-    return any(one.severity == "error" for one in findings)
+    return any(finding.severity == "error" for finding in findings)

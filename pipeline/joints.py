@@ -7,18 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class JointSet:
-    """Joints of a detector and the bones between them.
+    """Joints of a detector and the bones between them."""
 
-    Parameters
-    ----------
-    names
-        Names of the joints, in the order of the arrays' joint axis.
-    bones
-        Pairs of joint names, for drawing and for bone lengths.
-    """
-
-    names: tuple[str, ...]
-    bones: tuple[tuple[str, str], ...]
+    names: tuple[str, ...]  # Names of the joints, in the order of the arrays' joint axis
+    bones: tuple[tuple[str, str], ...]  # Pairs of joint names, for drawing and for bone lengths
 
     def index(self, name: str) -> int:
         """Position of a joint on the joint axis; ``ValueError`` if the set has no such joint."""
@@ -34,14 +26,10 @@ class JointOffset:
     """Offset of a detector's mark from the centre of a joint, in metres for each metre of the trunk's length.
 
     The trunk reaches from the centre between the hips to the centre between the shoulders.
-
-    Parameters
-    ----------
-    outwards, forward, up
-        Component away from the body's middle, 0 for joints without a side; to the front; and up along the body. Axes
-        are those of the part of the body; see ``pipeline.skeleton.marks``.
     """
 
+    # Component away from the body's middle, 0 for joints without a side; to the front; and up along the body. Axes are
+    # those of the part of the body; see ``pipeline.skeleton.marks``.
     outwards: float = 0.0
     forward: float = 0.0
     up: float = 0.0

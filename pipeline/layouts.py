@@ -17,21 +17,11 @@ Points = tuple[str | None, ...]
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Layout of keypoints.
+    """Layout of keypoints."""
 
-    Parameters
-    ----------
-    name
-        Name of the layout, with its number of points.
-    points
-        Joint of each point; ``None`` for a point that is not used.
-    joints
-        Joint set of the points that are used.
-    """
-
-    name: str
-    points: Points
-    joints: JointSet
+    name: str  # Name of the layout, with its number of points
+    points: Points  # Joint of each point; ``None`` for a point that is not used
+    joints: JointSet  # Joint set of the points that are used
 
     @property
     def indices(self) -> list[int]:

@@ -41,27 +41,14 @@ def ignore(_: float) -> None:
 
 
 def part_of(on_share: OnShare, start: float, stop: float) -> OnShare:
-    """Make the callback of a part of the work.
-
-    Parameters
-    ----------
-    on_share
-        Callback of the whole work.
-    start, stop
-        Shares of the whole work at the start and at the end of the part.
-    """
+    """Make the callback of a part of the work. It goes from the share ``start`` of the whole work to ``stop``."""
     return lambda share: on_share(start * (1.0 - share) + stop * share)
 
 
 def split(on_share: OnShare, weights: Sequence[int]) -> list[OnShare]:
     """Split work into consecutive parts, and return the callback of each part.
 
-    Parameters
-    ----------
-    on_share
-        Callback of the whole work.
-    weights
-        Amount of work in each part.
+    ``weights`` are the amounts of work in the parts.
     """
     total = sum(weights) or 1
     borders = [border / total for border in accumulate(weights, initial=0)]

@@ -10,7 +10,7 @@ from worker.app import create_celery
 from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.store import JobStore
 from worker.process.compilation import compile_kernels
-from worker.process.descriptors import raise_descriptor_limit
+from worker.process.priorities import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
 from worker.telemetry.logs import configure_logs
 

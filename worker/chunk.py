@@ -31,37 +31,19 @@ class Outputs(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """One chunk to run.
+    """One chunk to run."""
 
-    Parameters
-    ----------
-    claim, session
-        The claimed chunk, and the session of its job.
-    artifacts
-        Store of the session's files.
-    outputs
-        Reads outputs of an earlier stage's chunks.
-    scratch
-        Folder for temporary files and result files, which is removed after the chunk.
-    on_unit
-        Call it after each unit of work; raises ``StoppedError`` when the work is no longer wanted.
-    check
-        Call it during long steps that are no unit; raises ``StoppedError`` likewise.
-    interim
-        Reads the interim outputs of all chunks of an earlier stage, by its name. Raises ``DamagedOutputsError``.
-    found
-        Output of the chunk if it is stored already, and only the interim output is missing.
-    piece
-        Reads a piece of an output that an earlier chunk of the session has kept, by its key; ``None`` without it.
-    """
-
+    # The claimed chunk, and the session of its job
     claim: Claim
     session: Session
-    artifacts: ArtifactStore
-    outputs: Outputs
-    scratch: Path
+    artifacts: ArtifactStore  # Store of the session's files
+    outputs: Outputs  # Reads outputs of an earlier stage's chunks
+    scratch: Path  # Folder for temporary files and result files, which is removed after the chunk
+    # Call it after each unit of work; raises ``StoppedError`` when the work is no longer wanted
     on_unit: Callable[[], None]
-    check: Callable[[], None]
+    check: Callable[[], None]  # Call it during long steps that are no unit; raises ``StoppedError`` likewise
+    # Reads the interim outputs of all chunks of an earlier stage, by its name. Raises ``DamagedOutputsError``.
     interim: Callable[[str], list[bytes]]
-    found: bytes | None
+    found: bytes | None  # Output of the chunk if it is stored already, and only the interim output is missing
+    # Reads a piece of an output that an earlier chunk of the session has kept, by its key; ``None`` without it
     piece: Callable[[str], bytes | None] = lambda _: None

@@ -15,10 +15,10 @@ from pipeline.capture.session import Session as OpenedSession
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 from pipeline.detect.profiles.detection import open_detection
 from pipeline.errors import InputError, ModelError, Problem
-from pipeline.runtime.warm_up import warm_up as compile_kernels
 from pipeline.stages.context import Context, Origin
 from pipeline.stages.plan import STAGE_BY_NAME
 from pipeline.stages.stage import Output, SessionFacts
+from pipeline.warm_up import warm_up as compile_kernels
 from worker.chunk import Work
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, record_key
@@ -86,7 +86,7 @@ class KeptSession:
 
         A distant store's video is fetched when it is needed, and kept for the next chunk.
         """
-        (name,) = (one.file for one in work.session.preflight.cameras if one.name == camera)
+        (name,) = (described.file for described in work.session.preflight.cameras if described.name == camera)
         (file,) = (file for file in work.session.files if file.name == name)
         sent = file.key, file.sha256, work.check
         with _undamaged(name, camera):

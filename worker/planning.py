@@ -7,10 +7,10 @@ from typing import Protocol, runtime_checkable
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.edits import PeopleEdit
+from pipeline.job_choices import VisualChoices
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, plan
 from pipeline.stages.stage import SessionFacts, Task
-from pipeline.visual_choices import VisualChoices
 from worker.jobs.model.jobs import Job, Making, config_of
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
@@ -41,12 +41,8 @@ def plan_job(
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
-    Parameters
-    ----------
-    codes
-        Digests of the stages' code; ``None``: of this process's.
-    making, edits, revision
-        See ``worker.jobs.model.jobs.Job``.
+    ``codes`` are digests of the stages' code, by default this process's; ``making``, ``edits`` and ``revision`` are as
+    in ``worker.jobs.model.jobs.Job``.
     """
     stages = plan(
         session_facts(session), config_of(spec, making, edits, revision), codes or stage_codes(), chunk_frames
@@ -123,5 +119,5 @@ def _inputs(session: CheckedSession) -> tuple[str, ...]:
         return (*files, repr(session.preflight.timebase.frame_rate_hz))
     if (clock := session.preflight.clock) != "declared":
         files.append(clock)
-    recordings = sorted(json.dumps(asdict(one), sort_keys=True) for one in session.preflight.recordings)
+    recordings = sorted(json.dumps(asdict(recording), sort_keys=True) for recording in session.preflight.recordings)
     return (*files, *recordings)

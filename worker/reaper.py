@@ -29,7 +29,7 @@ from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 from worker.planning import plan_job, plan_visuals
 from worker.problems import waiting_for
-from worker.process.descriptors import raise_descriptor_limit
+from worker.process.priorities import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
 from worker.telemetry.logs import configure_logs
 from worker.webhooks.sender import Sender, deliver_forever
@@ -74,10 +74,7 @@ class Reaper:
     def reap(self) -> None:
         """Run all steps once. A step that fails, for example because the database does not respond, is logged.
 
-        Raises
-        ------
-        DamagedDatabase
-            If SQLite can't read its file.
+        Raises ``DamagedDatabase`` if SQLite can't read its file.
         """
         # Each step runs even if another fails: on a full disk the last step makes space for the others.
         for step in (self._free_leases, self._plan_again, self._queue_visuals, self._expire, self._remove):

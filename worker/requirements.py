@@ -116,8 +116,8 @@ def _list(schema: Schema, root: Schema) -> str:
     return f"a list{size}, each item {requirement(items, root)}" if items else f"a list{size}"
 
 
-def _size(schema: Schema, of: str, unit: str) -> str:
-    low, high = schema.get(f"min{of}"), schema.get(f"max{of}")
+def _size(schema: Schema, quantity: str, unit: str) -> str:
+    low, high = schema.get(f"min{quantity}"), schema.get(f"max{quantity}")
     if low is not None and high is not None:
         return f" of {low} {unit}" if low == high else f" of {low} to {high} {unit}"
     if low is not None:

@@ -16,9 +16,9 @@ from api.sessions.preflight import CalibrationContents, InvalidFilesError, allow
 from api.sessions.receiving import Sent, adopted, document, form_of
 from api.sessions.schemas import Manifest
 from pipeline.calibration.known_points.checks import point_problems
-from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.errors import listed
+from pipeline.job_choices import CalibrationChoices
 from worker.jobs.model.sessions import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords

@@ -11,7 +11,7 @@ from api.contract.schemas import Id, NextCursor, ResponseModel, printable_name
 from api.http.bodies.form_kinds import UploadedFiles
 from api.jobs.schemas import JobError
 from api.sessions.schemas import CameraManifest
-from pipeline.calibration_choices import (
+from pipeline.job_choices import (
     MAX_KNOWN_POINTS,
     MAX_POINT_M,
     MAX_STATURE_M,

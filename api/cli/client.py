@@ -25,24 +25,14 @@ _ENDS = {"succeeded": "succeeded", "failed": "failed", "canceled": "was canceled
 
 
 class Stage(TypedDict):
-    """Stage of a job.
+    """Stage of a job."""
 
-    Parameters
-    ----------
-    name
-        Name, such as ``detect`` or ``fit``.
-    state
-        State, such as ``running`` or ``done``.
-    done, total
-        Number of finished units of work, such as frames, and number of all units.
-    started_at, finished_at
-        ISO 8601 times; ``None`` before.
-    """
-
-    name: str
-    state: str
+    name: str  # Name, such as ``detect`` or ``fit``
+    state: str  # State, such as ``running`` or ``done``
+    # Number of finished units of work, such as frames, and number of all units
     done: int
     total: int
+    # ISO 8601 times; ``None`` before
     started_at: str | None
     finished_at: str | None
 
@@ -163,8 +153,6 @@ class Client:
 
         Parameters
         ----------
-        name
-            Name of the session.
         videos
             One video of each camera, named as the cameras in the calibration.
         calibration
@@ -203,8 +191,6 @@ class Client:
             Calibration in Multicap's own format, JSON.
         timestamps
             Timestamps as CSV with the columns camera, frame, time_s.
-        spec
-            Choices of the job.
         """
         shared = [("calibration", "calibration.json", calibration), ("timestamps", "timestamps.csv", timestamps)]
         zips = [("keypoints", f"{camera}.zip", content) for camera, content in archives.items()]
@@ -232,10 +218,6 @@ class Client:
             Called four times a second with the current job: ``progress``, ``eta_s``, ``stages``.
         timeout_s
             Longest waiting time; ``None``: until the job ends. The job continues after a timeout.
-
-        Returns
-        -------
-            Job at its end.
 
         Raises
         ------

@@ -80,14 +80,8 @@ def show_list(
 ) -> None:
     """Print items as a table, or as one JSON object.
 
-    Parameters
-    ----------
-    name
-        Field of the JSON object.
-    document
-        Makes the JSON object of an item.
-    cells
-        Makes the cell of an item, by the heading of its column.
+    ``name`` is the field of the JSON object and ``document`` makes that of an item; ``cells`` make its cells, by
+    heading.
     """
     if as_json:
         emit({name: [document(item) for item in items]})
@@ -105,7 +99,7 @@ def show_secret(secret: str, sentence: str, document: Mapping[str, Any], as_json
 
 
 def _visible(text: str) -> str:
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
 
 
 def shown_time(moment: datetime) -> str:
@@ -124,8 +118,8 @@ def _print_error(sentence: str) -> None:
 
 def show_findings(findings: Sequence[Finding], all_is_well: str) -> None:
     """Print the findings of a check, errors first, or the sentence that nothing was found."""
-    for one in worst_first(findings):
-        (_print_error if one.severity == "error" else warn)(str(one))
+    for finding in worst_first(findings):
+        (_print_error if finding.severity == "error" else warn)(str(finding))
     if not findings:
         console.print(all_is_well)
 
@@ -164,12 +158,8 @@ def _interruptible() -> Iterator[None]:
 def reporting(as_json: bool, what_is_left: Callable[[], str] = str) -> Iterator[None]:
     """Turn errors of the pipeline, and interruptions, into clear words and the documented exit codes.
 
-    Bad input lists its problems, one a line or as ``{"problems": [...]}``.
-
-    Parameters
-    ----------
-    what_is_left
-        Says after an interruption what the command has left on disk, in a sentence.
+    Bad input lists its problems, one a line or as ``{"problems": [...]}``. ``what_is_left`` says after an interruption
+    what the command has left on disk, in a sentence.
     """
     try:
         with _interruptible():

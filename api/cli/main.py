@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command, get_group
 
-from api.cli.start import end_interrupted
+from api.cli.interruption import end_interrupted
 from pipeline.runtime.memory import keep_freed_memory
 
 # Names of the commands' modules with their sentences in the help: `multicap --help` imports no module.

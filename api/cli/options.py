@@ -11,19 +11,9 @@ import typer
 from pipeline.calibration.contents import UNITS_M, Units
 from pipeline.capture.preflight_record import Clock
 from pipeline.choices import Choice, choices_of
-from pipeline.config import (
-    CHOICES,
-    Feet,
-    JobChoices,
-    JointCenters,
-    Method,
-    ReconstructionConfig,
-    RefineCalibration,
-    Smoothing,
-)
+from pipeline.config import CHOICES, JobChoices, ReconstructionConfig
 from pipeline.errors import InputError, Problem
 
-DEFAULTS = JobChoices()
 # Choices of a reconstruction on this machine that jobs of a service do not have.
 _LOCAL = tuple(choice for choice in choices_of(ReconstructionConfig) if choice.name not in CHOICES)
 
@@ -55,15 +45,6 @@ def _with_unset(choice: Choice, text: str) -> str:
     return f"{text} Default: {unset}." if unset else text
 
 
-MethodOption = Annotated[str, _option(CHOICES["method"])]
-ProfileOption = Annotated[str, _option(CHOICES["profile"])]
-JointsOption = Annotated[str, _option(CHOICES["joints"])]
-DetectorOption = Annotated[str, _option(CHOICES["detector"])]
-SmoothingOption = Annotated[str, _option(CHOICES["smoothing"])]
-FeetOption = Annotated[str, _option(CHOICES["feet"])]
-JointCentersOption = Annotated[str, _option(CHOICES["joint_centers"])]
-SyncOption = Annotated[str, _option(CHOICES["sync"])]
-RefineCalibrationOption = Annotated[str, _option(CHOICES["refine_calibration"])]
 KeypointsOption = Annotated[
     Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
 ]
@@ -75,26 +56,30 @@ KeypointRateOption = Annotated[
 ]
 
 
-def with_choices(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command an option for each choice of a reconstruction, in place of its parameter ``chosen``.
+def with_choices(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command options for choices of a reconstruction, by default all, in place of its parameter ``chosen``.
 
     The command gets a mapping from the names of the choices to the values as they were typed; ``checked`` checks them.
     """
-    choices = (*CHOICES.values(), *_LOCAL)
-    signature = inspect.signature(command, eval_str=True)
-    parameters: list[inspect.Parameter] = []
-    for parameter in signature.parameters.values():
-        parameters += [_parameter(choice) for choice in choices] if parameter.name == "chosen" else [parameter]
+    choices = [CHOICES[name] for name in names] or [*CHOICES.values(), *_LOCAL]
 
-    def with_options(**values: Any) -> None:
-        chosen = {choice.name: values.pop(choice.name) for choice in choices}
-        command(**values, chosen=chosen)
+    def decorated(command: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(command, eval_str=True)
+        parameters: list[inspect.Parameter] = []
+        for parameter in signature.parameters.values():
+            parameters += [_parameter(choice) for choice in choices] if parameter.name == "chosen" else [parameter]
 
-    with_options.__doc__ = command.__doc__
-    # Typer reads the names, types and defaults of options from these.
-    with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return with_options
+        @functools.wraps(command)
+        def with_options(**values: Any) -> None:
+            chosen = {choice.name: values.pop(choice.name) for choice in choices}
+            command(**values, chosen=chosen)
+
+        # Typer reads the names, types and defaults of options from these.
+        with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return with_options
+
+    return decorated
 
 
 def _parameter(choice: Choice) -> inspect.Parameter:
@@ -112,22 +97,20 @@ def _parameter(choice: Choice) -> inspect.Parameter:
 
 
 def checked(chosen: Mapping[str, Any]) -> JobChoices:
-    """Check the values of the options that ``with_choices`` made.
+    """Check the values of the options that ``with_choices`` made; other choices have their defaults.
 
-    Raises
-    ------
-    InputError
-        If a choice has no such value, or a range of frames can't be read.
+    Raises ``InputError`` if a choice has no such value, or a range of frames can't be read.
     """
-    return JobChoices(**{name: _checked(choice, chosen[name]) for name, choice in CHOICES.items()})
+    return JobChoices(**{name: _checked(CHOICES[name], chosen[name]) for name in chosen.keys() & CHOICES.keys()})
 
 
 def _checked(choice: Choice, value: Any) -> Any:
+    names = tuple(choice.values)
     match choice.kind:
         case "one" if choice.is_checked_by_name:
-            return known(choice, value)
+            return _known(choice.noun, value, names)
         case "several":
-            return tuple(known(choice, name.strip()) for name in value.split(",") if name.strip())
+            return tuple(_known(choice.noun, name.strip(), names) for name in value.split(",") if name.strip())
         case "frame_range":
             return _frame_range(value)
     return choice.default if value is None else value
@@ -143,36 +126,6 @@ def _frame_range(text: str | None) -> tuple[int, int] | None:
     except ValueError:
         message = f"{text!r} is not FIRST:STOP."
         raise InputError([Problem("frame_range", message, hint="Write it as 100:250.")]) from None
-
-
-def known(choice: Choice, name: str) -> str:
-    """Check the name of a value; ``InputError`` if the choice has no value of that name."""
-    return _known(choice.noun, name, tuple(choice.values))
-
-
-def known_method(name: str) -> Method:
-    """Check the name of a method; ``InputError`` if there is none of that name."""
-    return cast(Method, known(CHOICES["method"], name))
-
-
-def known_smoothing(name: str) -> Smoothing:
-    """Check the name of a smoothing; ``InputError`` if there is none of that name."""
-    return cast(Smoothing, known(CHOICES["smoothing"], name))
-
-
-def known_feet(name: str) -> Feet:
-    """Check the name of a treatment of feet; ``InputError`` if there is none of that name."""
-    return cast(Feet, known(CHOICES["feet"], name))
-
-
-def known_refinement(name: str) -> RefineCalibration:
-    """Check the name of a refinement; ``InputError`` if there is none of that name."""
-    return cast(RefineCalibration, known(CHOICES["refine_calibration"], name))
-
-
-def known_joint_centers(name: str) -> JointCenters:
-    """Check the name of offsets of joint centres; ``InputError`` if there are none of that name."""
-    return cast(JointCenters, known(CHOICES["joint_centers"], name))
 
 
 def known_units(name: str) -> Units:

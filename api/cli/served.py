@@ -6,22 +6,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from api.cli.client import Client, ServiceError
-from api.cli.commands.serve import READY
 from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.parent_watch import tied_to_parent
 
+READY = "Multicap is ready at "
+"""Text before the service's address, printed as soon as the service is ready."""
 _STOP_S = 30.0
 
 
 @contextlib.contextmanager
 def served(data_dir: Path, workers: int) -> Iterator[Client]:
-    """Run a service on a free port during the block; yield its client.
-
-    Raises
-    ------
-    ServiceError
-        If the service does not start.
-    """
+    """Run a service on a free port during the block; yield its client. Raises ``ServiceError`` if it does not start."""
     data_dir.mkdir(parents=True, exist_ok=True)
     command = module_command("api.cli.main", "serve", "--port", "0")
     log = data_dir / "serve.log"

@@ -1,9 +1,6 @@
 """Start of the command line: Ctrl-C ends it with a message, even while modules are imported."""
 
-import json
-import signal
-import sys
-from typing import NoReturn
+from api.cli.interruption import end_interrupted
 
 
 def main() -> None:
@@ -13,16 +10,6 @@ def main() -> None:
     except KeyboardInterrupt:
         end_interrupted()
     run()
-
-
-def end_interrupted() -> NoReturn:
-    """Exit after an interruption before the work began."""
-    sentence = "Interrupted by SIGINT. Nothing was done."
-    if "--json" in sys.argv:
-        sys.stdout.write(json.dumps({"problems": [{"code": "interrupted", "message": sentence}]}) + "\n")
-    else:
-        sys.stderr.write(f"error {sentence}\n")
-    sys.exit(128 + signal.SIGINT)
 
 
 if __name__ == "__main__":

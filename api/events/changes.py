@@ -47,12 +47,7 @@ class _Watch:
 class JobChanges:
     """Polls the watched jobs and passes their changes to event streams.
 
-    Parameters
-    ----------
-    store
-        Job store that is polled.
-    max_streams
-        Largest number of open streams of an owner.
+    An owner may have ``max_streams`` open streams.
     """
 
     def __init__(self, store: JobStore, max_streams: int) -> None:
@@ -74,12 +69,8 @@ class JobChanges:
     async def follow(self, owner: str, job_id: str, known: Change | None) -> AsyncIterator[JobUpdate]:
         """Yield the updates of a job until it has ended or was deleted.
 
-        Parameters
-        ----------
-        owner
-            Owner of the stream: a tenant, or the network of a client without a key.
-        known
-            Last change that the client knows; ``None``: the first update is the current state.
+        ``owner`` is a tenant, or the network of a client without a key. Without a last ``known`` change the first
+        update is the current state.
         """
         watch = _Watch(owner, job_id, known)
         self._watches.add(watch)

@@ -12,12 +12,8 @@ _Result = TypeVar("_Result")
 class LimitedChecks:
     """Runs checks side by side, each in a thread of its own.
 
-    A check that hangs is not begun again before it has ended, so that a part that does not respond costs one thread.
-
-    Parameters
-    ----------
-    limit_s
-        Time after which a check counts as failed.
+    A check that hangs is not begun again before it has ended, so that a part that does not respond costs one thread. A
+    check fails after ``limit_s``.
     """
 
     def __init__(self, limit_s: float) -> None:

@@ -6,13 +6,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 
 class HttpMiddleware(ABC):
-    """Middleware of HTTP requests; other scopes, such as the lifespan, pass through it.
-
-    Parameters
-    ----------
-    app
-        Application inside the middleware.
-    """
+    """Middleware of HTTP requests; other scopes, such as the lifespan, pass through it."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

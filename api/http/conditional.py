@@ -33,10 +33,7 @@ def conditional_by(etag: str, record: Callable[[], BaseModel], if_none_match: st
 def tag_of(*state: object) -> str:
     """Entity tag of a record that is costly to make, from all that it is made of and the version of the service.
 
-    Parameters
-    ----------
-    state
-        Values whose ``repr`` has all of their content.
+    ``repr`` of ``state`` must have all of its content.
     """
     return f'"{hashlib.sha256(repr((_service_version(), *state)).encode()).hexdigest()}"'
 

@@ -137,15 +137,8 @@ class Connections:
 def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsProtocol]:
     """Protocol of the HTTP server with limits on connections, request headers and rests of bodies.
 
-    The rest of a body is what a client still sends after its request was answered.
-
-    Parameters
-    ----------
-    head_s
-        Time limit of the request headers, from the connection or from the first byte of a further request to the last
-        header. Also the time limit of the rest of a body.
-    connections
-        All connections of this process.
+    The rest of a body is what a client still sends after its request was answered. ``head_s`` limits the request
+    headers, from the connection or from the first byte of a further request to the last header, and the rest of a body.
     """
 
     class BoundedProtocol(HttpToolsProtocol):

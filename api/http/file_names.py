@@ -25,7 +25,7 @@ def take_name(session_name: str) -> str:
 def _words(text: str, max_bytes: int) -> str:
     """Letters and digits of a text in lower case, hyphens between words; empty without any."""
     lower = unicodedata.normalize("NFC", text.lower())
-    words = "".join(one if unicodedata.category(one)[0] in _KEPT else " " for one in lower).split()
+    words = "".join(char if unicodedata.category(char)[0] in _KEPT else " " for char in lower).split()
     return "-".join(words).encode()[:max_bytes].decode(errors="ignore").rstrip("-")
 
 
@@ -72,6 +72,6 @@ def archived_name(
 
 def disposition_of(name: str, disposition: str = "attachment") -> dict[str, str]:
     """Header with the name of a file: in ASCII, and with all its characters (RFC 6266, section 4.3)."""
-    ascii_name = "".join(one if one.isascii() and one.isprintable() and one not in '"\\%' else "_" for one in name)
+    ascii_name = "".join(char if char.isascii() and char.isprintable() and char not in '"\\%' else "_" for char in name)
     both = f"filename=\"{ascii_name}\"; filename*=utf-8''{quote(name, safe='')}"
     return {"Content-Disposition": f"{disposition}; {both}"}

@@ -22,27 +22,16 @@ _INTERVAL_S = 0.25
 
 
 class Credential(NamedTuple):
-    """Key or link of a request.
-
-    Parameters
-    ----------
-    id
-        ``None`` for a request without a key, which is allowed as long as the service has no keys.
-    """
+    """Key or link of a request."""
 
     kind: Literal["key", "link"]
-    id: str | None
+    id: str | None  # ``None`` for a request without a key, which is allowed as long as the service has no keys
 
 
 class KeysInUse:
     """Polls the validity of the keys and links of running requests, with one query for all of a kind.
 
     Other processes revoke them too, so the database is polled.
-
-    Parameters
-    ----------
-    store
-        Job store with the keys and the links.
     """
 
     def __init__(self, store: JobStore) -> None:
@@ -85,9 +74,11 @@ class KeysInUse:
 
     def _valid(self, watched: set[Credential]) -> set[Credential]:
         valid = set[Credential]()
-        if keys := {one.id for one in watched if one.kind == "key" and one.id is not None}:
+        if keys := {credential.id for credential in watched if credential.kind == "key" and credential.id is not None}:
             valid |= {Credential("key", key_id) for key_id in self._store.keys.valid(keys)}
-        if links := {one.id for one in watched if one.kind == "link" and one.id is not None}:
+        if links := {
+            credential.id for credential in watched if credential.kind == "link" and credential.id is not None
+        }:
             valid |= {Credential("link", link_id) for link_id in self._store.link_secrets.valid(links)}
         if Credential("key", None) in watched and not self._store.keys.exist():
             valid.add(Credential("key", None))

@@ -120,14 +120,8 @@ class SlowClientGuard(HttpMiddleware):
     """End requests of clients that neither send nor receive for too long, or send too slowly on average.
 
     Such a client would occupy a file, memory and a connection without end. Event streams are quiet for long times, but
-    their clients receive each event at once.
-
-    Parameters
-    ----------
-    idle_s
-        Longest time until the next piece of a body arrives, or a piece of the response is received.
-    min_bytes_per_s
-        Smallest average rate of a body, checked from ``idle_s`` on.
+    their clients receive each event at once. ``idle_s`` is the longest time until the next piece of a body arrives, or
+    of the response is received; ``min_bytes_per_s`` is the smallest average rate of a body, checked from then on.
     """
 
     def __init__(self, app: ASGIApp, idle_s: float, min_bytes_per_s: float) -> None:
@@ -170,12 +164,7 @@ def _too_slow() -> HTTPException:
 class TusProtocol(HttpMiddleware):
     """Rules of tus for all requests to uploads: overridden methods, and the version in every response.
 
-    Parameters
-    ----------
-    prefix
-        Prefix of the paths of uploads.
-    version
-        Version of the protocol.
+    ``prefix`` is that of the paths of uploads.
     """
 
     def __init__(self, app: ASGIApp, prefix: str, version: str) -> None:
@@ -243,14 +232,8 @@ class ForeignPageGuard(HttpMiddleware):
     """Refuse requests that a web page of another origin makes a browser send.
 
     Without keys, any page could use the service through the browser of a person at this machine: directly, which
-    ``Origin`` shows, or by a name that resolves to loopback, which ``Host`` shows.
-
-    Parameters
-    ----------
-    allowed_hosts
-        Names by which clients may call the service.
-    allowed_origins
-        Origins whose pages may call the service.
+    ``Origin`` shows, or by a name that resolves to loopback, which ``Host`` shows. Clients may call the service by
+    ``allowed_hosts``, and pages of ``allowed_origins`` may call it.
     """
 
     def __init__(self, app: ASGIApp, allowed_hosts: Collection[str], allowed_origins: Collection[str]) -> None:

@@ -21,10 +21,7 @@ _MAX_NETWORKS = 10_000
 class Rates:
     """Counts of the requests of the last minute by tenant, in this process.
 
-    Parameters
-    ----------
-    per_minute
-        Requests that a tenant may make in a minute; ``None``: any number.
+    A tenant may make ``per_minute`` requests; ``None``: any number.
     """
 
     def __init__(self, per_minute: int | None) -> None:
@@ -34,9 +31,7 @@ class Rates:
     def count(self, tenant: str) -> dict[str, str]:
         """Count a request; raise 429 above the limit.
 
-        Returns
-        -------
-            ``RATE_HEADERS`` with their values; empty without a limit.
+        Returns ``RATE_HEADERS`` with their values; empty without a limit.
         """
         if self._item is None:
             return {}
@@ -56,12 +51,8 @@ class Rates:
 class WrongKeys:
     """Counts of wrong keys by client network, in this process. A network's minute begins with its first wrong key.
 
-    Parameters
-    ----------
-    per_minute
-        Wrong keys of a network that are answered by 401 in a minute; more are answered by 429.
-    max_networks
-        Largest number of networks with counts; then the network that was quiet for longest is dropped.
+    ``per_minute`` of a network are answered by 401, more by 429. Of more than ``max_networks`` the one that was quiet
+    for longest is dropped.
     """
 
     def __init__(self, per_minute: int, max_networks: int = _MAX_NETWORKS) -> None:
@@ -71,12 +62,7 @@ class WrongKeys:
         self._lock = threading.Lock()
 
     def count(self, network: str) -> dict[str, str]:
-        """Count a wrong key; raise 429 above the limit.
-
-        Returns
-        -------
-            ``RATE_HEADERS`` with their values.
-        """
+        """Count a wrong key; raise 429 above the limit. Returns ``RATE_HEADERS`` with their values."""
         now_s = time.monotonic()
         with self._lock:
             start_s, count = self._counts.pop(network, (now_s, 0))

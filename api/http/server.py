@@ -5,7 +5,7 @@ from uvicorn import Config
 
 from api.http.connections import Connections, bounded_protocol
 from api.settings import Settings
-from worker.process.descriptors import raise_descriptor_limit
+from worker.process.priorities import raise_descriptor_limit
 
 # Time that open requests have to end after SIGTERM.
 _GRACE_S = 5

@@ -26,7 +26,7 @@ from api.jobs.webhooks import job_ended_callbacks
 from api.sessions.form import CAPTURE_FORM
 from api.sessions.intake import CheckedSession, NewSession, check, stored
 from api.sessions.receiving import received
-from pipeline.video.playback.choices import ProxyChoices
+from pipeline.job_choices import ProxyChoices
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model.jobs import Job, JobKind
 from worker.jobs.model.sessions import Session

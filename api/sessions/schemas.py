@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
 from api.http.bodies.form_kinds import UploadedFiles
 from pipeline.capture.preflight_record import Clock, PreflightCamera
-from pipeline.video.playback.choices import proxy_name
+from pipeline.job_choices import proxy_name
 from worker.jobs.model.jobs import NewestJob
 from worker.jobs.model.sessions import Capture
 from worker.jobs.model.states import JobState

@@ -12,7 +12,7 @@ from api.dependencies import ServicesDep, SessionId
 from api.downloads import ConditionsDep, Download, file_responses, send_file
 from api.errors import ApiError
 from pipeline.capture.preflight_record import PreflightCamera
-from pipeline.video.playback.choices import proxy_name
+from pipeline.job_choices import proxy_name
 from worker.jobs.errors import NotFound
 from worker.jobs.model.sessions import Session
 from worker.jobs.tenant_records import TenantRecords

@@ -44,43 +44,24 @@ _PIECE_SUFFIX = ".piece"
 
 @dataclass(frozen=True, slots=True)
 class Checksum:
-    """Expected checksum of a piece.
+    """Expected checksum of a piece."""
 
-    Parameters
-    ----------
-    algorithm
-        Name of the algorithm in hashlib.
-    """
-
-    algorithm: str
+    algorithm: str  # Name of the algorithm in hashlib
     digest: bytes
 
 
 @dataclass(slots=True)
 class _Writer:
-    """Request that writes to an upload.
+    """Request that writes to an upload."""
 
-    Parameters
-    ----------
-    scope
-        Cancels the request.
-    ended
-        Set when the request no longer writes.
-    """
-
-    scope: anyio.CancelScope = field(default_factory=anyio.CancelScope)
-    ended: asyncio.Event = field(default_factory=asyncio.Event)
+    scope: anyio.CancelScope = field(default_factory=anyio.CancelScope)  # Cancels the request
+    ended: asyncio.Event = field(default_factory=asyncio.Event)  # Set when the request no longer writes
 
 
 class UploadSpool:
     """Folder of the files of uploads.
 
-    Parameters
-    ----------
-    folder
-        Folder of the files; it is created if it is missing.
-    disk
-        Disk of the folder, whose free space is checked.
+    The folder is created if it is missing. ``disk`` is the one whose free space is checked.
     """
 
     def __init__(self, folder: Path, disk: DiskSpace) -> None:

@@ -15,27 +15,14 @@ from pipeline.errors import Problem, listed
 
 @dataclass(frozen=True, slots=True)
 class CameraReport:
-    """Evidence for the calibration of a camera.
+    """Evidence for the calibration of a camera."""
 
-    Parameters
-    ----------
-    name
-        Name of the camera.
-    reprojection_error_px
-        Median distance of the projections from the observations; NaN without observations.
-    focal_px
-        Focal length: mean of both axes.
-    num_views
-        Number of instants at which the camera saw the board, or a person.
-    focal_sigma_percent, position_sigma_mm, rotation_sigma_deg
-        Standard deviations that the observations leave; infinite where they don't determine the parameter, NaN where it
-        was given.
-    """
-
-    name: str
-    reprojection_error_px: float
-    focal_px: float
-    num_views: int
+    name: str  # Name of the camera
+    reprojection_error_px: float  # Median distance of the projections from the observations; NaN without observations
+    focal_px: float  # Focal length: mean of both axes
+    num_views: int  # Number of instants at which the camera saw the board, or a person
+    # Standard deviations that the observations leave; infinite where they don't determine the parameter, NaN where it
+    # was given
     focal_sigma_percent: float
     position_sigma_mm: float
     rotation_sigma_deg: float
@@ -46,12 +33,8 @@ def report_camera(
 ) -> CameraReport:
     """Report a camera of an adjustment.
 
-    Parameters
-    ----------
-    sigma
-        Standard deviations of the camera's parameters (``adjustment.parameters``), 0 where they were given.
-    growth
-        Factor by which the world grew after the adjustment.
+    ``sigma`` has the standard deviations of its parameters (``adjustment.parameters``), 0 where they were given;
+    ``growth`` is the factor by which the world grew after the adjustment.
     """
     return CameraReport(
         camera.name,
@@ -66,32 +49,16 @@ def report_camera(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
-    """A calibration and its report.
+    """A calibration and its report."""
 
-    Parameters
-    ----------
-    cameras
-        Calibrated cameras; world in metres, Z up.
-    has_extrinsics
-        Whether the cameras' poses are known; else only intrinsics were made and every pose is the identity.
-    by_camera
-        Reports, in the order of the cameras.
-    reprojection_error_px
-        Median over all cameras.
-    warnings
-        Doubts, each with a code, the camera and a hint: what to film again.
-    world
-        Sentence: origin, axes and scale of the world, and what they rest on.
-    pictures
-        SVG documents by file name, such as ``coverage_cam_1.svg``.
-    """
-
-    cameras: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]  # Calibrated cameras; world in metres, Z up
+    # Whether the cameras' poses are known; else only intrinsics were made and every pose is the identity
     has_extrinsics: bool
-    by_camera: tuple[CameraReport, ...]
-    reprojection_error_px: float
-    warnings: tuple[Problem, ...]
-    world: str
+    by_camera: tuple[CameraReport, ...]  # Reports, in the order of the cameras
+    reprojection_error_px: float  # Median over all cameras
+    warnings: tuple[Problem, ...]  # Doubts, each with a code, the camera and a hint: what to film again
+    world: str  # Sentence: origin, axes and scale of the world, and what they rest on
+    # SVG documents by file name, such as ``coverage_cam_1.svg``
     pictures: Mapping[str, str] = field(default_factory=dict)
 
 

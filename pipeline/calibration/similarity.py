@@ -51,12 +51,7 @@ def umeyama(
 ) -> Similarity:
     """Find the similarity with the least squares from points to their goals (Umeyama 1991, eq. 39 to 42).
 
-    Parameters
-    ----------
-    has_scale
-        Whether the scale is found too; else it is 1.
-    is_mirrored
-        Whether the best mirrored transform is looked for instead.
+    Without ``has_scale`` the scale is 1. With ``is_mirrored`` the best mirrored transform is looked for instead.
     """
     centre_m, goal_centre_m = points_m.mean(0), goal_m.mean(0)
     from_m, to_m = points_m - centre_m, goal_m - goal_centre_m

@@ -127,17 +127,7 @@ def name_problem(name: Any) -> str | None:
 def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem] = ()) -> tuple[Camera, ...]:
     """Check all cameras of a file and build them.
 
-    Parameters
-    ----------
-    file
-        Name of the file, for problems.
-    earlier
-        Problems that the reader found.
-
-    Raises
-    ------
-    InputError
-        With all problems of all cameras, ``earlier`` problems first.
+    Raises ``InputError`` with all problems of all cameras; ``earlier`` ones, which the reader found, come first.
     """
     problems = list(earlier)
     if not raw:

@@ -14,14 +14,8 @@ def upright_direction(
 ) -> Float[np.ndarray, " 3"] | None:
     """Direction from ankles to shoulders of people who stand upright: a robust mean, of length 1.
 
-    Parameters
-    ----------
-    shoulders_m, ankles_m
-        Left and right joints of poses in any frame; NaN where unknown. Poses that lack one are left out.
-
-    Returns
-    -------
-        ``None`` if no pose has all four joints.
+    The joints are left and right ones of poses in any frame, NaN where unknown. Poses that lack one are left out;
+    ``None`` if none has all four.
     """
     axis = shoulders_m.mean(1) - ankles_m.mean(1)
     axis = axis[np.isfinite(axis).all(-1)]

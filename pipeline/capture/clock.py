@@ -17,21 +17,13 @@ from pipeline.video.frame_rate import measured_rate_hz
 
 @dataclass(frozen=True, slots=True)
 class TimeSource:
-    """Source of a session's frame times, for problems.
+    """Source of a session's frame times, for problems."""
 
-    Parameters
-    ----------
-    files
-        Name of the file with a camera's frame times, by camera name.
-    start_field, rate_field
-        Input fields for the start and for the rate of a camera.
-    start_hint, rate_hint
-        Remedy if a camera's start, or its rate, is wrong.
-    """
-
-    files: Mapping[str, str]
+    files: Mapping[str, str]  # Name of the file with a camera's frame times, by camera name
+    # Input fields for the start and for the rate of a camera
     start_field: str
     rate_field: str
+    # Remedy if a camera's start, or its rate, is wrong
     start_hint: str
     rate_hint: str
 
@@ -49,8 +41,6 @@ def clock_problems(
         Time of the first output frame in seconds.
     rate_hz
         Rate of the output frames. The number of frames is checked only if the rate is within its own limits.
-    source
-        Source of the times.
     """
     of_cameras = [*_overlap_problems(times, source), *_length_problems(times, source)]
     return of_cameras or list(_session_problems(times, start_s, rate_hz, source))

@@ -92,10 +92,7 @@ class KeypointSession:
     def restricted(self, frames: range | None) -> "KeypointSession":
         """Restrict the session to a range of its output frames (``None``: all), which are numbered from 0.
 
-        Raises
-        ------
-        InputError
-            If the session has no such frames.
+        Raises ``InputError`` if the session has no such frames.
         """
         if frames is None:
             return self

@@ -19,20 +19,8 @@ def unpack_keypoints(archives: Sequence[Path], folder: Path) -> None:
     """Unpack each archive into a folder of the same name, for ``keypoints.open_keypoints``.
 
     The files of an archive lie at its top or in one folder. Folder names are dropped, and only JSON and CSV files are
-    unpacked.
-
-    Parameters
-    ----------
-    archives
-        Archives named ``<camera>.zip``.
-    folder
-        Empty folder to unpack into.
-
-    Raises
-    ------
-    InputError
-        With the problems of all archives that are damaged, encrypted or too large, or that contain links or a name
-        twice.
+    unpacked. Archives are named ``<camera>.zip``, and the folder is empty. Raises ``InputError`` with the problems of
+    all archives that are damaged, encrypted or too large, or that contain links or a name twice.
     """
     problems: list[Problem] = []
     # The directories of all archives first: reading them is cheap, unpacking is not.

@@ -31,7 +31,7 @@ from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import MAX_JOINTS, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
-from pipeline.capture.pictures import Thumbnail, look_at_pictures
+from pipeline.capture.pictures.look import Thumbnail, look_at_pictures
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
 from pipeline.capture.preflight_record import (
     Clock,
@@ -65,7 +65,7 @@ def report(
 ) -> Preflight:
     """Build the preflight record of a session."""
     media = _media(session, recordings)
-    starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
+    starts_s = {name: float(times.time_s[0]) if len(times.time_s) else 0.0 for name, times in session.times.items()}
     return Preflight(
         cameras=tuple(
             PreflightCamera(
@@ -83,7 +83,7 @@ def report(
         timebase=PreflightTimebase(**asdict(session.timebase)),
         stretches=tuple(session.stretches),
         warnings=tuple(printable(warning) for warning in session.warnings),
-        recordings=tuple(PreflightRecording(**asdict(one)) for one in recordings),
+        recordings=tuple(PreflightRecording(**asdict(recording)) for recording in recordings),
         units=units,
         findings=tuple(session.findings),
         clock=clock,
@@ -120,22 +120,25 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
         arguments.videos, arguments.calibration, recordings, units, clock, images_rate_hz=arguments.frame_rate
     )
     if arguments.photographs:  # their numbers are no times
-        session = replace(session, findings=tuple(one for one in session.findings if one.code not in OF_TIMES))
+        session = replace(
+            session, findings=tuple(finding for finding in session.findings if finding.code not in OF_TIMES)
+        )
     files = [video.path.name for video in session.videos]
     preflight, record = report(session, files, units, recordings, clock), encode_session(session)
     if arguments.thumbnails:
         looked = look_at_pictures(session, max(0.0, arguments.pictures_s - (time.monotonic() - _STARTED_S)))
-        stored = [_write_thumbnails(arguments.thumbnails, *one) for one in enumerate(looked.thumbnails)]
+        stored = [_write_thumbnails(arguments.thumbnails, *numbered) for numbered in enumerate(looked.thumbnails)]
         preflight = replace(preflight, cameras=tuple(map(_with_thumbnails, preflight.cameras, stored)))
         preflight = _with_findings(preflight, [*check_cameras(session.cameras), *looked.findings])
     return preflight, record
 
 
 def _write_thumbnails(folder: Path, camera: int, thumbnails: Sequence[Thumbnail]) -> tuple[PreflightThumbnail, ...]:
-    for number, one in enumerate(thumbnails):
-        (folder / thumbnail_name(camera, number)).write_bytes(one.content)
+    for number, thumbnail in enumerate(thumbnails):
+        (folder / thumbnail_name(camera, number)).write_bytes(thumbnail.content)
     return tuple(
-        PreflightThumbnail(one.time_s, len(one.content), hashlib.sha256(one.content).hexdigest()) for one in thumbnails
+        PreflightThumbnail(thumbnail.time_s, len(thumbnail.content), hashlib.sha256(thumbnail.content).hexdigest())
+        for thumbnail in thumbnails
     )
 
 

@@ -43,15 +43,15 @@ def _cameras(cameras: Sequence[Camera]) -> tuple[list[dict[str, Any]], dict[str,
 def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.ndarray]) -> tuple[Camera, ...]:
     return tuple(
         Camera(
-            name=one["name"],
-            size_px=tuple(one["size_px"]),
+            name=camera["name"],
+            size_px=tuple(camera["size_px"]),
             matrix=arrays[f"matrix_{k}"],
             distortion=arrays[f"distortion_{k}"],
             cam_from_world=Rigid3(arrays[f"rotation_{k}"], arrays[f"translation_m_{k}"]),
             # Records of earlier versions have no lens model.
-            lens=one.get("lens", "standard"),
+            lens=camera.get("lens", "standard"),
         )
-        for k, one in enumerate(head)
+        for k, camera in enumerate(head)
     )
 
 
@@ -106,18 +106,18 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
         cameras=cameras,
         videos=tuple(
             VideoInfo(
-                path=folder / one["file"],
-                codec=one["codec"],
-                size_px=tuple(one["size_px"]),
-                rotation_deg=one["rotation_deg"],
+                path=folder / video["file"],
+                codec=video["codec"],
+                size_px=tuple(video["size_px"]),
+                rotation_deg=video["rotation_deg"],
                 pts=arrays[f"pts_{k}"],
                 keyframe_pts=arrays[f"keyframe_pts_{k}"],
                 time_s=arrays[f"video_time_s_{k}"],
-                frame_rate_hz=one["frame_rate_hz"],
+                frame_rate_hz=video["frame_rate_hz"],
                 # Records of earlier versions are of square pixels.
-                stored_width_px=one.get("stored_width_px"),
+                stored_width_px=video.get("stored_width_px"),
             )
-            for k, one in enumerate(head["videos"])
+            for k, video in enumerate(head["videos"])
         ),
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         findings=_decode_findings(head),
@@ -156,7 +156,9 @@ def decode_keypoints(content: bytes) -> KeypointSession:
             camera.name: Detections(camera.name, *(arrays[f"{name}_{k}"] for name in DETECTION_ARRAYS))
             for k, camera in enumerate(cameras)
         },
-        joints=JointSet(tuple(head["joints"]["names"]), tuple((one, other) for one, other in head["joints"]["bones"])),
+        joints=JointSet(
+            tuple(head["joints"]["names"]), tuple((first, second) for first, second in head["joints"]["bones"])
+        ),
         folders=head["folders"],
         findings=_decode_findings(head),
     )

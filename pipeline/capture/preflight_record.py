@@ -17,64 +17,44 @@ Clock = Literal["declared", "timecode", "creation_time"]
 
 @dataclass(frozen=True, slots=True)
 class PreflightThumbnail:
-    """Small copy of a picture, a JPEG file.
+    """Small copy of a picture, a JPEG file."""
 
-    Parameters
-    ----------
-    time_s
-        Time of the picture on the session's clock.
-    """
-
-    time_s: float
+    time_s: float  # Time of the picture on the session's clock
     num_bytes: int
     sha256: str
 
 
 @dataclass(frozen=True, slots=True)
 class PreflightCamera:
-    """A camera with its video, or with its archive of keypoints.
-
-    Parameters
-    ----------
-    file
-        Name of the file that the client sent.
-    size_px
-        Width and height.
-    frame_rate_hz
-        Mean rate.
-    num_frames
-        Number of its own frames, as against the output frames of the session.
-    start_time_s
-        Time of its first frame on the session's clock.
-    media_type
-        Media type as which browsers play the video, at the times that the session uses; ``None`` if some don't, and for
-        keypoints and sessions of older versions.
-    media_start_s
-        Time of the first frame on the clock of the video file, which players show.
-    thumbnails
-        Small copies of a few pictures, ascending in time; none of keypoints, and in records of earlier versions. Their
-        places are the numbers in the evidence ``pictures`` of findings.
-    """
+    """A camera with its video, or with its archive of keypoints."""
 
     name: str
-    file: str
-    size_px: tuple[int, int]
-    frame_rate_hz: float
-    num_frames: int
-    start_time_s: float = 0.0
+    file: str  # Name of the file that the client sent
+    size_px: tuple[int, int]  # Width and height
+    frame_rate_hz: float  # Mean rate
+    num_frames: int  # Number of its own frames, as against the output frames of the session
+    start_time_s: float = 0.0  # Time of its first frame on the session's clock
+    # Media type as which browsers play the video, at the times that the session uses; ``None`` if some don't, and for
+    # keypoints and sessions of older versions
     media_type: str | None = None
-    media_start_s: float = 0.0
+    media_start_s: float = 0.0  # Time of the first frame on the clock of the video file, which players show
+    # Small copies of a few pictures, ascending in time; none of keypoints, and in records of earlier versions. Their
+    # places are the numbers in the evidence ``pictures`` of findings.
     thumbnails: tuple[PreflightThumbnail, ...] = ()
 
     @classmethod
     def from_json(cls, document: Any) -> "PreflightCamera":
         """Read a parsed JSON object."""
-        thumbnails = tuple(PreflightThumbnail(**one) for one in document.get("thumbnails", ()))
+        thumbnails = tuple(PreflightThumbnail(**thumbnail) for thumbnail in document.get("thumbnails", ()))
         return cls(**{**document, "size_px": tuple(document["size_px"]), "thumbnails": thumbnails})
 
     def to_json(self) -> dict[str, Any]:
         """JSON object."""
-        return {**asdict(self), "size_px": list(self.size_px), "thumbnails": [asdict(one) for one in self.thumbnails]}
+        return {
+            **asdict(self),
+            "size_px": list(self.size_px),
+            "thumbnails": [asdict(thumbnail) for thumbnail in self.thumbnails],
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,35 +78,18 @@ class PreflightRecording:
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """Cameras and clock of a session, and findings about its files.
-
-    Parameters
-    ----------
-    stretches
-        Output frames that have to be worked on, ascending; pauses lie between them.
-    warnings
-        Sentences of the findings.
-    recordings
-        Facts about videos that the client stated.
-    units
-        Unit of lengths in the calibration: "m", "cm" or "mm".
-    findings
-        What the client should know of the files; none in records of earlier versions, which have sentences only.
-    clock
-        Clock of the videos' starts.
-    sync
-        Synchronisation of jobs of the session that don't state one.
-    """
+    """Cameras and clock of a session, and findings about its files."""
 
     cameras: tuple[PreflightCamera, ...]
     timebase: PreflightTimebase
-    stretches: tuple[range, ...]
-    warnings: tuple[str, ...] = ()
-    recordings: tuple[PreflightRecording, ...] = ()
-    units: str = "m"
+    stretches: tuple[range, ...]  # Output frames that have to be worked on, ascending; pauses lie between them
+    warnings: tuple[str, ...] = ()  # Sentences of the findings
+    recordings: tuple[PreflightRecording, ...] = ()  # Facts about videos that the client stated
+    units: str = "m"  # Unit of lengths in the calibration: "m", "cm" or "mm"
+    # What the client should know of the files; none in records of earlier versions, which have sentences only
     findings: tuple[Finding, ...] = ()
-    clock: Clock = "declared"
-    sync: Sync = "declared"
+    clock: Clock = "declared"  # Clock of the videos' starts
+    sync: Sync = "declared"  # Synchronisation of jobs of the session that don't state one
 
     @property
     def duration_s(self) -> float:
@@ -143,10 +106,7 @@ class Preflight:
     def from_json(cls, document: Any) -> "Preflight":
         """Read a parsed JSON object; keys that older versions did not write get their defaults.
 
-        Raises
-        ------
-        ValueError
-            The object is no preflight record.
+        Raises ``ValueError`` if the object is no preflight record.
         """
         try:
             timebase = PreflightTimebase(**document["timebase"])
@@ -154,11 +114,11 @@ class Preflight:
                 cameras=tuple(PreflightCamera.from_json(camera) for camera in document["cameras"]),
                 timebase=timebase,
                 # Older versions worked on all frames.
-                stretches=tuple(range(*one) for one in document.get("stretches", [[0, timebase.num_frames]])),
+                stretches=tuple(range(*stretch) for stretch in document.get("stretches", [[0, timebase.num_frames]])),
                 warnings=tuple(document.get("warnings", ())),
-                recordings=tuple(PreflightRecording(**one) for one in document.get("recordings", ())),
+                recordings=tuple(PreflightRecording(**recording) for recording in document.get("recordings", ())),
                 units=document.get("units", "m"),
-                findings=tuple(Finding.from_json(one) for one in document.get("findings", ())),
+                findings=tuple(Finding.from_json(finding) for finding in document.get("findings", ())),
                 clock=document.get("clock", "declared"),
                 sync=document.get("sync", "declared"),
             )
@@ -170,11 +130,11 @@ class Preflight:
         return {
             "cameras": [camera.to_json() for camera in self.cameras],
             "timebase": asdict(self.timebase),
-            "stretches": [[one.start, one.stop] for one in self.stretches],
+            "stretches": [[stretch.start, stretch.stop] for stretch in self.stretches],
             "warnings": list(self.warnings),
-            "recordings": [asdict(one) for one in self.recordings],
+            "recordings": [asdict(recording) for recording in self.recordings],
             "units": self.units,
-            "findings": [one.to_json() for one in self.findings],
+            "findings": [finding.to_json() for finding in self.findings],
             "clock": self.clock,
             "sync": self.sync,
         }

@@ -87,10 +87,7 @@ class CaptureSession:
     def restricted(self, frames: range | None) -> "CaptureSession":
         """Restrict the session to a range of its output frames (``None``: all), which are numbered from 0.
 
-        Raises
-        ------
-        InputError
-            If the session has no such frames.
+        Raises ``InputError`` if the session has no such frames.
         """
         if frames is not None:
             require_frames(self.timebase, frames)

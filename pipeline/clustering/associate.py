@@ -61,14 +61,7 @@ def find_people(
 ) -> Poses3D:
     """Find the poses of all people in some output frames.
 
-    Parameters
-    ----------
-    evidence
-        Evidence of the cameras for these frames.
-    lengths
-        Bone lengths of the people; ``unknown_lengths`` for the first pass.
-    on_frame
-        Called after each frame.
+    ``evidence`` is that of the cameras for these frames; ``lengths`` are ``unknown_lengths`` for the first pass.
     """
     projections = np.array([image_from_world(camera) for camera in cameras])
     if not parameters.use_lengths:
@@ -108,12 +101,8 @@ def first_lengths(
 ) -> LimbLengths:
     """Measure the people's bone lengths in a first pass without known lengths (section 3.6).
 
-    Parameters
-    ----------
-    chunks
-        Evidence of each range of output frames, and the frames of ``sampled_frames`` in the range; in order of time.
-    on_frame
-        Called after each frame.
+    ``chunks`` have the evidence of each range of output frames, and the frames of ``sampled_frames`` in the range, in
+    order of time.
     """
     unknown = unknown_lengths(skeleton)
     poses = join_poses(
@@ -137,8 +126,6 @@ def link_people(
     ----------
     poses
         Poses of all ranges; see ``join_poses``.
-    joints
-        Joints of the tracks: the detector's joint set.
     on_share
         Called with the completed share after every instant and after every track.
 
@@ -168,19 +155,7 @@ def reconstruct_by_clustering(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Reconstruct tracks from the bodies that a detector found: all three steps.
 
-    Parameters
-    ----------
-    joints
-        Joints of the detections.
-
-    Returns
-    -------
-        See ``link_people``.
-
-    Raises
-    ------
-    ValueError
-        If the detector lacks a joint of the paper's skeleton other than the neck.
+    Raises ``ValueError`` if the detector lacks a joint of the paper's skeleton other than the neck.
     """
     evidence = BodyEvidence(cameras, times, detections, timebase, skeleton_of(joints), parameters)
     return reconstruct_evidence(cameras, lambda _: evidence, [range(timebase.num_frames)], timebase, joints, parameters)
@@ -196,18 +171,8 @@ def reconstruct_evidence(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Reconstruct tracks, range by range of output frames: all three steps.
 
-    Parameters
-    ----------
-    evidence_in
-        Function that gives the evidence of a range; called twice for each range.
-    ranges
-        Ranges that cover all output frames, in order.
-    joints
-        The detector's joint set.
-
-    Returns
-    -------
-        See ``link_people``.
+    The ranges cover all output frames in order; ``evidence_in`` gives the evidence of one, and is called twice for
+    each.
     """
     skeleton = skeleton_of(joints)
     sampled = sampled_frames(timebase, parameters)

@@ -10,18 +10,11 @@ from pipeline.clustering.skeleton import Skeleton
 
 
 class LimbLengths(NamedTuple):
-    """Lengths of the limbs from each joint to its parent.
+    """Lengths of the limbs from each joint to its parent."""
 
-    Parameters
-    ----------
-    known_m
-        Length sets L of eq. 3, (joints, people); NaN for a limb that was not measured or whose length is not constant.
-    longest_m
-        Upper limit of each limb's length, (joints,).
-    """
-
+    # Length sets L of eq. 3, (joints, people); NaN for a limb that was not measured or whose length is not constant
     known_m: np.ndarray
-    longest_m: np.ndarray
+    longest_m: np.ndarray  # Upper limit of each limb's length, (joints,)
 
     @property
     def is_measured(self) -> Bool[np.ndarray, " joints"]:
@@ -42,10 +35,7 @@ def unlimited_lengths(skeleton: Skeleton) -> LimbLengths:
 def measure_lengths(people_m: Sequence[Float[np.ndarray, "_ joints 3"]], skeleton: Skeleton) -> LimbLengths:
     """Measure each person's limbs of constant length by the median over the person's poses.
 
-    Parameters
-    ----------
-    people_m
-        Poses of each person in metres, NaN where a joint was not found.
+    Poses are in metres, NaN where a joint was not found.
     """
     known_m = np.full((len(skeleton.names), len(people_m)), np.nan)
     for j in np.flatnonzero(skeleton.is_constant):

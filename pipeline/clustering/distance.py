@@ -9,10 +9,7 @@ def mean_distance_m(
 ) -> Float[np.ndarray, "*batch"]:
     """Mean distance in metres of the joints that both poses have; infinite if they share none.
 
-    Parameters
-    ----------
-    first_m, second_m
-        World positions, NaN where a joint is unknown.
+    Positions are in the world, NaN where a joint is unknown.
     """
     apart_m = np.linalg.norm(first_m - second_m, axis=-1)
     shared = np.isfinite(apart_m)

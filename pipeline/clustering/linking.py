@@ -18,21 +18,13 @@ _FAR_M = 1e6
 
 @dataclass(slots=True)
 class Track:
-    """Poses of one person.
+    """Poses of one person."""
 
-    Parameters
-    ----------
-    members
-        Instant, and position among the instant's poses, of each pose.
-    last_m
-        Last position of each torso joint, NaN where it was never found.
-    last_s
-        Time of the last pose.
-    """
-
+    # Instant, and position among the instant's poses, of each pose
     members: list[tuple[int, int]] = field(default_factory=list)
+    # Last position of each torso joint, NaN where it was never found
     last_m: np.ndarray = field(default_factory=lambda: np.empty(0))
-    last_s: float = -np.inf
+    last_s: float = -np.inf  # Time of the last pose
 
 
 def link(
@@ -43,14 +35,7 @@ def link(
 ) -> list[Track]:
     """Link poses by the mean distance of their torso joints, in order of time; unmatched poses start tracks.
 
-    Parameters
-    ----------
-    torsos_m
-        Torso joints of all poses at each instant, NaN where a joint was not found.
-    instants_s
-        Times of the instants, ascending.
-    on_share
-        Called with the completed share after every instant.
+    Torso joints of all poses at each instant are NaN where they were not found; times ascend.
     """
     tracks: list[Track] = []
     alive: list[Track] = []

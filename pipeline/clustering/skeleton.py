@@ -7,24 +7,12 @@ from pipeline.joints import JointSet
 
 @dataclass(frozen=True, slots=True)
 class Limb:
-    """Limb from a joint to its parent.
+    """Limb from a joint to its parent."""
 
-    Parameters
-    ----------
-    parent
-        Name of the parent joint, which is found first.
-    longest_m
-        Upper limit of the limb's length for any person, the detector's noise included.
-    is_constant
-        Whether the limb's length does not depend on the pose.
-    field_share
-        Strength of the limb's part affinity field relative to other limbs.
-    """
-
-    parent: str
-    longest_m: float
-    is_constant: bool = True
-    field_share: float = 1.0
+    parent: str  # Name of the parent joint, which is found first
+    longest_m: float  # Upper limit of the limb's length for any person, the detector's noise included
+    is_constant: bool = True  # Whether the limb's length does not depend on the pose
+    field_share: float = 1.0  # Strength of the limb's part affinity field relative to other limbs
 
 
 ROOT = "neck"
@@ -55,31 +43,16 @@ TORSO = (ROOT, "nose", "left_shoulder", "right_shoulder", "left_hip", "right_hip
 
 @dataclass(frozen=True, slots=True)
 class Skeleton:
-    """Joints of a detector as a tree.
+    """Joints of a detector as a tree."""
 
-    Parameters
-    ----------
-    names
-        Joint names, the root first and every joint after its parent. If the detector has no neck, the neck is the
-        midpoint of the shoulders.
-    parents
-        Position of each joint's parent in ``names``, -1 for the root.
-    longest_m
-        See ``Limb``; 0 for the root.
-    is_constant
-        See ``Limb``; false for the root.
-    field_share
-        See ``Limb``; 1 for the root.
-    sources
-        Position of each joint in the detector's order, -1 for a joint that the detector lacks.
-    """
-
+    # Joint names, the root first and every joint after its parent. If the detector has no neck, the neck is the
+    # midpoint of the shoulders.
     names: tuple[str, ...]
-    parents: tuple[int, ...]
-    longest_m: tuple[float, ...]
-    is_constant: tuple[bool, ...]
-    field_share: tuple[float, ...]
-    sources: tuple[int, ...]
+    parents: tuple[int, ...]  # Position of each joint's parent in ``names``, -1 for the root
+    longest_m: tuple[float, ...]  # See ``Limb``; 0 for the root
+    is_constant: tuple[bool, ...]  # See ``Limb``; false for the root
+    field_share: tuple[float, ...]  # See ``Limb``; 1 for the root
+    sources: tuple[int, ...]  # Position of each joint in the detector's order, -1 for a joint that the detector lacks
 
     @property
     def levels(self) -> list[list[int]]:
@@ -107,10 +80,7 @@ class Skeleton:
 def skeleton_of(joints: JointSet) -> Skeleton:
     """Make the skeleton of a detector's joints.
 
-    Raises
-    ------
-    ValueError
-        If the detector lacks any of the paper's 13 joints other than the neck.
+    Raises ``ValueError`` if it lacks any of the paper's 13 joints other than the neck.
     """
     names = (ROOT, *(name for name in _LIMBS if name in joints.names))
     missing = [name for name in _CORE if name not in names]

@@ -47,12 +47,8 @@ def colour_histograms(
 
     Parameters
     ----------
-    image_rgb
-        The image.
     keypoints_px, score
         Joints of the bodies in pixels of the image, NaN where a joint was not found, and their scores.
-    joints
-        Names of the joints.
 
     Returns
     -------

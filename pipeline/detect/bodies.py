@@ -11,24 +11,13 @@ from pipeline.joints import JointSet
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageBodies:
-    """Bodies in one image, in descending order of confidence.
+    """Bodies in one image, in descending order of confidence."""
 
-    Parameters
-    ----------
-    keypoints_px
-        Joints in pixels; (0, 0) is the centre of the first pixel. NaN where the detector found no joint.
-    score
-        The detector's confidence in [0, 1], 0 where the joint is NaN.
-    box_px
-        x0, y0, x1, y1 around the joints of each body.
-    center_score
-        The detector's confidence in [0, 1] in each body.
-    """
-
+    # Joints in pixels; (0, 0) is the centre of the first pixel. NaN where the detector found no joint.
     keypoints_px: Float[np.ndarray, "n joints 2"]
-    score: Float[np.ndarray, "n joints"]
-    box_px: Float[np.ndarray, "n 4"]
-    center_score: Float[np.ndarray, " n"]
+    score: Float[np.ndarray, "n joints"]  # The detector's confidence in [0, 1], 0 where the joint is NaN
+    box_px: Float[np.ndarray, "n 4"]  # x0, y0, x1, y1 around the joints of each body
+    center_score: Float[np.ndarray, " n"]  # The detector's confidence in [0, 1] in each body
 
 
 @runtime_checkable

@@ -36,12 +36,8 @@ def detect_chunk(
 
     Parameters
     ----------
-    camera
-        Name of the camera.
     span_s
         t0 and t1 on the session's clock.
-    on_frame
-        Called after each frame.
     measures_colours
         Whether the colours of the bodies are measured; see ``appearance``.
 
@@ -80,18 +76,8 @@ def measure_colours(
 ) -> Detections:
     """Decode a range of frames once more, and measure the colours of the bodies that were detected in them.
 
-    Parameters
-    ----------
-    span_s, on_frame
-        See ``detect_chunk``.
-    detections
-        Detections of ``detect_chunk`` in the same range.
-    joints
-        Joints of the detections.
-
-    Returns
-    -------
-        The detections with the colours that ``detect_chunk`` would have measured, zeros in frames that are missing now.
+    ``detections`` are those of ``detect_chunk`` in the same range. They get the colours that it would have measured,
+    zeros in frames that are missing now.
     """
     colour = np.zeros((len(detections.frame), len(PARTS), NUM_BINS), np.uint8)
     with closing(_images(session, detections.camera, span_s, on_frame, lambda _: None)) as frames:
@@ -111,10 +97,7 @@ def detect_fields_chunk(
 ) -> PafFields:
     """Detect peaks and part affinity fields in a range of frames; see ``detect_chunk``.
 
-    Parameters
-    ----------
-    detector
-        Detector whose network has part affinity fields.
+    The detector's network must have part affinity fields.
     """
     damaged: list[int] = []
     meter = ChangeMeter()
@@ -148,17 +131,8 @@ def camera_images(
 ) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
     """Decode frames of a camera with their numbers.
 
-    Parameters
-    ----------
-    frames, on_damaged, only
-        Range of frame numbers, and so on; see ``decode``.
-    on_frame
-        Called when the frame after each frame is requested.
-
-    Raises
-    ------
-    InputError, ChildError
-        See ``decode``; problems name the camera.
+    ``frames``, ``on_damaged`` and ``only`` are as of ``decode``, and so are the errors; problems name the camera.
+    ``on_frame`` is called when the frame after each frame is requested.
     """
     give_pictures_back()
     video = session.videos[[known.name for known in session.cameras].index(camera)]
@@ -184,12 +158,7 @@ def _frame_numbers(frames: Sequence[int]) -> Int[np.ndarray, " frames"]:
 def stack_fields(camera: str, numbered: Sequence[tuple[int, ImageFields]]) -> PafFields:
     """Stack the fields of a camera's images.
 
-    Parameters
-    ----------
-    camera
-        Name of the camera.
-    numbered
-        Frame number and fields of each image, by frame number; all fields have the same shape and grid.
+    ``numbered`` has frame number and fields of each image, by frame number; all have the same shape and grid.
     """
     num_limbs = len(LIMBS)
     images = [image for _, image in numbered]
@@ -223,15 +192,7 @@ def stack_bodies(camera: str, numbered: Sequence[tuple[int, ImageBodies]], num_j
 
 
 def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints: int) -> dict[str, Detections]:
-    """Concatenate the detections of chunks camera by camera.
-
-    Parameters
-    ----------
-    chunks
-        Chunks of all cameras; those of a camera are in order of time.
-    cameras
-        Names of the cameras.
-    """
+    """Concatenate the detections of chunks camera by camera. Chunks of a camera are in order of time."""
     of_camera: dict[str, list[Detections]] = {camera: [] for camera in cameras}
     for chunk in chunks:
         of_camera[chunk.camera].append(chunk)

@@ -25,23 +25,14 @@ __all__ = ["Detector", "ImageBodies", "open_detector"]
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """Detector of bodies in single images.
+    """Detector of bodies in single images."""
 
-    Parameters
-    ----------
-    network
-        Function that runs the network.
-    input, head, joints
-        Input and output of the network; see ``registry.NetworkEntry``.
-    fields
-        Grid of the part affinity fields; ``None`` for a network without fields.
-    """
-
-    network: Network
+    network: Network  # Function that runs the network
+    # Input and output of the network; see ``registry.NetworkEntry``
     input: NetworkInput
     head: NetworkHead
     joints: JointSet
-    fields: FieldGrid | None = None
+    fields: FieldGrid | None = None  # Grid of the part affinity fields; ``None`` for a network without fields
 
     def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""
@@ -88,10 +79,7 @@ class Detector:
 def open_detector(name: str = "movenet-multipose") -> Detector:
     """Open an installed network of the registry.
 
-    Raises
-    ------
-    ModelError
-        If the network is unknown or not installed, its file was changed, or it reads crops.
+    Raises ``ModelError`` if it is unknown or not installed, its file was changed, or it reads crops.
     """
     entry = entry_of(name)
     if entry.head.reads_crops or entry.own is not None:

@@ -84,7 +84,7 @@ _HAND_CROP = NetworkInput(channels="rgb", multiple=224, scaled_px=224, max_value
 _HAND_JOINTS = JointSet(
     names=("wrist", *(f"{finger}_{joint}" for finger, joints in FINGERS.items() for joint in joints)), bones=()
 )
-# Marks of MultiPose's joints after BlazePose has refined them (detect/topdown/joint_maps.py).
+# Marks of MultiPose's joints after BlazePose has refined them (detect/topdown/fusion.py).
 _REFINED_OFFSETS = {
     "shoulder": JointOffset(up=0.05),
     "ear": JointOffset(outwards=-0.047, forward=0.044),
@@ -246,10 +246,7 @@ REGISTRY: dict[str, NetworkEntry] = {
 def entry_of(name: str) -> NetworkEntry:
     """Return the entry of a network of the registry, or of one of the user's own.
 
-    Raises
-    ------
-    ModelError
-        If the network is unknown; the message has the known names.
+    Raises ``ModelError`` if it is unknown; the message has the known names.
     """
     if name.startswith(OWN_PREFIX):
         return own_entry(name)

@@ -13,13 +13,9 @@ class LetterBox:
 
     Pixel (0, 0) is the centre of the first pixel in both. Sizes are whole numbers, so the scales of the two axes differ
     slightly.
-
-    Parameters
-    ----------
-    image_size_px, scaled_size_px, padded_size_px
-        Width and height of the image, of the image inside the network's input, and of the network's input.
     """
 
+    # Width and height of the image, of the image inside the network's input, and of the network's input
     image_size_px: tuple[int, int]
     scaled_size_px: tuple[int, int]
     padded_size_px: tuple[int, int]
@@ -41,14 +37,8 @@ class LetterBox:
 def fit_letterbox(image_size_px: tuple[int, int], scale: float, multiple: int) -> LetterBox:
     """Make the letterbox of an image that is scaled and padded.
 
-    Parameters
-    ----------
-    image_size_px
-        Width and height of the image.
-    scale
-        Pixels of the network's input for each image pixel.
-    multiple
-        Number of which the padded width and height are multiples.
+    ``scale`` is in pixels of the network's input for each image pixel; padded width and height are multiples of
+    ``multiple``.
     """
     width, height = (max(1, round(side * scale)) for side in image_size_px)
     return LetterBox(image_size_px, (width, height), (_ceil(width, multiple), _ceil(height, multiple)))

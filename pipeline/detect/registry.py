@@ -32,20 +32,12 @@ class NetworkHead(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class PackagedWeights:
-    """Weights inside a package.
+    """Weights inside a package."""
 
-    Parameters
-    ----------
-    package
-        File of the package.
-    members
-        Path to the weights through nested archives: a member of the package, a member of that archive, and so on.
-    sha256, num_bytes
-        Checksum and size of the weights.
-    """
-
-    package: PinnedFile
+    package: PinnedFile  # File of the package
+    # Path to the weights through nested archives: a member of the package, a member of that archive, and so on
     members: tuple[str, ...]
+    # Checksum and size of the weights
     sha256: str
     num_bytes: int
 
@@ -61,39 +53,22 @@ class WeightFile:
 
 @dataclass(frozen=True, slots=True)
 class LooseWeights:
-    """Weights that are in no package, as files of one folder.
+    """Weights that are in no package, as files of one folder."""
 
-    Parameters
-    ----------
-    files
-        Files in the order of the conversion's arguments.
-    """
-
-    files: tuple[WeightFile, ...]
+    files: tuple[WeightFile, ...]  # Files in the order of the conversion's arguments
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkInput:
-    """Input of a network: a float tensor (1, 3, height, width) with values from 0.
+    """Input of a network: a float tensor (1, 3, height, width) with values from 0."""
 
-    Parameters
-    ----------
-    channels
-        Order of the colour channels.
-    multiple
-        Number of which height and width must be multiples.
-    scaled_px, scaled_side
-        Length to which an image is scaled, and the side that gets this length. Networks with fields need people of a
-        certain size; the image's height bounds the size of standing people. Crops are squares of this side.
-    max_value
-        Value of the brightest pixel.
-    """
-
-    channels: Literal["rgb", "bgr"]
-    multiple: int
+    channels: Literal["rgb", "bgr"]  # Order of the colour channels
+    multiple: int  # Number of which height and width must be multiples
+    # Length to which an image is scaled, and the side that gets this length. Networks with fields need people of a
+    # certain size; the image's height bounds the size of standing people. Crops are squares of this side.
     scaled_px: int
     scaled_side: Literal["long", "height"] = "long"
-    max_value: float = 255.0
+    max_value: float = 255.0  # Value of the brightest pixel
 
     def scale(self, image_size_px: tuple[int, int]) -> float:
         """Pixels of the network's input for each image pixel, for an image of this width and height."""
@@ -102,37 +77,22 @@ class NetworkInput:
 
 @dataclass(frozen=True, slots=True)
 class NetworkEntry:
-    """A network of the registry.
+    """A network of the registry."""
 
-    Parameters
-    ----------
-    name
-        Name of the network; of a detector, that in ``pipeline.config.NETWORKS``.
-    source, convert
-        Source of the weights, and their conversion to ONNX.
-    sha256, num_bytes
-        Checksum and size of the ONNX file.
-    licence
-        SPDX identifier of the weights' licence.
-    input, head, joints
-        Input, kind of the outputs, and joints that the network detects.
-    fields
-        Grid of the part affinity fields; ``None`` for a network without fields.
-    offsets
-        Offsets of the network's marks from the centres of the joints, learnt from rendered people (docs/fit.md).
-    own
-        Description of a network of the user's own; ``None`` for the networks of the registry.
-    """
-
-    name: str
+    name: str  # Name of the network; of a detector, that in ``pipeline.config.NETWORKS``
+    # Source of the weights, and their conversion to ONNX
     source: PackagedWeights | LooseWeights
     convert: Callable[[Sequence[bytes]], bytes]
+    # Checksum and size of the ONNX file
     sha256: str
     num_bytes: int
-    licence: str
+    licence: str  # SPDX identifier of the weights' licence
+    # Input, kind of the outputs, and joints that the network detects
     input: NetworkInput
     head: NetworkHead
     joints: JointSet
-    fields: FieldGrid | None = None
+    fields: FieldGrid | None = None  # Grid of the part affinity fields; ``None`` for a network without fields
+    # Offsets of the network's marks from the centres of the joints, learnt from rendered people (docs/fit.md)
     offsets: JointOffsets = field(default_factory=dict)
+    # Description of a network of the user's own; ``None`` for the networks of the registry
     own: OwnNetwork | None = None

@@ -18,18 +18,10 @@ Network = Callable[[Float32[np.ndarray, "1 3 height width"]], Mapping[str, np.nd
 
 @dataclass(slots=True)
 class NetworkClock:
-    """Clock of the time that this process has spent in networks.
+    """Clock of the time that this process has spent in networks."""
 
-    Parameters
-    ----------
-    total_s
-        Seconds in all networks so far.
-    num_passes
-        Number of passes so far.
-    """
-
-    total_s: float = 0.0
-    num_passes: int = 0
+    total_s: float = 0.0  # Seconds in all networks so far
+    num_passes: int = 0  # Number of passes so far
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -48,12 +40,7 @@ def open_network(path: Path) -> Network:
     """Open an ONNX model with one input.
 
     Each process uses one thread: several processes use the CPU better than several threads of a process, and results
-    do not depend on the split of the work.
-
-    Raises
-    ------
-    ModelError
-        If the file is not an ONNX model that can be run.
+    do not depend on the split of the work. Raises ``ModelError`` if the file is not an ONNX model that can be run.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1

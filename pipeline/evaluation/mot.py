@@ -17,19 +17,12 @@ from pipeline.errors import PipelineError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotFrame:
-    """True people and tracks of one frame.
+    """True people and tracks of one frame."""
 
-    Parameters
-    ----------
-    truth_ids, track_ids
-        Numbers of the people and of the tracks in the frame.
-    similarity
-        Similarity of each person and track, in [0, 1].
-    """
-
+    # Numbers of the people and of the tracks in the frame
     truth_ids: Int[np.ndarray, " people"]
     track_ids: Int[np.ndarray, " tracks"]
-    similarity: Float[np.ndarray, "people tracks"]
+    similarity: Float[np.ndarray, "people tracks"]  # Similarity of each person and track, in [0, 1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +37,7 @@ class MotScores:
 
 
 def score_mot(frames: Sequence[MotFrame]) -> MotScores:
-    """Compute the scores of a sequence of frames.
-
-    Raises
-    ------
-    PipelineError
-        If ``trackeval`` is not installed.
-    """
+    """Compute the scores of a sequence of frames. Raises ``PipelineError`` if ``trackeval`` is not installed."""
     try:
         from trackeval.metrics import CLEAR, Identity  # noqa: PLC0415 - an extra, and slow to import
     except ImportError as error:

@@ -51,18 +51,8 @@ def select_joints(
 ) -> Float[np.ndarray, "tracks frames names 3"]:
     """Gather joints of tracks at some output frames in one array.
 
-    Parameters
-    ----------
-    joints
-        Joints of the tracks.
-    names
-        Names of the joints to take.
-    frames
-        Numbers of the output frames to take; -1 for none.
-
-    Returns
-    -------
-        World positions, NaN for names that ``joints`` lacks and for frames outside of a track.
+    Numbers of frames are -1 for none. World positions are NaN there, for names that ``joints`` lacks, and for frames
+    outside of a track.
     """
     taken = np.full((len(tracks), len(frames), len(names), 3), np.nan)
     shared = [k for k, name in enumerate(names) if name in joints.names]
@@ -128,12 +118,8 @@ def accuracy(
 ) -> Accuracy:
     """Score tracks against the truth.
 
-    Parameters
-    ----------
-    predicted_m, truth_m
-        World positions of the same joints, NaN where a joint is unknown or a person is absent.
-    gate_m
-        Largest mean joint distance of a match.
+    World positions are of the same joints, NaN where a joint is unknown or a person is absent; ``gate_m`` is the
+    largest mean joint distance of a match.
     """
     matched = match_frames(predicted_m, truth_m, gate_m)
     people, frames = np.nonzero(matched != UNMATCHED)

@@ -21,11 +21,8 @@ def associate_pairwise(
 ) -> dict[str, Int[np.ndarray, " _"]]:
     """Group the detections of each frame number across views by epipolar affinity and graph partitioning.
 
-    Frames are independent: a group is a person of a single frame.
-
-    Returns
-    -------
-        Identity of each detection by camera name, see ``associate.associate``; each group has a new identity.
+    Frames are independent: a group is a person of a single frame. Returns the identity of each detection by camera
+    name, see ``associate.associate``; each group has a new one.
     """
     bodies = gather(cameras, times, detections)
     ideal_px = undistorted(cameras, bodies)

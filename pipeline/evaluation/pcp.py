@@ -80,10 +80,7 @@ def benchmark_joints(
 ) -> Float[np.ndarray, "*batch 14 3"]:
     """Convert COCO-17 joints to the benchmarks' 14 joints; NaN stays NaN.
 
-    Parameters
-    ----------
-    head_rule
-        Name in ``HEAD_RULES``; ``KeyError`` if unknown.
+    ``head_rule`` is a name in ``HEAD_RULES``; ``KeyError`` if unknown.
     """
 
     def centre(*names: str) -> np.ndarray:
@@ -97,23 +94,13 @@ def benchmark_joints(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PcpScores:
-    """PCP of each actor, in the truth's order.
+    """PCP of each actor, in the truth's order."""
 
-    Parameters
-    ----------
-    actors
-        Percentage over all ten parts, NaN for an actor without annotation.
-    parts
-        Percentage by kind of part.
-    mpjpe_mm
-        Mean distance of the joints that prediction and annotation share, NaN without any.
-    chosen
-        Index of the prediction compared with each actor in each frame, -1 for none.
-    """
-
-    actors: Float[np.ndarray, " actors"]
-    parts: Mapping[str, Float[np.ndarray, " actors"]]
+    actors: Float[np.ndarray, " actors"]  # Percentage over all ten parts, NaN for an actor without annotation
+    parts: Mapping[str, Float[np.ndarray, " actors"]]  # Percentage by kind of part
+    # Mean distance of the joints that prediction and annotation share, NaN without any
     mpjpe_mm: Float[np.ndarray, " actors"]
+    # Index of the prediction compared with each actor in each frame, -1 for none
     chosen: Int[np.ndarray, "actors frames"]
 
 
@@ -136,12 +123,7 @@ def score_pcp(
 ) -> PcpScores:
     """Score the predictions of each frame against the annotated actors.
 
-    Parameters
-    ----------
-    predicted_m
-        Predicted people of each frame in the benchmarks' joints, NaN where a joint is unknown.
-    truth_m
-        Annotated actors, NaN where an actor is not annotated.
+    People are in the benchmarks' joints, NaN where a joint is unknown, or an actor is not annotated.
     """
     num_actors, num_frames = truth_m.shape[:2]
     annotated = np.isfinite(truth_m).all((-2, -1))

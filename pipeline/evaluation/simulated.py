@@ -22,11 +22,6 @@ _TOUCH_M, _HAND_M = 0.25, 0.15
 def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: JointSet) -> dict[str, Any]:
     """Score tracks over the twelve joints of the body.
 
-    Parameters
-    ----------
-    joints
-        Joints of the tracks.
-
     Returns
     -------
     mpjpe_mm, recall, ghost_rate, switches

@@ -47,12 +47,7 @@ _VARIANTS: Mapping[str, Mapping[str, Any]] = {
 class FieldFiles:
     """Files of the fields of all cameras, so that memory does not grow with the session: one a camera and range.
 
-    Parameters
-    ----------
-    folder
-        Empty folder for the files.
-    cameras
-        Names of the cameras.
+    ``folder`` must be empty.
     """
 
     def __init__(self, folder: Path, cameras: Sequence[str]) -> None:
@@ -87,12 +82,8 @@ def cluster_fields(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Reconstruct tracks of ``COCO_18`` joints, and the observations behind them.
 
-    Parameters
-    ----------
-    files
-        Fields of the simulation; see ``drawn_fields``.
-    changes
-        Changes to the default parameters, by name.
+    ``files`` have the fields of the simulation, see ``drawn_fields``; ``changes`` are those of the default parameters,
+    by name.
     """
     parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)
     skeleton, timebase = skeleton_of(COCO_18), simulation.timebase

@@ -22,47 +22,26 @@ from pipeline.joints import JointSet
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Person:
-    """Content of a person's file.
+    """Content of a person's file."""
 
-    Parameters
-    ----------
-    track
-        Positions of the joints.
-    motion
-        Motion of the skeleton in the same frames.
-    joints, timebase
-        Joints of the track, and clock of its frames.
-    file_name
-        Name of the file.
-    preset
-        Convention of BVH files.
-    """
-
-    track: Track3D
-    motion: SkeletonMotion
+    track: Track3D  # Positions of the joints
+    motion: SkeletonMotion  # Motion of the skeleton in the same frames
+    # Joints of the track, and clock of its frames
     joints: JointSet
     timebase: Timebase
-    file_name: str
-    preset: Preset
+    file_name: str  # Name of the file
+    preset: Preset  # Convention of BVH files
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """Writer and reader of a format.
+    """Writer and reader of a format."""
 
-    Parameters
-    ----------
-    encode
-        Yields the bytes of a person's file, piece by piece.
-    read_xyz_m
-        Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3); NaN for
-        unknown joints.
-    holds_name
-        Whether the file holds the person's name. Other files stay as they are when the person is renamed.
-    """
-
-    encode: Callable[[Person], Iterator[bytes]]
+    encode: Callable[[Person], Iterator[bytes]]  # Yields the bytes of a person's file, piece by piece
+    # Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3); NaN for unknown
+    # joints
     read_xyz_m: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ joints 3"]]]
+    # Whether the file holds the person's name. Other files stay as they are when the person is renamed.
     holds_name: bool = False
 
 

@@ -41,11 +41,7 @@ def people_at(tracks: Sequence[Track3D], timebase: Timebase, time_s: float) -> d
 
     Positions are interpolated linearly. A joint that is known in one of the two frames alone has its position there if
     this frame is the nearer one, else none. People are there up to half a frame before their first frame and after
-    their last one.
-
-    Returns
-    -------
-        World coordinates in metres, NaN for unknown joints.
+    their last one. Returns world coordinates in metres, NaN for unknown joints.
     """
     place = (time_s - timebase.start_time_s) * timebase.frame_rate_hz
     found = {}
@@ -74,16 +70,8 @@ def draw_skeletons(
     The label is the person's name, without accents and at most 24 characters of it; of people without a name, and with
     one in letters that the drawing does not have, the number.
 
-    Fingers are drawn thinner than the rest of the body.
-
-    Parameters
-    ----------
-    image_rgb
-        Picture of the instant, of size ``camera.size_px``; not changed.
-    people_m
-        Joint positions in world coordinates (metres) by person's number; NaN joints are left out.
-    names
-        Names of people by number.
+    Fingers are drawn thinner than the rest of the body. The picture is of size ``camera.size_px`` and not changed.
+    Positions are in world coordinates (metres) by the person's number; NaN joints are left out.
     """
     image = np.ascontiguousarray(image_rgb).copy()
     thickness = max(2, round(np.hypot(*camera.size_px) / 600))
@@ -109,12 +97,12 @@ def draw_skeletons(
 
 def given_names(motions: Iterable[SkeletonMotion]) -> dict[int, str]:
     """Names that people were given, by number."""
-    return {one.track_id: one.name for one in motions if one.name != f"person-{one.track_id}"}
+    return {motion.track_id: motion.name for motion in motions if motion.name != f"person-{motion.track_id}"}
 
 
 def _drawable_text(name: str) -> str:
     """Name in the letters that cv2 draws, those of ASCII, without accents; empty if it has others."""
-    plain = "".join(one for one in unicodedata.normalize("NFKD", name) if not unicodedata.combining(one))
+    plain = "".join(char for char in unicodedata.normalize("NFKD", name) if not unicodedata.combining(char))
     return plain[:_MAX_LABEL] if plain.isascii() and plain.isprintable() else ""
 
 

@@ -29,18 +29,12 @@ _MM_PER_M = 1000.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonOfTake:
-    """A person whose files are written.
+    """A person whose files are written."""
 
-    Parameters
-    ----------
-    track, motion
-        Positions of the joints, and motion of the skeleton in the same frames.
-    joints, timebase
-        Joints of the track, and clock of its frames.
-    """
-
+    # Positions of the joints, and motion of the skeleton in the same frames
     track: Track3D
     motion: SkeletonMotion
+    # Joints of the track, and clock of its frames
     joints: JointSet
     timebase: Timebase
 
@@ -53,14 +47,9 @@ def people_of(take: Reconstruction) -> Iterator[PersonOfTake]:
 
 @dataclass(frozen=True, slots=True)
 class KeptFile:
-    """A file that was written before.
+    """A file that was written before."""
 
-    Parameters
-    ----------
-    distance_mm
-        Largest distance between joints read back and their true positions; ``None`` without any joint.
-    """
-
+    # Largest distance between joints read back and their true positions; ``None`` without any joint
     distance_mm: float | None
 
 
@@ -154,14 +143,7 @@ def _furthest_mm(
 ) -> float | None:
     """Largest distance in mm between positions read from a person's file, block by block, and the expected positions.
 
-    Returns
-    -------
-        ``None`` if no joint is known in any frame.
-
-    Raises
-    ------
-    OSError
-        If shapes or unknown joints differ.
+    ``None`` if no joint is known in any frame. Raises ``OSError`` if shapes or unknown joints differ.
     """
     num_read, far_m = 0, []
     for block_m in read_m:

@@ -28,27 +28,15 @@ def _lowering_sign(joint: SkeletonJoint) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Convention:
-    """Names, axes, unit and rest pose of the skeleton in a file.
+    """Names, axes, unit and rest pose of the skeleton in a file."""
 
-    Parameters
-    ----------
-    names
-        Names of joints that differ from ``pipeline.skeleton.model``.
-    file_from_world
-        Rotation from world axes to the file's axes; both are right-handed.
-    units_per_m
-        Length of a metre in the file's unit.
-    rotation_order
-        Axes of the intrinsic rotations of the Euler angles.
-    arms_lowered_deg
-        Angle by which the arms of the rest pose are lowered from a T-pose.
-    """
-
+    # Names of joints that differ from ``pipeline.skeleton.model``
     names: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    # Rotation from world axes to the file's axes; both are right-handed
     file_from_world: Float[np.ndarray, "3 3"] = field(default_factory=lambda: Y_UP_FROM_WORLD)
-    units_per_m: float = 100.0
-    rotation_order: str = "ZXY"
-    arms_lowered_deg: float = 0.0
+    units_per_m: float = 100.0  # Length of a metre in the file's unit
+    rotation_order: str = "ZXY"  # Axes of the intrinsic rotations of the Euler angles
+    arms_lowered_deg: float = 0.0  # Angle by which the arms of the rest pose are lowered from a T-pose
 
     def name(self, joint: str) -> str:
         """Name of a joint in the file."""
@@ -95,14 +83,8 @@ class Convention:
 def _fingers(pattern: str, fingers: Mapping[str, str], parts: tuple[str, str, str]) -> dict[str, str]:
     """Patterns for ``_sided`` of the names of the fingers' joints, from the palm to the tip.
 
-    Parameters
-    ----------
-    pattern
-        Name with ``{finger}`` and ``{part}``, and a side as in ``_sided``.
-    fingers
-        Names of fingers in the file by name in the skeleton.
-    parts
-        Names of the three joints of a finger.
+    ``pattern`` has ``{finger}`` and ``{part}``, and a side as in ``_sided``; ``fingers`` are names in the file by name
+    in the skeleton, ``parts`` those of the three joints of a finger.
     """
     return {
         f"{{Side}}Hand{finger}{number}": pattern.replace("{finger}", name).replace("{part}", part)

@@ -53,15 +53,8 @@ def no_file(_: Path) -> None:
 def check_exports(timebase: Timebase, exports: Collection[Export], frame_rate_hz: float | None = None) -> None:
     """Check that the number of frames is within the limits of result files.
 
-    Parameters
-    ----------
-    frame_rate_hz
-        Rate of the motion in the files; ``None``: the session's rate.
-
-    Raises
-    ------
-    InputError
-        If there are more frames than any result, or one of the formats, may have.
+    Without a rate of the motion in the files it is the session's. Raises ``InputError`` if there are more frames than
+    any result, or one of the formats, may have.
     """
     num_frames = (timebase if frame_rate_hz is None else resampled_timebase(timebase, frame_rate_hz)).num_frames
     problems = []
@@ -144,8 +137,6 @@ def write_files(
     ----------
     exports
         Formats of the files of each person. ``skeletons.json`` and ``metrics.json`` are always written.
-    preset
-        Convention of BVH files.
     frame_rate_hz
         Rate of the motion in all files; ``None``: the session's rate. The figures in ``metrics.json`` are always at the
         session's rate.
@@ -217,10 +208,7 @@ def keep_people(
 ) -> None:
     """Write the files of some people into a folder and keep them, for ``write_files`` with the same choices.
 
-    Parameters
-    ----------
-    rows
-        Rows of the people among the tracks.
+    ``rows`` are those of the people among the tracks.
     """
     shown = _at_rate(reconstruction, frame_rate_hz)
     people = list(people_of(shown))[rows]

@@ -64,9 +64,7 @@ def bend(camera: Camera, points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndar
 def project(camera: Camera, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
     """Project world points (metres) to distorted pixels.
 
-    Returns
-    -------
-        Pixels of the full image; NaN for points behind the camera or beyond a fisheye's angle limit, and for NaN.
+    They are pixels of the full image; NaN for points behind the camera or beyond a fisheye's angle limit, and for NaN.
     """
     in_cam = camera.cam_from_world.apply(points_m)
     depth_m = np.where(in_cam[..., 2:] > 1e-6, in_cam[..., 2:], np.nan)

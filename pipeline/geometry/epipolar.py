@@ -40,12 +40,8 @@ def epipolar_distance_px(
 ) -> Float[np.ndarray, "*batch"]:
     """Mean distance in pixels of two points to each other's epipolar line (Chen et al. 2020, eq. 13).
 
-    Parameters
-    ----------
-    fundamental
-        Matrix of ``fundamental_matrices`` for the two cameras.
-    left_px, right_px
-        Undistorted pixels; the distance is NaN where a point is NaN.
+    ``fundamental`` is that of ``fundamental_matrices`` for the two cameras. Pixels are undistorted; the distance is NaN
+    where a point is.
     """
     ones = np.ones_like(left_px[..., :1])
     line_in_left = np.concatenate([right_px, ones], axis=-1) @ fundamental.T

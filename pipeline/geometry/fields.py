@@ -25,18 +25,8 @@ def connectivity(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Connectivity score s of two image points (eq. 10), and the share of samples that agree with the segment.
 
-    Parameters
-    ----------
-    fields
-        Fields as bytes of ``quantise``.
-    limb
-        Index of the field of each pair.
-    begin, end
-        Assumed start and end of the limb, x and y in cells.
-
-    Returns
-    -------
-        Score and share; both NaN where an end is NaN or outside of the map.
+    Fields are bytes of ``quantise``, and ``limb`` is the index of the field of each pair; its assumed start and end are
+    x and y in cells. Both results are NaN where an end is NaN or outside of the map.
     """
     # Writeability is part of an array's type for numba; the kernel is compiled for read-only arrays.
     fields = fields.view()

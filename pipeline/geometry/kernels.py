@@ -85,9 +85,7 @@ def make_solver(image_from_world: np.ndarray, num_joints: int, min_weight: float
 def _fill_rows(solver, flat_px, weights):
     """Compute the rows of the views that have a joint, and their norms (Chen et al. 2020, eq. 7-9 and 11).
 
-    Returns
-    -------
-        Number of these views; the others would add only zeros to all sums.
+    Returns the number of these views; the others would add only zeros to all sums.
     """
     num_views = 0
     for c in range(len(weights)):

@@ -94,12 +94,7 @@ def make_person(
 ) -> Person:
     """Make track and observations, with number 0, of a person's whole life.
 
-    Parameters
-    ----------
-    errors
-        Results of ``tracks.reproject``.
-    detection
-        See ``Observations``; ``None``: not recorded.
+    ``errors`` are results of ``tracks.reproject``; ``detection`` is as in ``Observations``, ``None`` if not recorded.
     """
     error_px, mean_score, views = errors
     track = Track3D(

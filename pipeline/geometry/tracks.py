@@ -53,14 +53,8 @@ def triangulate_instants(
 ) -> Float[np.ndarray, "instants joints 3"]:
     """Triangulate robustly what cameras see at unrelated instants, all views with the same weight.
 
-    Parameters
-    ----------
-    points_px
-        Distorted pixels of the full image, NaN where unseen.
-
-    Returns
-    -------
-        World coordinates in metres, NaN where fewer than two cameras see the point, or all rays are parallel.
+    Pixels are distorted, of the full image, NaN where unseen. World coordinates are in metres, NaN where fewer than two
+    cameras see the point, or all rays are parallel.
     """
     ideal_px = undistort_views(cameras, points_px)
     return triangulate_robust(projection_matrices(cameras), ideal_px, np.isfinite(ideal_px).all(-1).astype(float))

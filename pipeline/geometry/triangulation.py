@@ -23,10 +23,7 @@ def plane_rows(
 ) -> Float[np.ndarray, "*batch cameras joints 2 4"]:
     """Normalised rows ``a_i`` of the linear system (eq. 7-9, norm of eq. 11); NaN where a point is NaN.
 
-    Parameters
-    ----------
-    points_px
-        Undistorted pixels.
+    Pixels are undistorted.
     """
     first_two = image_from_world[:, None, :2, :]
     third = image_from_world[:, None, 2:, :]
@@ -57,9 +54,7 @@ def _solve(
 def solve_normal(normal: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 3"]:
     """Minimise ``X~^T normal X~`` over points; ``normal`` is the sum of ``a a^T`` over the rows of eq. 10.
 
-    Returns
-    -------
-        World coordinates in metres, NaN where all rays are parallel.
+    World coordinates are in metres, NaN where all rays are parallel.
     """
     a, b, c, d, e, f = (normal[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)))
     right = -normal[..., :3, 3]

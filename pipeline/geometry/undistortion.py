@@ -21,14 +21,8 @@ _BLOCK = 64
 def undistort_px(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
     """Map distorted pixels to the pixels of an ideal pinhole camera with the same camera matrix.
 
-    Parameters
-    ----------
-    points_px
-        Distorted pixels of the full image; NaN stays NaN.
-
-    Returns
-    -------
-        Pixels; NaN where a fisheye lens sees beyond its angle limit.
+    Pixels are of the full image. NaN stays NaN; the result is NaN, too, where a fisheye lens sees beyond its angle
+    limit.
     """
     if camera.is_ideal:
         return points_px

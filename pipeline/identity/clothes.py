@@ -32,18 +32,10 @@ _MAX_TRACKLETS = 1_000
 
 
 class Clothes(NamedTuple):
-    """Mean colours of a piece of a track.
+    """Mean colours of a piece of a track."""
 
-    Parameters
-    ----------
-    share
-        Mean histogram in each camera, (cameras, parts, bins), with sum 1; zeros where it is unknown.
-    num_detections
-        Detections behind it, (cameras, parts).
-    """
-
-    share: np.ndarray
-    num_detections: np.ndarray
+    share: np.ndarray  # Mean histogram in each camera, (cameras, parts, bins), with sum 1; zeros where it is unknown
+    num_detections: np.ndarray  # Detections behind it, (cameras, parts)
 
     @property
     def is_known(self) -> Bool[np.ndarray, "cameras parts"]:
@@ -53,19 +45,12 @@ class Clothes(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ColourDistances:
-    """Distances of two pieces of the same person, and of different people: normal distributions.
+    """Distances of two pieces of the same person, and of different people: normal distributions."""
 
-    Parameters
-    ----------
-    same, different
-        Means.
-    spread
-        Common standard deviation.
-    """
-
+    # Means
     same: float
     different: float
-    spread: float
+    spread: float  # Common standard deviation
 
     def log_ratio(self, distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Logarithm of the likelihoods' ratio, same person to different people, within ``MAX_LOG_RATIO``."""
@@ -94,10 +79,7 @@ def mean_clothes(
 ) -> Clothes:
     """Average the colours of a piece of a track, camera by camera.
 
-    Parameters
-    ----------
-    colour, camera
-        Those of the piece's rows in ``observations.Bodies``.
+    Colours and cameras are those of the piece's rows in ``observations.Bodies``.
     """
     total = np.zeros((num_cameras, *colour.shape[1:]))
     np.add.at(total, camera, colour)
@@ -112,29 +94,18 @@ def clothes_of(
 ) -> Clothes:
     """Average the colours of some frames of a person.
 
-    Parameters
-    ----------
-    detection
-        Those frames of ``Observations.detection``; no rows if it was not recorded.
-    colour
-        Colours of all detections, ``observations.Bodies.colour``.
+    ``detection`` has those frames of ``Observations.detection``, no rows if it was not recorded; ``colour`` is that of
+    all detections, ``observations.Bodies.colour``.
     """
     frames, cameras = np.nonzero(detection >= 0)
     return mean_clothes(colour[detection[frames, cameras]], cameras, num_cameras)
 
 
-def log_likelihood_ratio(first: Clothes, second: Clothes, contrast: Contrast) -> float:
-    """Logarithm of the likelihoods' ratio of two pieces' colours: same person to different people.
-
-    Returns
-    -------
-        Nats, at most ``MAX_LOG_RATIO`` either way; 0 if no part is known of both.
-    """
-    return float(log_likelihood_ratios([first, second], contrast)[0, 1])
-
-
 def log_likelihood_ratios(pieces: Sequence[Clothes], contrast: Contrast) -> Float[np.ndarray, "pieces pieces"]:
-    """``log_likelihood_ratio`` of all pairs of pieces; 0 on the diagonal."""
+    """Logarithm of the likelihoods' ratio of all pairs of pieces' colours: same person to different people.
+
+    Ratios are in nats, at most ``MAX_LOG_RATIO`` either way; 0 on the diagonal and if no part is known of both.
+    """
     ratios = np.zeros((len(pieces), len(pieces)))
     roots, is_known = _stacked(pieces)
     for row in range(len(pieces) - 1):
@@ -193,12 +164,7 @@ def tracklet_ratios(
 ) -> Float[np.ndarray, "tracklets tracklets"]:
     """Ratios of all pairs of tracklets, with the contrast of their session; 0 beside the longest tracklets.
 
-    Parameters
-    ----------
-    pieces
-        Pieces of tracks, from which the tracklets were cut.
-    colour
-        See ``clothes_of``.
+    Tracklets were cut from ``pieces``; ``colour`` is as of ``clothes_of``.
     """
     ratios = np.zeros((len(tracklets), len(tracklets)))
     length = np.array([tracklet.stop_frame - tracklet.start_frame for tracklet in tracklets])

@@ -27,12 +27,7 @@ def merge_doubles(
 ) -> list[Person]:
     """Merge pieces of tracks that are at the same time of the same person.
 
-    Parameters
-    ----------
-    pieces
-        Pieces without long gaps.
-    min_score
-        See ``merging.merge``.
+    The pieces have no long gaps; ``min_score`` is as of ``merging.merge``.
     """
     paths = [path_of(track, joints) for track, _ in pieces]
     shared = {

@@ -41,8 +41,6 @@ def identify(
     ----------
     people
         Tracks of association, and the observations behind them.
-    joints
-        Joint set of the tracks.
     min_score
         Observations with a lower score are not used.
     most

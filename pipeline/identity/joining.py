@@ -29,27 +29,15 @@ _MOST_ENDS, _MOST_CHAINS, _MOST_CHANGES = 2_000, 200, 2_000
 
 @dataclass(frozen=True, slots=True)
 class TrackletLinks:
-    """Tracklets of a session, and what links them.
+    """Tracklets of a session, and what links them."""
 
-    Parameters
-    ----------
-    tracklets
-        All tracklets, sorted by first frame.
-    first, last
-        Their ends.
-    proportions
-        Their body proportions, in the same order.
-    area_m2
-        See ``links.viewed_area_m2``.
-    clothes
-        Log-likelihood ratios of their clothes (``clothes``); ``None`` if colours are not known.
-    """
-
-    tracklets: Sequence[Tracklet]
+    tracklets: Sequence[Tracklet]  # All tracklets, sorted by first frame
+    # Their ends
     first: Ends
     last: Ends
-    proportions: LimbProportions
-    area_m2: float
+    proportions: LimbProportions  # Their body proportions, in the same order
+    area_m2: float  # See ``links.viewed_area_m2``
+    # Log-likelihood ratios of their clothes (``clothes``); ``None`` if colours are not known
     clothes: Float[np.ndarray, "tracklets tracklets"] | None = None
 
     def links(self, before: Int[np.ndarray, "*batch"], after: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:

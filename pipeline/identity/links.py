@@ -29,21 +29,13 @@ _STRAIGHT, _FOUND, _RETURNED = 3.0, 2.0, -1.0
 
 
 class Ends(NamedTuple):
-    """Ends of tracklets, as arrays of one row each.
+    """Ends of tracklets, as arrays of one row each."""
 
-    Parameters
-    ----------
-    time_s
-        Time of the first or last frame.
-    xyz_m, velocity_m_s
-        Position and velocity there.
-    track, cut
-        Track and encounter of the end, see ``Tracklet``.
-    """
-
-    time_s: Float[np.ndarray, " n"]
+    time_s: Float[np.ndarray, " n"]  # Time of the first or last frame
+    # Position and velocity there
     xyz_m: Float[np.ndarray, "n 3"]
     velocity_m_s: Float[np.ndarray, "n 3"]
+    # Track and encounter of the end, see ``Tracklet``
     track: Int[np.ndarray, " n"]
     cut: Int[np.ndarray, " n"]
 

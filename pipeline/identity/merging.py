@@ -35,16 +35,8 @@ def merge(pieces: Sequence[Person], cameras: Sequence[Camera], timebase: Timebas
     """Merge pieces of one person to a track.
 
     Where pieces overlap, each camera counts once, for the piece that was observed more often, and joints are
-    triangulated again from the observations of all pieces.
-
-    Parameters
-    ----------
-    min_score
-        Observations with a lower score are not used.
-
-    Returns
-    -------
-        Track and observations; the piece itself if there is only one, ``None`` if nothing is long enough.
+    triangulated again from the observations of all pieces. Observations with a score below ``min_score`` are not used.
+    Returns the piece itself if there is only one, ``None`` if nothing is long enough.
     """
     if len(pieces) == 1:
         return pieces[0]

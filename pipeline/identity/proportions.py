@@ -53,18 +53,10 @@ def limb_lengths_m(track: Track3D, joints: JointSet) -> Float[np.ndarray, "frame
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """Lengths measured in some frames of a track.
+    """Lengths measured in some frames of a track."""
 
-    Parameters
-    ----------
-    median_m
-        Median length of each limb, NaN where it was measured too shortly.
-    duration_s
-        Time for which each limb was measured, mean of both sides.
-    """
-
-    median_m: Float[np.ndarray, " limbs"]
-    duration_s: Float[np.ndarray, " limbs"]
+    median_m: Float[np.ndarray, " limbs"]  # Median length of each limb, NaN where it was measured too shortly
+    duration_s: Float[np.ndarray, " limbs"]  # Time for which each limb was measured, mean of both sides
 
 
 def measure(lengths_m: Float[np.ndarray, "frames limbs 2"], frame_rate_hz: float) -> Measured:
@@ -119,10 +111,7 @@ class LimbProportions:
     ) -> Float[np.ndarray, "*batch"]:
         """Log-likelihood that measurements are of one person, up to terms that do not depend on who is who.
 
-        Parameters
-        ----------
-        information, pull
-            Sums over the tracklets of the person.
+        ``information`` and ``pull`` are sums over the tracklets of the person.
         """
         own = information + self._own
         across = self._common / own
@@ -176,13 +165,7 @@ def _change_row(
 def spread_of_a_second_m(
     lengths_m: Sequence[Float[np.ndarray, "_ limbs 2"]], frame_rate_hz: float
 ) -> Float[np.ndarray, " limbs"]:
-    """Standard deviation of a limb's length measured for a second, from the seconds of each track.
-
-    Parameters
-    ----------
-    lengths_m
-        Lengths of each track.
-    """
+    """Standard deviation of a limb's length measured for a second, from the seconds of each track."""
     stretch = max(1, round(_STRETCH_S * frame_rate_hz))
     total, count = np.full(NUM_LIMBS, _USUAL_M**2), np.ones(NUM_LIMBS)
     for of_track_m in lengths_m:

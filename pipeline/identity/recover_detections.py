@@ -32,12 +32,7 @@ def recover_detections(
 ) -> list[Person]:
     """Give people the bodies that are where they are expected, and locate their joints there.
 
-    Parameters
-    ----------
-    left
-        Bodies that belong to nobody.
-    min_score
-        Observations with a lower score are not used.
+    ``left`` are bodies of nobody. Observations with a score below ``min_score`` are not used.
     """
     distance_m = [_distances_m(person, left, cameras, timebase) for person in people]
     claimed = _assign(np.array(distance_m).reshape(len(people), len(left.frame)), left)

@@ -33,10 +33,7 @@ def mean_bodies(observations: Iterable[Observations], timebase: Timebase) -> flo
 def is_spurious(person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float) -> bool:
     """Whether a track may be chance; never if it lasts for half of the session, which may be too short to tell.
 
-    Parameters
-    ----------
-    num_bodies
-        Mean number of bodies in a picture.
+    ``num_bodies`` is the mean number of bodies in a picture.
     """
     if 2 * person[0].num_frames >= timebase.num_frames:
         return False

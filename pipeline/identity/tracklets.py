@@ -20,17 +20,10 @@ _JUMP_M, _FASTEST_M_S = 0.3, 7.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
-    """Way of a track's trunk.
+    """Way of a track's trunk."""
 
-    Parameters
-    ----------
-    start_frame
-        Output frame of the first row.
-    xyz_m
-        Mean position of the trunk's joints, of all joints if none of these is known; NaN where no joint is known.
-    """
-
-    start_frame: int
+    start_frame: int  # Output frame of the first row
+    # Mean position of the trunk's joints, of all joints if none of these is known; NaN where no joint is known
     xyz_m: Float[np.ndarray, "frames 3"]
 
     @property
@@ -53,21 +46,13 @@ def path_of(track: Track3D, joints: JointSet) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Tracklet:
-    """Consecutive frames of a track.
+    """Consecutive frames of a track."""
 
-    Parameters
-    ----------
-    track
-        Position of the track among the session's tracks.
-    start_frame, stop_frame
-        First output frame, and the one after the last.
-    cut_before, cut_after
-        Numbers of the moments at which it was cut, -1 where the track itself begins or ends, or had a gap.
-    """
-
-    track: int
+    track: int  # Position of the track among the session's tracks
+    # First output frame, and the one after the last
     start_frame: int
     stop_frame: int
+    # Numbers of the moments at which it was cut, -1 where the track itself begins or ends, or had a gap
     cut_before: int = -1
     cut_after: int = -1
 
@@ -95,18 +80,10 @@ def _runs(path: Path, frame_rate_hz: float) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True, order=True)
 class DoubtfulMoment:
-    """Moment at which a track may have changed to another person.
+    """Moment at which a track may have changed to another person."""
 
-    Parameters
-    ----------
-    frame
-        First output frame after it.
-    tracks
-        Two tracks that may have been exchanged, or the one track that may have changed.
-    """
-
-    frame: int
-    tracks: tuple[int, ...]
+    frame: int  # First output frame after it
+    tracks: tuple[int, ...]  # Two tracks that may have been exchanged, or the one track that may have changed
 
 
 def encounters(paths: Sequence[Path], frame_rate_hz: float) -> list[DoubtfulMoment]:

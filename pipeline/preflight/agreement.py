@@ -26,18 +26,8 @@ def disagreement(
 
     At each instant the people are paired so that the sum of their distances is least. The distance of a pair is the
     median over its joints, as a share of the people's extents in the pictures; above 0.1 it counts as 0.1, and the mean
-    is divided by 0.1.
-
-    Parameters
-    ----------
-    fundamental
-        Matrix with ``x_left^T F x_right = 0``.
-    left, right
-        Undistorted people at each instant.
-
-    Returns
-    -------
-        NaN if the cameras see people at no common instant.
+    is divided by 0.1. The people are undistorted, and ``x_left^T F x_right = 0``. NaN if the cameras see people at no
+    common instant.
     """
     distances = [distance for _, _, _, distance in matches(fundamental, left, right)]
     return float(np.mean(np.minimum(distances, _FAR))) / _FAR if distances else np.nan

@@ -28,16 +28,8 @@ DetectionsNear = Callable[[Sequence[range]], Sequence[DetectionsByCamera]]
 def check_clocks(session: Session, near: DetectionsNear, joints: JointSet, parts: Sequence[range]) -> Iterator[Finding]:
     """Find cameras whose declared times are wrong by more than half a frame, wherever the session's frames are cut.
 
-    Parameters
-    ----------
-    session
-        The whole session, on its declared clocks.
-    near
-        Gives the bodies of the ranges that have some of given output frames.
-    joints
-        Joints of the bodies.
-    parts
-        Wanted output frames.
+    The session is whole, on its declared clocks. ``near`` gives the bodies of the ranges that have some of given output
+    frames; ``parts`` are the wanted output frames.
     """
     spans = _spans(parts, session.timebase.frame_rate_hz)
     ranges = near(spans)

@@ -39,18 +39,10 @@ _MAX_EXCHANGED = 8
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """How detections would fit.
+    """How detections would fit."""
 
-    Parameters
-    ----------
-    places
-        Number of the camera whose calibration fits the detections of each camera.
-    moves
-        How the points of each camera would have to be moved.
-    """
-
-    places: tuple[int, ...]
-    moves: tuple[Move, ...]
+    places: tuple[int, ...]  # Number of the camera whose calibration fits the detections of each camera
+    moves: tuple[Move, ...]  # How the points of each camera would have to be moved
 
     @property
     def changed(self) -> tuple[int, ...]:

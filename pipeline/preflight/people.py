@@ -19,14 +19,7 @@ _OTHER_RIG = "Check that the calibration belongs to these videos, and that the v
 def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> list[Finding]:
     """Check whether cameras agree about people, and whether the world does.
 
-    Parameters
-    ----------
-    cameras
-        Calibrated cameras of the session, in the order of the sightings.
-
-    Returns
-    -------
-        Findings, each with numbers as evidence; empty if nothing is wrong.
+    Cameras are in the order of the sightings. Findings have numbers as evidence.
     """
     seen = list(_check_anybody(cameras, sightings))
     if any(finding.severity == "error" for finding in seen):

@@ -21,16 +21,8 @@ from pipeline.preflight.sightings import choose_instants, frames_at, sightings_o
 def check_detections(session: Session, near: DetectionsNear, joints: JointSet, parts: Sequence[range]) -> SessionCheck:
     """Check a session by the people at a few instants, wherever its frames are cut.
 
-    Parameters
-    ----------
-    session
-        The whole session, with the calibration as it was given.
-    near
-        Gives the detections of the ranges that have some of given output frames.
-    joints
-        Joints of the detections.
-    parts
-        Wanted output frames.
+    The session is whole, with the calibration as it was given. ``near`` gives the detections of the ranges that have
+    some of given output frames; ``parts`` are the wanted output frames.
     """
     frames = frames_at_instants(session, parts)
     instants = [range(instant, instant + 1) for instant in choose_instants(parts)]
@@ -45,10 +37,7 @@ def with_clocks(
 ) -> SessionCheck:
     """Add the findings about declared times to a check, unless it found errors: those would tell other times.
 
-    Parameters
-    ----------
-    session, near, joints, parts
-        As of ``check_detections``; the detections are whole bodies.
+    Arguments are as of ``check_detections``; the detections are whole bodies.
     """
     if has_error(check.findings):
         return check

@@ -23,19 +23,12 @@ Points = Float[np.ndarray, "_ _ 2"]
 
 @dataclass(frozen=True, slots=True)
 class SimultaneousPeople:
-    """People at the same instants in all cameras.
+    """People at the same instants in all cameras."""
 
-    Parameters
-    ----------
-    points_px
-        Joints of the people by camera, then by instant; ``None`` where the camera took no frame. Pixels of the picture
-        as the camera took it.
-    joints
-        Joints of the people, without fingers.
-    """
-
+    # Joints of the people by camera, then by instant; ``None`` where the camera took no frame. Pixels of the picture as
+    # the camera took it.
     points_px: tuple[tuple[Points | None, ...], ...]
-    joints: JointSet
+    joints: JointSet  # Joints of the people, without fingers
 
     def num_people(self, camera: int) -> int:
         """Number of people whom a camera sees, at all instants together."""
@@ -81,14 +74,8 @@ def sightings_of(
 ) -> SimultaneousPeople:
     """Select the people in frames of each camera.
 
-    Parameters
-    ----------
-    detections
-        Detections by camera; those of other frames are left out.
-    frames
-        Frames of each camera at the instants; see ``frames_at``.
-    joints
-        Joints of the detections; fingers are left out.
+    Detections of other frames, and fingers, are left out; ``frames`` are those of each camera at the instants, see
+    ``frames_at``.
     """
     kept = [number for number, name in enumerate(joints.names) if name not in FINGER_JOINTS]
     names = tuple(joints.names[number] for number in kept)

@@ -37,14 +37,7 @@ def locate(
 ) -> Float[np.ndarray, "poses joints 3"]:
     """Locate people from pairs of cameras; a person whom several pairs see has several poses.
 
-    Parameters
-    ----------
-    pairs
-        Numbers of cameras that agree.
-
-    Returns
-    -------
-        Joints in metres, NaN where not both cameras see a joint.
+    ``pairs`` are numbers of cameras that agree. Joints are in metres, NaN where not both cameras see a joint.
     """
     fundamentals = fundamental_matrices(cameras)
     matrices = projection_matrices(cameras)
@@ -63,13 +56,7 @@ def locate(
 def check_world(
     cameras: Sequence[Camera], poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet
 ) -> list[Finding]:
-    """Check the world by located people.
-
-    Parameters
-    ----------
-    poses_m
-        Poses of ``locate``.
-    """
+    """Check the world by located people. ``poses_m`` are those of ``locate``."""
     if len(poses_m) < _MIN_POSES:
         return []
     poses = _as_track(poses_m)

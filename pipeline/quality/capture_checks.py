@@ -33,10 +33,7 @@ def capture_checks(
 ) -> list[dict[str, Any]]:
     """List the failed checks of the capture, each with ``code`` and ``message``, and ``evidence`` if nobody was found.
 
-    Parameters
-    ----------
-    seen
-        Whether a camera saw any joint of the person in a frame, by track.
+    ``seen`` is whether a camera saw any joint of the person in a frame, by track.
     """
     names = [camera.name for camera in reconstruction.cameras]
     checks = (

@@ -40,11 +40,7 @@ class CameraPairs:
         """Epipolar distances of a person's joints in each pair of cameras, in metres at the person.
 
         The distance in pixels (Chen et al. 2020, eq. 13) is scaled by the distance of the joint over the focal length.
-
-        Parameters
-        ----------
-        located, observed
-            Located joints and their observations, without fingers.
+        Joints and observations are without fingers.
         """
         if not self._pairs:
             return {}

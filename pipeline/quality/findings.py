@@ -18,10 +18,7 @@ _UNDECIDED = frozenset({_NOBODY, "nobody_detected", "same_video", "calibration_o
 def people_findings(report: Mapping[str, Any]) -> list[Finding]:
     """Failed checks of a take that tell of its calibration.
 
-    Parameters
-    ----------
-    report
-        Report of ``pipeline.quality.report.quality_report``.
+    ``report`` is that of ``pipeline.quality.report.quality_report``.
     """
     of_world = {finding["code"] for finding in report["world_checks"]}
     return [finding for finding in all_checks(report) if finding.code in _OF_CAPTURE | of_world]

@@ -57,12 +57,8 @@ _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] | None = None) -> dict[str, Any]:
     """Compute the content of ``metrics.json`` as plain Python values, rounded.
 
-    ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``.
-
-    Parameters
-    ----------
-    views
-        ``views_of`` the reconstruction, if they are known.
+    ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``. ``views`` are
+    ``views_of`` the reconstruction, if they are known.
     """
     views = views_of(reconstruction) if views is None else views
     joints, cameras = reconstruction.joints, reconstruction.cameras

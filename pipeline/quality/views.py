@@ -27,27 +27,13 @@ PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonViews:
-    """Figures of a person's observations. The observations are not kept, because they take most of the memory.
+    """Figures of a person's observations. The observations are not kept, because they take most of the memory."""
 
-    Parameters
-    ----------
-    located
-        Joints located by association, without fingers.
-    error_px
-        See ``reprojection_error_px``.
-    sees
-        Whether a camera saw any joint of the person's body in a frame.
-    views_per_joint
-        See ``views_per_joint``; without fingers.
-    pair_distances_m
-        See ``CameraPairs.distances_m``.
-    """
-
-    located: Track3D
-    error_px: Float[np.ndarray, "frames cameras joints"]
-    sees: Bool[np.ndarray, "frames cameras"]
-    views_per_joint: float
-    pair_distances_m: PersonPairs
+    located: Track3D  # Joints located by association, without fingers
+    error_px: Float[np.ndarray, "frames cameras joints"]  # See ``reprojection_error_px``
+    sees: Bool[np.ndarray, "frames cameras"]  # Whether a camera saw any joint of the person's body in a frame
+    views_per_joint: float  # See ``views_per_joint``; without fingers
+    pair_distances_m: PersonPairs  # See ``CameraPairs.distances_m``
 
 
 def views_of(take: Reconstruction) -> tuple[PersonViews, ...]:

@@ -84,14 +84,8 @@ def world_checks(
     """List the failed checks of the world.
 
     Each has ``code`` and ``message``, ``camera`` (``None`` if the check is not about one), ``evidence`` (the measured
-    number) and ``hint``.
-
-    Parameters
-    ----------
-    statures_m
-        Stature in metres by track; NaN where unknown.
-    pairs_m
-        Median epipolar distances of pairs of cameras.
+    number) and ``hint``. Statures are by track, NaN where unknown; ``pairs_m`` are the median epipolar distances of
+    pairs of cameras.
     """
     tracks, joints = reconstruction.tracks, reconstruction.joints
     floor = reconstruction.animation.floor

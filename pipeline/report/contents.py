@@ -41,14 +41,8 @@ def contents_of(
 ) -> ReportContents:
     """Gather the contents of a report.
 
-    Parameters
-    ----------
-    session
-        Session of the take, on measured clocks if they were measured.
-    versions
-        See ``versions_of``.
-    name, inputs
-        Name of the take, and SHA-256 of its files by name.
+    The session is on measured clocks if they were measured; ``versions`` are those of ``versions_of``, ``inputs``
+    SHA-256 of the take's files by name.
     """
     views = views_of(take)
     metrics, motion = quality_report(take, views), motion_of(take, views)

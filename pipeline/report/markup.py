@@ -9,7 +9,7 @@ from typing import Any
 
 _VOID = frozenset({"img", "input", "meta"})
 # Characters that end a script element or a comment, and the line ends of JavaScript before 2019.
-_UNSAFE = {ord(one): f"\\u{ord(one):04x}" for one in "<>&\u2028\u2029"}
+_UNSAFE = {ord(char): f"\\u{ord(char):04x}" for char in "<>&\u2028\u2029"}
 
 
 class Markup(str):
@@ -45,7 +45,7 @@ def element(tag: str, *content: str | Iterable[str], **attributes: str | int | b
 
 def joined(*content: str | Iterable[str]) -> Markup:
     """Join elements and text, which is escaped."""
-    parts = (one for item in content for one in ([item] if isinstance(item, str) else item))
+    parts = (part for item in content for part in ([item] if isinstance(item, str) else item))
     return Markup("".join(part if isinstance(part, Markup) else html.escape(part) for part in parts))
 
 

@@ -45,23 +45,12 @@ _USUAL_RADIUS_M = 0.04
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Motion and quality of a take.
+    """Motion and quality of a take."""
 
-    Parameters
-    ----------
-    document
-        JSON document for the script of the report.
-    stride
-        Number of output frames from one frame of the motion in 3D to the next.
-    num_people
-        Number of people in each output frame.
-    error_px
-        Mean reprojection error of the worst person in each output frame; NaN where no camera sees anybody.
-    """
-
-    document: dict[str, Any]
-    stride: int
-    num_people: Int[np.ndarray, " frames"]
+    document: dict[str, Any]  # JSON document for the script of the report
+    stride: int  # Number of output frames from one frame of the motion in 3D to the next
+    num_people: Int[np.ndarray, " frames"]  # Number of people in each output frame
+    # Mean reprojection error of the worst person in each output frame; NaN where no camera sees anybody
     error_px: Float[np.ndarray, " frames"]
 
 
@@ -141,21 +130,25 @@ def encode_positions(
 ) -> tuple[float, list[float], bytes]:
     """Encode positions as little-endian integers of 16 bits: steps from an origin; ``ABSENT`` for NaN.
 
-    Returns
-    -------
-        Size of a step, the origin, both in metres, and the bytes of all people, one after the other.
+    Returns the size of a step, the origin, both in metres, and the bytes of all people, one after the other.
     """
     known = [people[np.isfinite(people).all(-1)] for people in people_m]
     everything_m = np.concatenate([*known, np.zeros((0, 3))])
     if not len(everything_m):
-        return _STEP_M, [0.0, 0.0, 0.0], b"".join(np.full(one.shape, ABSENT, "<i2").tobytes() for one in people_m)
+        return (
+            _STEP_M,
+            [0.0, 0.0, 0.0],
+            b"".join(np.full(person_m.shape, ABSENT, "<i2").tobytes() for person_m in people_m),
+        )
     origin_m = np.round((everything_m.min(0) + everything_m.max(0)) / 2, 3)
     step_m = max(_STEP_M, float(np.abs(everything_m - origin_m).max()) / _LARGEST)
     content = b"".join(
-        np.where(np.isfinite(one).all(-1, keepdims=True), np.rint((np.nan_to_num(one) - origin_m) / step_m), ABSENT)
+        np.where(
+            np.isfinite(person_m).all(-1, keepdims=True), np.rint((np.nan_to_num(person_m) - origin_m) / step_m), ABSENT
+        )
         .astype("<i2")
         .tobytes()
-        for one in people_m
+        for person_m in people_m
     )
     return step_m, origin_m.tolist(), content
 

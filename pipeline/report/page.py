@@ -21,40 +21,19 @@ Rows = Sequence[tuple[str, ...]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportContents:
-    """Contents of a report.
+    """Contents of a report."""
 
-    Parameters
-    ----------
-    name
-        Name of the take.
-    motion
-        Motion and quality for the script.
-    metrics
-        Content of ``metrics.json``.
-    findings
-        Warnings of the result.
-    pictures
-        Pictures of the cameras, those of a moment together.
-    notes
-        Sentences about the report itself, such as pictures that are missing.
-    settings
-        Choice and value of each choice of the reconstruction, and whether it is the usual one.
-    versions, inputs
-        Name and version of each program and network; name and SHA-256 of each file.
-    cameras
-        Name, size, and reprojection error of each camera.
-    """
-
-    name: str
-    motion: Motion
-    metrics: Mapping[str, Any]
-    findings: Sequence[Finding]
-    pictures: Sequence[Picture]
-    notes: Sequence[str]
-    settings: Rows
+    name: str  # Name of the take
+    motion: Motion  # Motion and quality for the script
+    metrics: Mapping[str, Any]  # Content of ``metrics.json``
+    findings: Sequence[Finding]  # Warnings of the result
+    pictures: Sequence[Picture]  # Pictures of the cameras, those of a moment together
+    notes: Sequence[str]  # Sentences about the report itself, such as pictures that are missing
+    settings: Rows  # Choice and value of each choice of the reconstruction, and whether it is the usual one
+    # Name and version of each program and network; name and SHA-256 of each file
     versions: Rows
     inputs: Rows
-    cameras: Rows
+    cameras: Rows  # Name, size, and reprojection error of each camera
 
 
 def encode_page(contents: ReportContents) -> bytes:
@@ -112,12 +91,14 @@ def _findings(findings: Sequence[Finding]) -> Markup:
     items = (
         element(
             "li",
-            element("b", "Error: " if one.severity == "error" else "Warning: " if one.severity == "warning" else ""),
-            f"{one.camera}: {one.message}" if one.camera else one.message,
-            " " + one.hint if one.hint else "",
-            class_=one.severity,
+            element(
+                "b", "Error: " if finding.severity == "error" else "Warning: " if finding.severity == "warning" else ""
+            ),
+            f"{finding.camera}: {finding.message}" if finding.camera else finding.message,
+            " " + finding.hint if finding.hint else "",
+            class_=finding.severity,
         )
-        for one in worst_first(findings)
+        for finding in worst_first(findings)
     )
     return _section("warnings", "Warnings", element("ul", items, class_="findings"))
 
@@ -230,14 +211,14 @@ def _pictures(contents: ReportContents) -> Markup:
                 "figure",
                 element(
                     "img",
-                    src=f"data:image/jpeg;base64,{base64.b64encode(one.jpeg).decode('ascii')}",
-                    width=one.size_px[0],
-                    height=one.size_px[1],
-                    alt=f"Camera {one.camera} with the skeletons over its picture",
+                    src=f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode('ascii')}",
+                    width=picture.size_px[0],
+                    height=picture.size_px[1],
+                    alt=f"Camera {picture.camera} with the skeletons over its picture",
                 ),
-                element("figcaption", f"{one.camera}, {one.time_s:.3f} s"),
+                element("figcaption", f"{picture.camera}, {picture.time_s:.3f} s"),
             )
-            for one in of_moment
+            for picture in of_moment
         )
         go = element("button", f"Show frame {moment.frame}", type="button", class_="go", data_frame=moment.frame)
         parts.append(joined(element("h3", moment.title, " ", go), element("div", figures, class_="pictures")))
@@ -275,8 +256,8 @@ def _figure(value: float | None, unit: str, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
 
 
-def _count(number: int, one: str, many: str | None = None) -> str:
-    return f"{number} {one if number == 1 else many or one + 's'}"
+def _count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"
 
 
 def _ordinal(number: int) -> str:

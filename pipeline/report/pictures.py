@@ -23,43 +23,21 @@ _BACKGROUND = 32
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Moment of a take.
+    """Moment of a take."""
 
-    Parameters
-    ----------
-    title
-        Heading of its pictures.
-    frame
-        Output frame.
-    """
-
-    title: str
-    frame: int
+    title: str  # Heading of its pictures
+    frame: int  # Output frame
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """Picture of a camera at a moment.
+    """Picture of a camera at a moment."""
 
-    Parameters
-    ----------
-    moment
-        The moment.
-    camera
-        Name of the camera.
-    time_s
-        Time at which the picture was taken, on the session's clock.
-    size_px
-        Width and height.
-    jpeg
-        The compressed picture.
-    """
-
-    moment: Moment
-    camera: str
-    time_s: float
-    size_px: tuple[int, int]
-    jpeg: bytes
+    moment: Moment  # The moment
+    camera: str  # Name of the camera
+    time_s: float  # Time at which the picture was taken, on the session's clock
+    size_px: tuple[int, int]  # Width and height
+    jpeg: bytes  # The compressed picture
 
 
 def moments_of(motion: Motion, num_cameras: int) -> list[Moment]:
@@ -84,16 +62,8 @@ def draw_picture(
 ) -> tuple[tuple[int, int], bytes]:
     """Draw people over a camera's picture.
 
-    Parameters
-    ----------
-    image_rgb
-        Picture of the camera's size; ``None``: a dark ground.
-    names
-        Names that people were given, by number.
-
-    Returns
-    -------
-        Width and height, and the picture as JPEG, its long side at most ``LONG_SIDE_PX``.
+    ``image_rgb`` has the camera's size; ``None``: a dark ground. Names are by number. Returns width and height, and the
+    picture as JPEG, its long side at most ``LONG_SIDE_PX``.
     """
     scale = min(1.0, LONG_SIDE_PX / max(camera.size_px))
     width, height = (max(1, round(scale * side)) for side in camera.size_px)

@@ -30,10 +30,7 @@ def python_command(*arguments: str) -> list[str]:
 def module_command(module: str, *arguments: str) -> list[str]:
     """Build the command that runs a module of Multicap as a program, ``python -m``.
 
-    Parameters
-    ----------
-    module
-        Name of the module in a checkout, such as ``pipeline.capture.preflight``.
+    ``module`` is its name in a checkout, such as ``pipeline.capture.preflight``.
     """
     return python_command("-m", _PARENT + module, *arguments)
 
@@ -42,14 +39,8 @@ class ProcessPool(ProcessPoolExecutor):
     """Pool of spawned processes, to be used in a ``with`` block.
 
     If the block raises an error or is interrupted, the processes are killed at once. Ctrl-C in a terminal reaches the
-    parent process only. Processes end by themselves if their parent is killed.
-
-    Parameters
-    ----------
-    num_processes
-        Largest number of processes.
-    initializer, initargs
-        Function that each process calls first, and its arguments.
+    parent process only. Processes end by themselves if their parent is killed. Each of at most ``num_processes`` calls
+    ``initializer`` with ``initargs`` first.
     """
 
     def __init__(

@@ -36,8 +36,6 @@ def function_digest(
 
     Parameters
     ----------
-    root
-        Folder of the packages' sources.
     roots
         Modules, and functions or classes at their top level.
     package
@@ -155,26 +153,15 @@ def _sha256(value: object) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A top-level statement of a module, or a member of one of its classes.
+    """A top-level statement of a module, or a member of one of its classes."""
 
-    Parameters
-    ----------
-    bound, read, attributes
-        Names that it binds and reads, and attributes that it names.
-    imports
-        Names that imports bind, each with its origin, ``module`` or ``module.name``.
-    text
-        Its syntax tree; empty for imports.
-    owner
-        Class of a member; empty: it is a statement.
-    """
-
+    # Names that it binds and reads, and attributes that it names
     bound: frozenset[str]
     read: frozenset[str]
     attributes: frozenset[str]
-    imports: tuple[tuple[str, str], ...]
-    text: str
-    owner: str = ""
+    imports: tuple[tuple[str, str], ...]  # Names that imports bind, each with its origin, ``module`` or ``module.name``
+    text: str  # Its syntax tree; empty for imports
+    owner: str = ""  # Class of a member; empty: it is a statement
 
 
 # Cached, because stages share these modules.

@@ -1,7 +1,7 @@
 """Compilation of numeric kernels to machine code by numba, and aligned records for them.
 
 Compiled code is cached on disk, in a folder for each version of the kernels' sources: numba itself would miss changes
-in functions that a kernel calls from another file. ``python -m pipeline.runtime.warm_up`` compiles all kernels.
+in functions that a kernel calls from another file. ``python -m pipeline.warm_up`` compiles all kernels.
 """
 
 from collections.abc import Callable

@@ -55,7 +55,7 @@ def _stamp(folder: Path) -> Path:
     of another version of numba.
     """
     versions = [importlib.metadata.version(name) for name in ("numba", "llvmlite")]
-    warm_up = hashlib.sha256(Path(__file__).with_name("warm_up.py").read_bytes()).hexdigest()
+    warm_up = hashlib.sha256((_PIPELINE / "warm_up.py").read_bytes()).hexdigest()
     parts = [warm_up, str(_PIPELINE), sys.implementation.cache_tag, *versions, _processor()]
     return folder / f"complete-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
 

@@ -18,12 +18,8 @@ _PR_SET_PDEATHSIG = 1
 def die_with_parent(parent: int) -> None:
     """Let the kernel kill this process when its parent ends; this survives ``exec``, not ``fork``.
 
-    On other systems than Linux nothing happens: children of a killed parent have to be stopped by hand.
-
-    Parameters
-    ----------
-    parent
-        Process id of the parent that forked this process.
+    On other systems than Linux nothing happens: children of a killed parent have to be stopped by hand. ``parent`` is
+    the process that forked this one.
     """
     if sys.platform == "linux":
         libc = ctypes.CDLL(None, use_errno=True)

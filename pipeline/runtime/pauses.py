@@ -7,11 +7,7 @@ class Pauses:
     """Pauses between tries, each up to twice as long as the one before.
 
     Half of a pause is random, so that workers that were stopped by one outage do not all return at one moment.
-
-    Parameters
-    ----------
-    first_s, longest_s
-        Longest first pause, and longest pause at all.
+    ``first_s`` is the longest first pause, ``longest_s`` the longest of all.
     """
 
     def __init__(self, first_s: float, longest_s: float) -> None:

@@ -80,10 +80,7 @@ def name_of(entry: zipfile.ZipInfo) -> str:
 def read_entry(entries: zipfile.ZipFile, entry: zipfile.ZipInfo, max_bytes: int) -> bytes:
     """Read an entry; the size that the directory states is not trusted.
 
-    Raises
-    ------
-    ArchiveError
-        If the entry is damaged, encrypted, or larger than ``max_bytes``.
+    Raises ``ArchiveError`` if the entry is damaged, encrypted, or larger than ``max_bytes``.
     """
     try:
         with entries.open(entry) as source:

@@ -1,4 +1,4 @@
-"""Simulated camera rigs: rings, ceilings and domes."""
+"""Simulated camera rigs: rings, ceilings and domes; and frame times of their cameras."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera, LensModel
+from pipeline.data.cameras import Camera, FrameTimes, LensModel
 from pipeline.geometry.rigid import Rigid3
 
 
@@ -21,39 +21,23 @@ class Layout(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """Rig of cameras around the origin.
+    """Rig of cameras around the origin."""
 
-    Parameters
-    ----------
-    layout
-        ``RING``: on an ellipse at one height. ``CEILING``: half of the cameras along the walls, half inside. ``DOME``:
-        spread over a hemisphere.
-    num_cameras
-        Number of cameras.
-    extent_m
-        Half axes of the ellipse or of the ceiling along X and Y; the first is the radius of a dome.
-    height_m
-        Height of the ring, of the ceiling, or of the dome's lowest cameras.
-    size_px, focal_px
-        Width and height of the image, and mean focal length.
-    target_height_m
-        Height of the point at which cameras look.
-    distortion
-        OpenCV's k1, k2, p1, p2, k3, of a fisheye lens k1, k2, k3, k4; each camera's coefficients differ from these by
-        up to a tenth.
-    lens
-        Distortion model.
-    """
-
+    # ``RING``: on an ellipse at one height. ``CEILING``: half of the cameras along the walls, half inside. ``DOME``:
+    # spread over a hemisphere.
     layout: Layout
-    num_cameras: int
+    num_cameras: int  # Number of cameras
+    # Half axes of the ellipse or of the ceiling along X and Y; the first is the radius of a dome
     extent_m: tuple[float, float]
-    height_m: float
+    height_m: float  # Height of the ring, of the ceiling, or of the dome's lowest cameras
+    # Width and height of the image, and mean focal length
     size_px: tuple[int, int] = (1280, 720)
     focal_px: float = 800.0
-    target_height_m: float = 1.0
+    target_height_m: float = 1.0  # Height of the point at which cameras look
+    # OpenCV's k1, k2, p1, p2, k3, of a fisheye lens k1, k2, k3, k4; each camera's coefficients differ from these by up
+    # to a tenth
     distortion: tuple[float, ...] = (-0.10, 0.03, 0.0005, -0.0004, 0.0)
-    lens: LensModel = "standard"
+    lens: LensModel = "standard"  # Distortion model
 
 
 def build_cameras(rig: Rig, rng: np.random.Generator) -> tuple[Camera, ...]:
@@ -134,3 +118,24 @@ def _dome(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 
 _PLACES = {Layout.RING: _ring, Layout.CEILING: _ceiling, Layout.DOME: _dome}
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """Frame rates and phases of the cameras."""
+
+    frame_rate_hz: float = 25.0  # Rate of the output frames, and of synchronised cameras
+    # Rates of the cameras, repeated in turn; empty if all cameras have the common rate
+    camera_rates_hz: tuple[float, ...] = ()
+    random_phase: bool = False  # Whether each camera starts at a random time within its first period
+    dropped: float = 0.0  # Share of frames that are dropped
+
+
+def frame_times(clock: Clock, number: int, duration_s: float, rng: np.random.Generator) -> FrameTimes:
+    """Draw the times of a camera's frames in [0, duration). The camera's ``number`` selects its rate."""
+    rate_hz = (
+        clock.camera_rates_hz[number % len(clock.camera_rates_hz)] if clock.camera_rates_hz else clock.frame_rate_hz
+    )
+    phase, fate = rng.random(), rng.random(int(np.ceil(duration_s * rate_hz)) + 1)
+    time_s = (np.arange(len(fate)) + (phase if clock.random_phase else 0.0)) / rate_hz
+    return FrameTimes(read_only(time_s[(fate >= clock.dropped) & (time_s < duration_s - 1e-9)]))

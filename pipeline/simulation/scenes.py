@@ -12,12 +12,11 @@ from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
-from pipeline.simulation.clocks import Clock, frame_times
 from pipeline.simulation.motion.director import Cast, improvise
 from pipeline.simulation.motion.exchange import Exchange, exchange
 from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
-from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
+from pipeline.simulation.rigs import Clock, Layout, Rig, build_cameras, choose_views, frame_times
 from pipeline.simulation.views.detector import Detector, detect
 from pipeline.simulation.views.extremities import detect_extremities
 from pipeline.simulation.views.faults import Faults
@@ -56,36 +55,19 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
-    """Recording of a scene and its ground truth.
+    """Recording of a scene and its ground truth."""
 
-    Parameters
-    ----------
-    cameras
-        Exact calibration of the cameras.
-    times, detections
-        Frame times and detections by camera name.
-    identities
-        Person (row of ``truth_m``) of each detection by camera name, ``NOBODY`` for false positives.
-    joints
-        Joints of the detections and of the truth.
-    timebase
-        Frames of the truth.
-    truth_m
-        World positions of the joints, NaN while a person is absent.
-    present
-        Whether each person is present, visible or not.
-    sketches
-        Content of each camera's heatmaps and part affinity fields; see ``views.fields.render``.
-    """
-
-    cameras: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]  # Exact calibration of the cameras
+    # Frame times and detections by camera name
     times: Mapping[str, FrameTimes]
     detections: Mapping[str, Detections]
+    # Person (row of ``truth_m``) of each detection by camera name, ``NOBODY`` for false positives
     identities: Mapping[str, Int[np.ndarray, " _"]]
-    joints: JointSet
-    timebase: Timebase
-    truth_m: Float[np.ndarray, "people frames joints 3"]
-    present: Bool[np.ndarray, "people frames"]
+    joints: JointSet  # Joints of the detections and of the truth
+    timebase: Timebase  # Frames of the truth
+    truth_m: Float[np.ndarray, "people frames joints 3"]  # World positions of the joints, NaN while a person is absent
+    present: Bool[np.ndarray, "people frames"]  # Whether each person is present, visible or not
+    # Content of each camera's heatmaps and part affinity fields; see ``views.fields.render``
     sketches: tuple[Sketch, ...]
 
 
@@ -240,13 +222,7 @@ SCENES: Mapping[str, Scene] = {
 
 
 def find_scene(name: str) -> Scene:
-    """Look up a scene by name.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown.
-    """
+    """Look up a scene by name. Raises ``InputError`` if the name is unknown."""
     if name not in SCENES:
         problem = Problem("unknown_scene", f"There is no scene {name!r}.", hint=f"Known are {', '.join(SCENES)}.")
         raise InputError([problem])
@@ -254,13 +230,7 @@ def find_scene(name: str) -> Scene:
 
 
 def known_joints(name: str) -> Joints:
-    """Look up a choice of joints by name.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown.
-    """
+    """Look up a choice of joints by name. Raises ``InputError`` if the name is unknown."""
     for joints in get_args(Joints):
         if joints == name:
             return cast(Joints, joints)
@@ -278,8 +248,6 @@ def simulate(scene_name: str, seed: int, num_views: int | None = None, joints: J
 
     Parameters
     ----------
-    scene_name
-        Name in ``SCENES``.
     seed
         Seed, 0 or greater; the same seed gives the same bytes.
     num_views

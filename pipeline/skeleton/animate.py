@@ -47,13 +47,9 @@ def animate(
         Tracks with the joints located by association.
     observations
         Observations of the tracks, in the same order.
-    joints
-        Joint set of the tracks.
     config
         Method of smoothing, and treatment of feet. With ``fit``, the final joint positions are those of the skeleton.
         Otherwise each joint is smoothed by itself, and the skeleton follows the joints.
-    on_share
-        Called with the progress after each window of a track's frames.
     offsets
         Offsets of the detector's marks from the joints' centres. Only the fit can move joints to their centres.
     floor

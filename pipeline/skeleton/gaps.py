@@ -22,12 +22,7 @@ def filled_relative_to(
 ) -> Float[np.ndarray, "frames 3"]:
     """Replace NaN by moving a point with a reference point: the offset between both is filled linearly.
 
-    Parameters
-    ----------
-    reference
-        Reference point in each frame, without NaN.
-    default
-        Offset from the reference if the point is known in no frame.
+    ``reference`` has no NaN; ``default`` is the offset if the point is known in no frame.
     """
     return reference + filled_linearly(points - reference, default)
 

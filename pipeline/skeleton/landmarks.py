@@ -15,21 +15,12 @@ _ADULT_STATURE_M = 1.70
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """Positions of a person's joints by name.
+    """Positions of a person's joints by name."""
 
-    Parameters
-    ----------
-    xyz_m
-        World positions in metres, NaN where unknown. All positions of joints that the detector lacks are NaN.
-    source
-        Source of each position, see ``data.people.Source``.
-    joints
-        Joint set of the track.
-    """
-
+    # World positions in metres, NaN where unknown. All positions of joints that the detector lacks are NaN.
     xyz_m: Float[np.ndarray, "frames joints 3"]
-    source: Int[np.ndarray, "frames joints"]
-    joints: JointSet
+    source: Int[np.ndarray, "frames joints"]  # Source of each position, see ``data.people.Source``
+    joints: JointSet  # Joint set of the track
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "frames 3"]:
         if name not in self.joints.names:

@@ -42,10 +42,7 @@ def trunk_length_m(bone_length_m: Float[np.ndarray, " joints"]) -> float:
 def mark_offsets_m(joints: JointSet, offsets: JointOffsets, trunk_m: float) -> Mapping[str, Float[np.ndarray, " 3"]]:
     """Offsets of a person's marks from the centres of their joints by name, in metres and in the axes of the part.
 
-    Parameters
-    ----------
-    trunk_m
-        Length of the person's trunk.
+    ``trunk_m`` is the length of the person's trunk.
     """
     centres = {}
     for name in joints.names:
@@ -62,17 +59,8 @@ def centers_from_marks(
 ) -> np.ndarray:
     """Centres of joints from marks, each frame by itself.
 
-    Parameters
-    ----------
-    landmarks
-        Marks, NaN where unknown.
-    marked_length_m
-        Lengths of the skeleton's bones between marks.
-
-    Returns
-    -------
-        World positions in metres, (frames, joints, 3). Joints of a face that is not known as a whole stay at their
-        marks.
+    Marks are NaN where unknown; lengths are those of bones between marks. World positions are in metres, (frames,
+    joints, 3); joints of a face that is not known as a whole stay at their marks.
     """
     # Between the marks, the trunk is longer than the skeleton's by the difference of their heights.
     higher = sum(sign * offsets[kind].up for kind, sign in (("shoulder", 1.0), ("hip", -1.0)) if kind in offsets)
@@ -99,16 +87,8 @@ def marks_from_centers(
 ) -> Float[np.ndarray, "rows joints 3"]:
     """Marks that a detector would set in frames of a fitted motion, to be compared with its observations.
 
-    Parameters
-    ----------
-    centers_m
-        Final positions of the joints in these frames, NaN where unknown.
-    motion
-        Motion of the person.
-    rows
-        The frames, rows of the motion.
-    offsets
-        Offsets with which the motion was fitted; without any, the positions are returned.
+    ``centers_m`` are final positions in ``rows`` of the motion, NaN where unknown; they are returned if it was fitted
+    without ``offsets``.
     """
     if not offsets:
         return centers_m

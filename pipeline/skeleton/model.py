@@ -58,26 +58,15 @@ _THUMB_DEG = (40.0, 20.0)
 
 @dataclass(frozen=True, slots=True)
 class SkeletonJoint:
-    """Joint of the animation skeleton.
+    """Joint of the animation skeleton."""
 
-    Parameters
-    ----------
-    name
-        Name as in animation software (Mixamo's names without the prefix). Ends of bones are called ``<Parent>End``.
-    parent
-        Name of the joint's parent; ``None`` for the root.
-    rest_direction
-        Unit vector from the parent to the joint in the rest pose, world axes.
-    stature_share
-        Length of the bone from the parent as a share of stature, for bones without a measured length.
-    landmarks
-        Joints of the detector whose mean is this joint's measured position; empty for derived joints.
-    """
-
+    # Name as in animation software (Mixamo's names without the prefix). Ends of bones are called ``<Parent>End``.
     name: str
-    parent: str | None
-    rest_direction: tuple[float, float, float]
+    parent: str | None  # Name of the joint's parent; ``None`` for the root
+    rest_direction: tuple[float, float, float]  # Unit vector from the parent to the joint in the rest pose, world axes
+    # Length of the bone from the parent as a share of stature, for bones without a measured length
     stature_share: float
+    # Joints of the detector whose mean is this joint's measured position; empty for derived joints
     landmarks: tuple[str, ...] = ()
 
     @property
@@ -161,10 +150,7 @@ _PARENTS = np.array([INDEX[joint.parent] if joint.parent else 0 for joint in WHO
 def skeleton_of(num_joints: int) -> tuple[SkeletonJoint, ...]:
     """Skeleton with a number of joints: ``SKELETON`` or ``WHOLE_SKELETON``.
 
-    Raises
-    ------
-    ValueError
-        If no skeleton has this number of joints.
+    Raises ``ValueError`` if no skeleton has this number of joints.
     """
     for skeleton in (SKELETON, WHOLE_SKELETON):
         if len(skeleton) == num_joints:
@@ -194,10 +180,7 @@ _CHILDREN = {len(skeleton): _children(skeleton) for skeleton in (SKELETON, WHOLE
 def rest_offsets_m(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "joints 3"]:
     """Offsets of all joints from their parents in the rest pose, world axes; 0 for the root.
 
-    Raises
-    ------
-    ValueError
-        If no skeleton has this number of joints.
+    Raises ``ValueError`` if no skeleton has this number of joints.
     """
     directions = np.array([joint.rest_direction for joint in skeleton_of(len(bone_length_m))])
     return directions * bone_length_m[:, None]

@@ -31,17 +31,8 @@ def swing(
 ) -> tuple[Rotation, Bool[np.ndarray, " frames"]]:
     """Smallest rotations, without twist, from a unit vector to the directions of other vectors.
 
-    Parameters
-    ----------
-    start
-        Unit vector.
-    end
-        Vectors of any length, NaN where unknown.
-
-    Returns
-    -------
-        Rotations, and the frames in which they are known; the identity elsewhere. The axis of a half turn is arbitrary
-        but fixed.
+    ``end`` are of any length, NaN where unknown. Returns the frames in which the rotations are known, too; the identity
+    elsewhere. The axis of a half turn is arbitrary but fixed.
     """
     direction = unit(end)
     valid = np.isfinite(direction).all(-1)
@@ -58,10 +49,8 @@ def from_axes(
 ) -> tuple[Rotation, Bool[np.ndarray, " frames"]]:
     """Orientations with the X axis along ``left`` and the Z axis as close to ``up`` as possible.
 
-    Returns
-    -------
-        Rotations from rest to world, and the frames in which they are known. A frame is unknown, with the identity, if
-        a vector is NaN or too short, or if both are parallel.
+    Returns rotations from rest to world, and the frames in which they are known. A frame is unknown, with the identity,
+    if a vector is NaN or too short, or if both are parallel.
     """
     x = unit(left)
     behind = np.cross(unit(up), x)
@@ -74,14 +63,7 @@ def from_axes(
 def align(start: Float[np.ndarray, "frames vectors 3"], end: Float[np.ndarray, "frames vectors 3"]) -> Rotation:
     """Rotation of each frame that aligns vectors in the least-squares sense (Kabsch 1976).
 
-    Parameters
-    ----------
-    start, end
-        Vectors before and after the rotation. Pairs with NaN are ignored.
-
-    Returns
-    -------
-        A rotation a frame; arbitrary in frames with fewer than two independent pairs.
+    Pairs of vectors with NaN are ignored; the rotation is arbitrary in frames with fewer than two independent pairs.
     """
     # SciPy's ``Rotation.align_vectors`` takes one frame a call: 17 times as long for 2,000 frames of five vectors.
     known = np.isfinite(start + end).all(-1)[..., None]
@@ -120,16 +102,9 @@ def hinge_twist_rad(
     The unit complex number exp(i twist) is fitted over time by weighted least squares, with a smoothness term
     (Whittaker's smoother) and a weak prior for zero twist. A straight limb has almost no weight, so the twist is
     interpolated from one bend to the next. A bend in the wrong direction has little weight, because elbows and knees
-    don't bend backwards.
-
-    Parameters
-    ----------
-    bone
-        Rest direction of the upper limb.
-    hinge
-        Axis at a right angle to ``bone`` about which a positive rotation bends the joint.
-    lower
-        Direction of the lower limb in the upper limb's frame before twist, any length, NaN where unknown.
+    don't bend backwards. ``bone`` is the rest direction of the upper limb, ``hinge`` an axis at a right angle to it
+    about which a positive rotation bends the joint; ``lower`` is the direction of the lower limb in the upper limb's
+    frame before twist, of any length, NaN where unknown.
     """
     normal = np.nan_to_num(np.cross(bone, unit(lower)))
     bend = normal @ hinge + 1j * (np.cross(hinge, normal) @ bone)

@@ -43,12 +43,7 @@ def smooth_track(
 ) -> Track3D:
     """Smooth each joint of a person by itself, and compute the reprojection error again.
 
-    Parameters
-    ----------
-    seen
-        Observations of the track.
-    config
-        Method of smoothing: ``butterworth`` or ``one-euro``. For other methods, the track is returned unchanged.
+    For methods other than ``butterworth`` and ``one-euro`` the track is returned unchanged.
     """
     rate_hz = timebase.frame_rate_hz
     filters: dict[str, _Filter] = {
@@ -66,10 +61,7 @@ def smooth_track(
 def check_smoothing(timebase: Timebase, config: ReconstructionConfig) -> None:
     """Check that the cutoff is possible at a session's frame rate.
 
-    Raises
-    ------
-    InputError
-        If the cutoff is not between 0 and half of the frame rate.
+    Raises ``InputError`` if it is not between 0 and half of the rate.
     """
     if config.smoothing == "butterworth" and not 0 < config.cutoff_hz < timebase.frame_rate_hz / 2:
         problem = (

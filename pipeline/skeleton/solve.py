@@ -62,10 +62,7 @@ class _Pose:
     def aim(self, name: str, child: str, target_m: Float[np.ndarray, "frames 3"], before: Rotation) -> None:
         """Pose a joint so that its child is closest to a target, NaN where unknown.
 
-        Parameters
-        ----------
-        before
-            Rotation from the joint to its parent before the smallest rotation to the target is applied.
+        ``before`` is the rotation from the joint to its parent before the smallest rotation to the target is applied.
         """
         bone_m = self._plausible(child, target_m - self.position_m(name))
         toward_m = (self.world_from_parent(name) * before).inv().apply(bone_m)

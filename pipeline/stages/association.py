@@ -49,12 +49,8 @@ class MeasuredBones(NamedTuple):
 def tracking_parameters(session: Session, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
     """Derive the tracker's parameters from the session, with changes by name.
 
-    A person in a session of fewer than ``confirm_instants`` frames is confirmed by all of them.
-
-    Raises
-    ------
-    InputError
-        If a changed parameter does not exist, or can't have that value.
+    A person in a session of fewer than ``confirm_instants`` frames is confirmed by all of them. Raises ``InputError``
+    if a changed parameter does not exist, or can't have that value.
     """
     derived = derive_tracking(session.cameras, session.timebase.frame_rate_hz)
     confirm_instants = min(derived.confirm_instants, session.timebase.num_frames)
@@ -64,10 +60,7 @@ def tracking_parameters(session: Session, changes: Mapping[str, float] = Mapping
 def clustering_parameters(session: Session, config: ReconstructionConfig) -> ClusteringParameters:
     """Derive the parameters of clustering from the session and the detector, with the configuration's changes.
 
-    Raises
-    ------
-    InputError
-        If a changed parameter does not exist, or can't have that value.
+    Raises ``InputError`` if a changed parameter does not exist, or can't have that value.
     """
     fields = entry_of(networks_of(config).body).fields if config.uses_fields and session.video_of else None
     own = {} if fields is None else {"tau2": fields.tau2}
@@ -79,12 +72,7 @@ def track(
 ) -> People:
     """Track people by cross-view tracking: one pass in time order.
 
-    Parameters
-    ----------
-    bodies
-        Bodies of all cameras, as of ``gather``; the detections of the session are not read.
-    on_share
-        Called with the share of the work that is done.
+    ``bodies`` are those of all cameras, as of ``gather``; the detections of the session are not read.
     """
     parameters = tracking_parameters(session, config.tracking)
     timebase = session.timebase
@@ -110,14 +98,7 @@ def measure_bones(
 ) -> LimbLengths:
     """Measure the bones of all people in a first pass over frames all over the session.
 
-    Parameters
-    ----------
-    chunks
-        Ranges of output frames in order of time, with their detections; read one at a time.
-    joints
-        Joint set of the detector.
-    on_frame
-        Called after each frame.
+    ``chunks`` are ranges of output frames in order of time, with their detections; read one at a time.
     """
     parameters = clustering_parameters(session, config)
     sampled = sampled_frames(session.timebase, parameters)
@@ -172,12 +153,7 @@ def assign_identities(
 def attach(session: Session, people: People, bodies: Bodies, joints: JointSet, config: ReconstructionConfig) -> People:
     """Add the fingers of detections to people of either method; see ``pipeline.hands.attach``.
 
-    Parameters
-    ----------
-    people
-        People with the joints of ``without_hands(joints)``.
-    bodies
-        Bodies of all cameras with all joints, as of ``gather``.
+    People have the joints of ``without_hands(joints)``, bodies of all cameras all joints, as of ``gather``.
     """
     parameters = tracking_parameters(session, config.tracking)
     min_score = 0.0 if config.method == "clustering" else parameters.min_score

@@ -1,7 +1,7 @@
 """Find the board: its corners in frames of a camera. The output is a ``BoardViews``."""
 
-from pipeline.calibration_choices import BOARD_FRAMES, CalibrationChoices
 from pipeline.errors import PipelineError
+from pipeline.job_choices import BOARD_FRAMES, CalibrationChoices
 from pipeline.stages.stage import FIND_BOARD, Context, Output, Stage, Task
 
 

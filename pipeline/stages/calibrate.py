@@ -2,9 +2,9 @@
 
 import json
 
-from pipeline.calibration_choices import CalibrationChoices
 from pipeline.errors import PipelineError, listed
 from pipeline.findings import Finding
+from pipeline.job_choices import CalibrationChoices
 from pipeline.stages.stage import CALIBRATE, DETECT, FIND_BOARD, Context, Output, ResultFile, Stage, Task
 
 _MEDIA_TYPES = {".json": "application/json", ".svg": "image/svg+xml"}

@@ -41,18 +41,8 @@ _OF_ALL = (BY_MEMBER, "Context"), (_RECORD, "decode_session"), (_RECORD, "decode
 def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Mapping[str, str]:
     """Digest of the code of each stage, by name of the stage.
 
-    It takes about a second, once a process.
-
-    Parameters
-    ----------
-    root
-        Folder of the packages' sources.
-    libraries
-        Distributions whose installed versions count.
-
-    Returns
-    -------
-        SHA-256 in hexadecimal digits.
+    It takes about a second, once a process. ``root`` is the folder of the packages' sources; the versions of
+    ``libraries``, installed distributions, count. Digests are SHA-256 in hexadecimal digits.
     """
     versions = [[name, _version(name)] for name in libraries]
     digests = {}

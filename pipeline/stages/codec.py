@@ -44,10 +44,7 @@ def decode(kind: type[_Kind], content: bytes | Path) -> _Kind:
 class RecordArchive:
     """A record in an archive, of which parts are read when they are asked for.
 
-    Parameters
-    ----------
-    content
-        What ``encode`` returned, or the file that ``save`` wrote.
+    ``content`` is what ``encode`` returned, or the file that ``save`` wrote.
     """
 
     def __init__(self, content: bytes | Path) -> None:

@@ -38,18 +38,10 @@ _Kind = TypeVar("_Kind", CaptureSession, KeypointSession)
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Origin of a take, for people.
+    """Origin of a take, for people."""
 
-    Parameters
-    ----------
-    name
-        Name of the session.
-    files
-        SHA-256 of its files by name, in hexadecimal digits.
-    """
-
-    name: str
-    files: Mapping[str, str]
+    name: str  # Name of the session
+    files: Mapping[str, str]  # SHA-256 of its files by name, in hexadecimal digits
 
 
 class Context(ABC):
@@ -150,10 +142,7 @@ class Context(ABC):
     def on_clocks(self, session: Session) -> Session:
         """Wanted frames of the whole session or its outline, numbered from 0, on measured clocks if they were measured.
 
-        Raises
-        ------
-        InputError
-            If the session has no such frames.
+        Raises ``InputError`` if the session has no such frames.
         """
         clocks = self.clocks()
         return (session if clocks is None else on_measured_clocks(session, clocks)).restricted(self.config.frames)
@@ -228,10 +217,7 @@ class DetectionSource(ABC):
     def in_range(self, task: Task, session: Session, number: int, frames: range) -> DetectionsByCamera:
         """Detections in a range of the plan, and maybe others.
 
-        Parameters
-        ----------
-        number, frames
-            Number of the range, and its output frames in the numbering of the whole session.
+        ``frames`` are its output frames in the numbering of the whole session.
         """
 
     @abstractmethod

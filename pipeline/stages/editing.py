@@ -28,12 +28,8 @@ def edited_take(spans: Sequence[PersonSpan], config: ReconstructionConfig, timeb
 def changed_people(people: People, spans: Sequence[PersonSpan], take: EditedTake) -> People:
     """Tracks and observations of the people whom the edits changed, from those of the people who were found.
 
-    Frames between two pieces are absent. People without a single known joint are left out.
-
-    Parameters
-    ----------
-    people, spans
-        People who were found, and their frames in the same order.
+    Frames between two pieces are absent. People without a single known joint are left out. ``spans`` are the frames of
+    ``people``, who were found, in the same order.
     """
     number_of = {span.id: number for number, span in enumerate(spans)}
     tracks, observations = [], []
@@ -73,14 +69,8 @@ def put_together(
     """People of an edited take and their animation: the changed ones, and the others as they were found.
 
     The floor is that of the people who were found: it does not depend on who is who. Doubts remain of people who did
-    not change: others were decided by hand.
-
-    Parameters
-    ----------
-    people, fitted, spans
-        People who were found, their animation and their frames, in the same order.
-    changed, refitted
-        People of ``changed_people``, and their animation.
+    not change: others were decided by hand. ``people``, ``fitted`` and ``spans`` are those who were found, in the same
+    order; ``changed`` are of ``changed_people``, ``refitted`` their animation.
     """
     number_of = {span.id: number for number, span in enumerate(spans)}
     changed_number_of = {track.track_id: number for number, track in enumerate(refitted.tracks)}

@@ -258,47 +258,27 @@ def _check(session: Session, config: ReconstructionConfig) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Destination:
-    """Destination of result files.
+    """Destination of result files."""
 
-    Parameters
-    ----------
-    folder
-        Folder of the files.
-    name, sources
-        Name of the take, and files beside its videos, for its report.
-    """
-
-    folder: Path
+    folder: Path  # Folder of the files
+    # Name of the take, and files beside its videos, for its report
     name: str
     sources: tuple[Path, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """A reconstruction under way.
-
-    Parameters
-    ----------
-    stages
-        Stages of the plan.
-    outputs
-        Folder for outputs of tasks.
-    interim
-        Folder for interim outputs, under the keys of the tasks' outputs. It is removed at the end of the run.
-    scratch
-        Folder for temporary files of the process that runs a task.
-    files
-        Destination of result files; ``None``: no task makes any.
-    """
+    """A reconstruction under way."""
 
     session: Session
     config: ReconstructionConfig
     facts: SessionFacts
-    stages: Sequence[PlannedStage]
-    outputs: OutputFolder
+    stages: Sequence[PlannedStage]  # Stages of the plan
+    outputs: OutputFolder  # Folder for outputs of tasks
+    # Folder for interim outputs, under the keys of the tasks' outputs. It is removed at the end of the run.
     interim: OutputFolder
-    scratch: Path
-    files: _Destination | None = None
+    scratch: Path  # Folder for temporary files of the process that runs a task
+    files: _Destination | None = None  # Destination of result files; ``None``: no task makes any
 
     def tasks_of(self, stage: str) -> Iterable[Task]:
         """Tasks of a stage; none if it is not planned."""

@@ -3,8 +3,8 @@
 The output is a ``CameraSizes``. It belongs to the whole video, whatever part of it is wanted.
 """
 
-from pipeline.calibration_choices import CalibrationChoices
 from pipeline.config import ReconstructionConfig, networks_of
+from pipeline.job_choices import CalibrationChoices
 from pipeline.stages.stage import LOOK, Context, Output, SessionFacts, Stage, Task
 
 LOOKED_AT_FRAMES = 12

@@ -35,13 +35,7 @@ def is_usable(folder: Path) -> bool:
 
 
 class OutputFolder:
-    """Outputs by key. A file holds the SHA-256 of an output and the output.
-
-    Parameters
-    ----------
-    path
-        The folder.
-    """
+    """Outputs by key. A file holds the SHA-256 of an output and the output."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -60,10 +54,7 @@ class OutputFolder:
     def write(self, key: str, content: bytes) -> None:
         """Store an output, whole or not at all.
 
-        Raises
-        ------
-        PipelineError
-            If the folder can't be written to or the disk is full.
+        Raises ``PipelineError`` if the folder can't be written to or the disk is full.
         """
         try:
             with tempfile.NamedTemporaryFile(dir=self.path, prefix="new-", delete=False) as file:
@@ -91,17 +82,9 @@ class OutputFolder:
 def output_folder(cache: Path | None, max_bytes: int = MAX_CACHE_BYTES) -> Iterator[OutputFolder]:
     """Open a cache of outputs for a run, or a temporary folder.
 
-    Runs share a cache; it is trimmed at the end of a run, when no other run uses it.
-
-    Parameters
-    ----------
-    cache
-        Folder of the cache; made if it is missing, readable by its owner alone. ``None``: a temporary folder.
-
-    Raises
-    ------
-    PipelineError
-        If the folder can't be used.
+    Runs share a cache; it is trimmed at the end of a run, when no other run uses it. ``cache`` is made if it is
+    missing, readable by its owner alone; ``None``: a temporary folder. Raises ``PipelineError`` if the folder can't be
+    used.
     """
     with contextlib.ExitStack() as stack:
         try:

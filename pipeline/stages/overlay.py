@@ -1,7 +1,7 @@
 """Draw overlay videos: each camera's video with the skeletons drawn over it. The output is the index of the files."""
 
+from pipeline.job_choices import OVERLAY_KIND
 from pipeline.stages.stage import OVERLAY, TAKE, Context, Output, ResultFile, Stage, Task, indexed
-from pipeline.visual_choices import OVERLAY_KIND
 
 
 def draw_overlay(task: Task, context: Context) -> Output:

@@ -37,13 +37,7 @@ def write_people(path: Path, people: People, damaged: Sequence[DamagedVideo] = (
 
 
 class StoredPeople:
-    """People that ``write_people`` wrote.
-
-    Parameters
-    ----------
-    path
-        Their file, which stays.
-    """
+    """People that ``write_people`` wrote. Their file at ``path`` stays."""
 
     def __init__(self, path: Path) -> None:
         self._archive = RecordArchive(path)
@@ -71,15 +65,7 @@ class StoredPeople:
 
 
 class StoredSequence(Sequence[_Record]):
-    """Records, each read or made anew whenever it is asked for.
-
-    Parameters
-    ----------
-    num_records
-        How many there are.
-    read
-        Reads the record with a number.
-    """
+    """Records, each read or made anew whenever it is asked for."""
 
     def __init__(self, num_records: int, read: Callable[[int], _Record]) -> None:
         self._numbers, self._read = range(num_records), read

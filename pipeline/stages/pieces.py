@@ -32,13 +32,7 @@ _NOBODY = ""
 
 
 class Pieces:
-    """Pieces that a task finds, and those that it keeps.
-
-    Parameters
-    ----------
-    task, context
-        The task at hand, of a stage that follows edits.
-    """
+    """Pieces that a task finds, and those that it keeps. The task at hand is of a stage that follows edits."""
 
     def __init__(self, task: Task, context: Context) -> None:
         self._key, self._context = task.piece_key, context
@@ -63,14 +57,8 @@ class Pieces:
 class FilesInPieces(KeptFiles):
     """Files of people that earlier tasks have kept, and those that this task keeps, whoever is renamed.
 
-    A piece is a line of JSON with the distance found in a file, and then the file.
-
-    Parameters
-    ----------
-    pieces
-        Pieces of the task.
-    scratch
-        Folder for temporary files of the task.
+    A piece is a line of JSON with the distance found in a file, and then the file. ``scratch`` is for temporary files
+    of the task.
     """
 
     def __init__(self, pieces: Pieces, scratch: Path) -> None:
@@ -107,12 +95,7 @@ class FilesInPieces(KeptFiles):
 class TakeInPieces:
     """Report and viewers' files of a whole take: edits change them, names do not.
 
-    Parameters
-    ----------
-    pieces, scratch
-        See ``FilesInPieces``.
-    edits
-        Edits of the take.
+    See ``FilesInPieces``; ``edits`` are those of the take.
     """
 
     def __init__(self, pieces: Pieces, scratch: Path, edits: Sequence[PeopleEdit]) -> None:

@@ -20,8 +20,8 @@ from typing import Any
 
 from pipeline.config import ReconstructionConfig, detected_joints
 from pipeline.edits import document_of, without_names
+from pipeline.job_choices import ProxyChoices
 from pipeline.stages.stage import PERSON_PARTS, SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
-from pipeline.video.playback.choices import ProxyChoices
 
 # Modules that declare the stages, in the order of their work.
 _MODULES = (
@@ -69,21 +69,12 @@ def followers(stage: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class PlannedStage:
-    """A stage of a plan: its tasks may run at once as soon as all tasks of the stage before it are done.
+    """A stage of a plan: its tasks may run at once as soon as all tasks of the stage before it are done."""
 
-    Parameters
-    ----------
-    name
-        Name of the stage.
-    tasks
-        At least one; may be iterated more than once. There may be thousands, so they are derived one at a time.
-    code_sha256
-        Digest of the code that can run the tasks; see ``pipeline.stages.code``.
-    """
-
-    name: str
+    name: str  # Name of the stage
+    # At least one; may be iterated more than once. There may be thousands, so they are derived one at a time.
     tasks: Iterable[Task]
-    code_sha256: str
+    code_sha256: str  # Digest of the code that can run the tasks; see ``pipeline.stages.code``
 
     @property
     def num_units(self) -> int:
@@ -101,8 +92,6 @@ def plan(
 
     Parameters
     ----------
-    facts, config
-        The session, and what to do with it.
     codes
         Digest of each stage's code, by name of the stage; see ``pipeline.stages.code.stage_codes``.
     chunk_frames

@@ -1,7 +1,7 @@
 """Convert videos for browsers: small copies that they play. The output is empty."""
 
+from pipeline.job_choices import PROXY_KIND, ProxyChoices, proxy_name
 from pipeline.stages.stage import PROXY, Context, Output, ResultFile, Stage, Task
-from pipeline.video.playback.choices import PROXY_KIND, ProxyChoices, proxy_name
 
 
 def make_proxy(task: Task, context: Context) -> Output:

@@ -45,19 +45,7 @@ def refine_from_bodies(
     config: ReconstructionConfig,
     on_share: OnShare = ignore,
 ) -> RefinedCalibration:
-    """Refine a session's calibration from whole bodies, which tracking associates.
-
-    Parameters
-    ----------
-    session
-        Session with the given cameras.
-    detections
-        Bodies by camera.
-    joints
-        Joints of the detections.
-    on_share
-        Called with the share of the work that is done.
-    """
+    """Refine a session's calibration from whole bodies, which tracking associates."""
 
     def associate(current: Session, on_round: OnShare) -> Iterable[Poses3D]:
         bodies = without_fingers(gather(current.cameras, current.times, detections), joints)
@@ -75,12 +63,7 @@ def refine_from_fields(
 ) -> RefinedCalibration:
     """Refine a session's calibration from peaks and fields, which clustering associates instant by instant.
 
-    Parameters
-    ----------
-    session, joints, on_share
-        As of ``refine_from_bodies``.
-    chunks
-        Gives ranges of output frames in order of time, with their detections.
+    ``chunks`` gives ranges of output frames in order of time, with their detections.
     """
     frames = sampled_frames(session.timebase)
     lengths = unknown_lengths(skeleton_of(joints))

@@ -1,7 +1,7 @@
 """Write the report of a take. The output is the index of its file."""
 
+from pipeline.job_choices import REPORT_KIND
 from pipeline.stages.stage import REPORT, TAKE, Context, Output, ResultFile, Stage, Task, indexed
-from pipeline.visual_choices import REPORT_KIND
 
 
 def write_report(task: Task, context: Context) -> Output:

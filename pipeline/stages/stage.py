@@ -46,47 +46,25 @@ Cut = Literal["cameras", "camera ranges", "ranges", "people", "whole"]
 
 @dataclass(frozen=True, slots=True)
 class SessionFacts:
-    """Facts of a session that a plan depends on.
+    """Facts of a session that a plan depends on."""
 
-    Parameters
-    ----------
-    inputs
-        Digests of the files, and of all that was found in them or stated about them.
-    num_frames, frame_rate_hz
-        Output frames of the session, and their rate.
-    stretches
-        Output frames in which a camera took frames, ascending; pauses lie between them.
-    camera_rates_hz
-        Frame rate of each camera, by name, in the session's order.
-    has_videos
-        Whether the session consists of videos; else of keypoints.
-    """
-
-    inputs: tuple[str, ...]
+    inputs: tuple[str, ...]  # Digests of the files, and of all that was found in them or stated about them
+    # Output frames of the session, and their rate
     num_frames: int
     frame_rate_hz: float
-    stretches: tuple[range, ...]
-    camera_rates_hz: Mapping[str, float]
-    has_videos: bool
+    stretches: tuple[range, ...]  # Output frames in which a camera took frames, ascending; pauses lie between them
+    camera_rates_hz: Mapping[str, float]  # Frame rate of each camera, by name, in the session's order
+    has_videos: bool  # Whether the session consists of videos; else of keypoints
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCut:
-    """Cut of a session's output frames into ranges.
+    """Cut of a session's output frames into ranges."""
 
-    Parameters
-    ----------
-    frames
-        Wanted output frames.
-    stretches
-        Output frames of the session that have to be worked on, ascending; ranges without any of them are left out.
-    chunk_frames
-        Length of a range. Ranges begin at its multiples; the first and the last one may be shorter.
-    """
-
-    frames: range
+    frames: range  # Wanted output frames
+    # Output frames of the session that have to be worked on, ascending; ranges without any of them are left out
     stretches: tuple[range, ...]
-    chunk_frames: int
+    chunk_frames: int  # Length of a range. Ranges begin at its multiples; the first and the last one may be shorter.
 
     def __iter__(self) -> Iterator[range]:
         """Ranges in order, at least one."""
@@ -115,36 +93,17 @@ class FrameCut:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A task of a stage.
+    """A task of a stage."""
 
-    Parameters
-    ----------
-    stage
-        Name of the stage.
-    index
-        Number within the stage.
-    camera
-        Camera whose frames it is about; ``None``: all cameras.
-    frames
-        Output frames, in the session's numbering.
-    chunk_frames
-        Length of the ranges into which the session's frames are cut.
-    num_units
-        Number of units that its progress counts, at least 1.
-    key
-        Content-addressed key of its output.
-    piece_key
-        Key of all that pieces of its output depend on but the edits of people, for stages that follow edits; see
-        ``pipeline.stages.pieces``.
-    """
-
-    stage: str
-    index: int
-    camera: str | None
-    frames: range
-    chunk_frames: int
-    num_units: int
-    key: str
+    stage: str  # Name of the stage
+    index: int  # Number within the stage
+    camera: str | None  # Camera whose frames it is about; ``None``: all cameras
+    frames: range  # Output frames, in the session's numbering
+    chunk_frames: int  # Length of the ranges into which the session's frames are cut
+    num_units: int  # Number of units that its progress counts, at least 1
+    key: str  # Content-addressed key of its output
+    # Key of all that pieces of its output depend on but the edits of people, for stages that follow edits; see
+    # ``pipeline.stages.pieces``
     piece_key: str = ""
 
     @property
@@ -176,33 +135,19 @@ class ResultFile:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Output of a task.
+    """Output of a task."""
 
-    Parameters
-    ----------
-    content
-        Bytes that later stages read; see ``pipeline.stages.codec``.
-    files
-        Result files, of the last stage only.
-    warnings
-        Findings about the results, for the last stage only.
-    interim
-        Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none.
-    calibration
-        Calibration that the job has made: ``files``, texts by format, and ``report``.
-    pieces
-        Files with pieces of the output, by key: kept with the session, so that later tasks find them. See
-        ``pipeline.stages.pieces``.
-    people
-        People whom the job has found, before any edit; ``None`` of a task that writes no results.
-    """
-
-    content: bytes
-    files: tuple[ResultFile, ...] = ()
-    warnings: tuple[Finding, ...] = ()
+    content: bytes  # Bytes that later stages read; see ``pipeline.stages.codec``
+    files: tuple[ResultFile, ...] = ()  # Result files, of the last stage only
+    warnings: tuple[Finding, ...] = ()  # Findings about the results, for the last stage only
+    # Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none
     interim: bytes | None = None
+    # Calibration that the job has made: ``files``, texts by format, and ``report``
     calibration: Mapping[str, Any] | None = None
+    # Files with pieces of the output, by key: kept with the session, so that later tasks find them. See
+    # ``pipeline.stages.pieces``.
     pieces: Mapping[str, Path] = field(default_factory=dict)
+    # People whom the job has found, before any edit; ``None`` of a task that writes no results
     people: tuple[PersonSpan, ...] | None = None
 
 
@@ -213,60 +158,33 @@ def indexed(files: Sequence[ResultFile], **figures: Any) -> Output:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Declaration of a stage.
+    """Declaration of a stage."""
 
-    Parameters
-    ----------
-    name
-        Name in the service's API, in keys and in logs.
-    label
-        What forms and progress bars call it.
-    function
-        Runs a task whose stages before it are done. It raises ``InputError`` if a video can't be decoded or too many
-        of its frames are damaged, ``ModelError`` if the detector is not installed, and ``PipelineError`` if a result
-        file is not whole when it is read back.
-    cut
-        How it is cut into tasks: by camera, by camera and range of frames, by range of frames, by person, or not at
-        all.
-    follows
-        Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too.
-    choices
-        Keys of ``effective_choices`` on which its output depends. All stages depend on a choice that no stage names.
-    is_planned
-        Whether a job has this stage.
-    unit
-        What its progress counts.
-    max_frames
-        Largest number of frames of a camera that it looks at; ``None``: all.
-    looked_at_hz
-        Rate of the frames that a stage on all cameras looks at; ``None``: it works a tenth as long as detection would.
-    is_reusable
-        Whether its outputs serve other jobs of the session too.
-    leaves_interim
-        Whether its tasks leave interim outputs beside their outputs: for the stages of the same job that follow it,
-        removed when the job ends. An interim output belongs to no key. A task whose output is reused runs all the same
-        if its interim output is missing and an output of a stage that follows is missing too.
-    makes_files
-        Whether its output are result files, and their index.
-    is_of_edits
-        Whether it works for edits of people alone.
-    pieces_of
-        Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are
-        no pieces.
-    """
-
-    name: str
-    label: str
+    name: str  # Name in the service's API, in keys and in logs
+    label: str  # What forms and progress bars call it
+    # Runs a task whose stages before it are done. It raises ``InputError`` if a video can't be decoded or too many of
+    # its frames are damaged, ``ModelError`` if the detector is not installed, and ``PipelineError`` if a result file is
+    # not whole when it is read back.
     function: Callable[[Task, Context], Output]
+    # How it is cut into tasks: by camera, by camera and range of frames, by range of frames, by person, or not at all
     cut: Cut
+    # Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too
     follows: tuple[str, ...]
+    # Keys of ``effective_choices`` on which its output depends. All stages depend on a choice that no stage names.
     choices: tuple[str, ...]
+    # Whether a job has this stage
     is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.is_of_people
-    unit: Literal["frames", "steps"] = "steps"
-    max_frames: int | None = None
+    unit: Literal["frames", "steps"] = "steps"  # What its progress counts
+    max_frames: int | None = None  # Largest number of frames of a camera that it looks at; ``None``: all
+    # Rate of the frames that a stage on all cameras looks at; ``None``: it works a tenth as long as detection would
     looked_at_hz: float | None = None
-    is_reusable: bool = True
+    is_reusable: bool = True  # Whether its outputs serve other jobs of the session too
+    # Whether its tasks leave interim outputs beside their outputs: for the stages of the same job that follow it,
+    # removed when the job ends. An interim output belongs to no key. A task whose output is reused runs all the same if
+    # its interim output is missing and an output of a stage that follows is missing too.
     leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
-    makes_files: bool = False
-    is_of_edits: bool = False
+    makes_files: bool = False  # Whether its output are result files, and their index
+    is_of_edits: bool = False  # Whether it works for edits of people alone
+    # Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are no
+    # pieces
     pieces_of: str = ""

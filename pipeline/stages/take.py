@@ -74,16 +74,8 @@ def viewer_files(
 ) -> Sequence[ResultFile]:
     """Write the files for viewers into a folder.
 
-    Parameters
-    ----------
-    take
-        At the session's frame rate.
-    views
-        Its ``views_of``.
-    report
-        Content of ``metrics.json``.
-    first_frame
-        Number of the first frame before the take was cut.
+    ``take`` is at the session's frame rate, ``report`` the content of ``metrics.json``, ``first_frame`` the number of
+    the first frame before the take was cut.
     """
     motion = ViewerMotion(take, views, footage_of(session), report, first_frame)
     with (folder / MOTION).open("wb") as file:

@@ -37,10 +37,7 @@ def find_doubts(
 ) -> tuple[tuple[Problem, ...], tuple[Problem, ...]]:
     """Find reasons to refuse clocks, and warnings.
 
-    Parameters
-    ----------
-    splits
-        Agreement across each split at shifts of the found offsets.
+    ``splits`` have the agreement across each split at shifts of the found offsets.
     """
     refusals = list(_unlinked(cameras, times, motions, splits, offsets))
     if not refusals:

@@ -1,6 +1,6 @@
 """Coarse offsets of all cameras: the lags at which most people in motion agree, over all pairs of cameras."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,32 +13,19 @@ _MAX_MOVES = 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraSplit:
-    """Cameras on one side of a split of all cameras, and the agreement across it if their clocks are shifted.
+    """Cameras on one side of a split of all cameras, and the agreement across it if their clocks are shifted."""
 
-    Parameters
-    ----------
-    cameras
-        Numbers of the cameras that are shifted together.
-    shifts
-        Shifts in grid steps, ascending.
-    gain
-        Agreement of the shifted cameras with the others.
-    """
-
-    cameras: frozenset[int]
-    shifts: Int[np.ndarray, " shifts"]
-    gain: Float[np.ndarray, " shifts"]
+    cameras: frozenset[int]  # Numbers of the cameras that are shifted together
+    shifts: Int[np.ndarray, " shifts"]  # Shifts in grid steps, ascending
+    gain: Float[np.ndarray, " shifts"]  # Agreement of the shifted cameras with the others
 
 
 def solve_offsets(curves: Sequence[PairCurve], num_cameras: int) -> Int[np.ndarray, " cameras"]:
     """Offsets with the largest sum of agreement over all pairs, in grid steps.
 
     The best lags of pairs span a tree, the best pairs first (Kruskal 1956). Then cameras, and halves of the tree, are
-    shifted while the sum grows.
-
-    Returns
-    -------
-        Offset of each camera's own time from that of camera 0; 0 for cameras that no pair links.
+    shifted while the sum grows. Returns the offset of each camera's own time from that of camera 0; 0 for cameras that
+    no pair links.
     """
     tree = _tree(curves, num_cameras)
     offsets = _along(tree, num_cameras)
@@ -125,8 +112,3 @@ def _both_ways(edges: Sequence[tuple[int, int, int]]) -> Iterator[tuple[int, int
     for first, second, _ in edges:
         yield first, second
         yield second, first
-
-
-def lags_between(offsets: Int[np.ndarray, " cameras"], curves: Sequence[PairCurve]) -> Mapping[tuple[int, int], int]:
-    """Lag of each pair at the offsets."""
-    return {(curve.first, curve.second): int(offsets[curve.second] - offsets[curve.first]) for curve in curves}

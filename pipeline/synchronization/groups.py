@@ -20,18 +20,9 @@ def match_people(
     """Match motions of all cameras at coarse offsets.
 
     The best matches join motions to people, as long as no camera sees a person twice at an instant. Then all motions of
-    a person are compared with each other, also those whose cameras disagree more than ``pairs`` allows.
-
-    Parameters
-    ----------
-    offsets
-        Offset of each camera's own time, in grid steps.
-    pairs
-        Pairs of cameras that are compared.
-
-    Returns
-    -------
-        Pairs of numbers of motions, in order.
+    a person are compared with each other, also those whose cameras disagree more than ``pairs`` allows. Offsets are of
+    each camera's own time, in grid steps; ``pairs`` of cameras are compared. Returns pairs of numbers of motions, in
+    order.
     """
     candidates: list[tuple[float, int, int]] = []
     for first, second in pairs:

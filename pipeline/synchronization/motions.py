@@ -37,27 +37,14 @@ _TOLERANCE, _MIN_TOLERANCE_PX = 0.05, 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMotion:
-    """Joints of one body in one camera.
+    """Joints of one body in one camera."""
 
-    Parameters
-    ----------
-    camera
-        Number of the camera.
-    first
-        First grid point, on the camera's own time.
-    points
-        Joints on the normalised image plane (z = 1), without distortion; NaN where a joint is not seen.
-    speed
-        Their change in a second.
-    tolerance
-        Error of a joint up to which it fits, on the normalised image plane.
-    """
-
-    camera: int
-    first: int
+    camera: int  # Number of the camera
+    first: int  # First grid point, on the camera's own time
+    # Joints on the normalised image plane (z = 1), without distortion; NaN where a joint is not seen
     points: Float[np.ndarray, "steps joints 2"]
-    speed: Float[np.ndarray, "steps joints 2"]
-    tolerance: float
+    speed: Float[np.ndarray, "steps joints 2"]  # Their change in a second
+    tolerance: float  # Error of a joint up to which it fits, on the normalised image plane
 
     @property
     def stop(self) -> int:
@@ -76,15 +63,7 @@ def find_motions(
     detections: Mapping[str, Detections],
     joints: JointSet,
 ) -> list[BodyMotion]:
-    """Follow bodies through each camera's frames, and sample them.
-
-    Parameters
-    ----------
-    times, detections
-        Frame times and bodies by camera.
-    joints
-        Joints of the detections.
-    """
+    """Follow bodies through each camera's frames, and sample them."""
     period_s = max(
         float(np.median(np.diff(frame_times.time_s))) for frame_times in times.values() if len(frame_times.time_s) > 1
     )

@@ -23,28 +23,17 @@ _MIN_SHARED = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairCurve:
-    """Agreement of two cameras by lag.
+    """Agreement of two cameras by lag."""
 
-    Parameters
-    ----------
-    first, second
-        Numbers of the cameras.
-    lags
-        Grid steps by which the second camera's own time is late: ``own time of first = own time of second + lag``.
-    gain
-        Weight of the joints that agree less that of the joints that don't, over the best matching of people.
-    cost
-        Mean truncated cost of the matched joints, in 0 to 1; NaN without a match.
-    weight
-        Weight of the matched joints: joints in motion times instants.
-    """
-
+    # Numbers of the cameras
     first: int
     second: int
+    # Grid steps by which the second camera's own time is late: ``own time of first = own time of second + lag``
     lags: Int[np.ndarray, " lags"]
+    # Weight of the joints that agree less that of the joints that don't, over the best matching of people
     gain: Float[np.ndarray, " lags"]
-    cost: Float[np.ndarray, " lags"]
-    weight: Float[np.ndarray, " lags"]
+    cost: Float[np.ndarray, " lags"]  # Mean truncated cost of the matched joints, in 0 to 1; NaN without a match
+    weight: Float[np.ndarray, " lags"]  # Weight of the matched joints: joints in motion times instants
 
 
 def essential_matrix(first: Camera, second: Camera) -> Float[np.ndarray, "3 3"]:
@@ -60,12 +49,7 @@ def compare_pair(
     """Compare the people of two cameras at many lags.
 
     A joint at rest agrees at every lag, so a joint counts as much as it moves. At each lag the motions are matched one
-    to one, the best first.
-
-    Parameters
-    ----------
-    lags
-        Ascending.
+    to one, the best first. Lags ascend.
     """
     left = [motion for motion in motions if motion.camera == pair[0]]
     right = [motion for motion in motions if motion.camera == pair[1]]

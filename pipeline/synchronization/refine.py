@@ -35,37 +35,17 @@ _RATE_SIGMA = 3e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FineClocks:
-    """Clocks of all cameras: ``session time = offset_s + own + drift * (own - pivot_s)``.
+    """Clocks of all cameras: ``session time = offset_s + own + drift * (own - pivot_s)``."""
 
-    Parameters
-    ----------
-    offset_s, drift
-        Of each camera; those of the reference are 0.
-    pivot_s
-        Own time at which an offset holds.
-    covariance
-        Of the offsets, then the drifts, of all cameras; zeros for the reference. It rests on how much blocks of time
-        disagree, so it includes errors that the cameras share.
-    error
-        Standard deviation of the errors, in tolerances, without the constants.
-    num_blocks
-        Blocks of time.
-    """
-
+    # Of each camera; those of the reference are 0
     offset_s: Float[np.ndarray, " cameras"]
     drift: Float[np.ndarray, " cameras"]
-    pivot_s: float
+    pivot_s: float  # Own time at which an offset holds
+    # Of the offsets, then the drifts, of all cameras; zeros for the reference. It rests on how much blocks of time
+    # disagree, so it includes errors that the cameras share.
     covariance: Float[np.ndarray, "parameters parameters"]
-    error: float
-    num_blocks: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Samples:
-    """Instants of all matches."""
-
-    match: Int[np.ndarray, " n"]
-    time_s: Float[np.ndarray, " n"]
+    error: float  # Standard deviation of the errors, in tolerances, without the constants
+    num_blocks: int  # Blocks of time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,16 +70,8 @@ def refine_clocks(
 ) -> FineClocks:
     """Refine clocks.
 
-    Parameters
-    ----------
-    matches
-        Motions of two cameras that are one person.
-    offset_s
-        Offsets to start from.
-    has_drift
-        Whether rates are estimated too; else they are 1.
-    reference
-        Camera whose clock is the session's.
+    ``matches`` are motions of two cameras that are one person. Offsets start from ``offset_s``; without ``has_drift``
+    rates are 1. The session's clock is that of camera ``reference``.
     """
     offset_s, drift = offset_s.astype(float), np.zeros(len(cameras))
     begin, end = (

@@ -17,24 +17,13 @@ HALF_A_FRAME = 0.5
 
 @dataclass(frozen=True, slots=True)
 class RemainingOffset:
-    """Error of a camera's declared times.
+    """Error of a camera's declared times."""
 
-    Parameters
-    ----------
-    camera
-        Name of the camera.
-    late_s
-        Time by which the camera's frames were taken later than declared, compared with the cameras that agree.
-    sigma_s
-        Standard deviation.
-    frames
-        ``late_s`` in periods of the camera's frames.
-    """
-
-    camera: str
+    camera: str  # Name of the camera
+    # Time by which the camera's frames were taken later than declared, compared with the cameras that agree
     late_s: float
-    sigma_s: float
-    frames: float
+    sigma_s: float  # Standard deviation
+    frames: float  # ``late_s`` in periods of the camera's frames
 
     @property
     def is_wrong(self) -> bool:
@@ -52,13 +41,9 @@ def remaining_offsets(
 
     Parameters
     ----------
-    cameras
-        Calibrated cameras.
     times, detections
         Declared frame times and bodies by camera name, such as of ``pipeline.stages.local.detect_people`` or of
         ``KeypointSession``. A few seconds in which people move are enough; a take of five minutes costs half a minute.
-    joints
-        Joints of the detections.
 
     Returns
     -------

@@ -35,10 +35,7 @@ def measure_clocks(
 ) -> Synchronization:
     """Measure the clocks of a session's cameras, from motion with the help of sound.
 
-    Raises
-    ------
-    InputError
-        If the clocks are not certain: a motion from wrong times would look plausible.
+    Raises ``InputError`` if the clocks are not certain: a motion from wrong times would look plausible.
     """
     bodies = excerpt(session.times, detections)
     clocks = synchronize_with_sound(session.cameras, session.times, bodies, joints, session.starts_s, sound, on_share)
@@ -50,10 +47,7 @@ def measure_clocks(
 def listen(session: Session, reading: Callable[[str], AbstractContextManager[None]]) -> SoundOffsets:
     """Offsets from the sound of a session's videos; none without videos.
 
-    Parameters
-    ----------
-    reading
-        Function that gives the block in which the video of a camera can be read, by the camera's name.
+    ``reading`` gives the block in which the video of a camera can be read, by the camera's name.
     """
     sounds: dict[str, Float32[np.ndarray, " ms"] | str] = {}
     for camera, video in session.video_of.items():

@@ -56,12 +56,8 @@ def synchronize(
     times, detections
         Declared frame times and bodies by camera. Nothing is known of the offsets: they are looked for over the whole
         take. ``motions.excerpt`` gives the bodies of a long take that are enough.
-    joints
-        Joints of the detections.
     starts_s
         Declared time at which each camera's own time is 0, by camera.
-    on_share
-        Called with the share of the work that is done.
     near_s
         Corrections of declared times that are known roughly, by camera, such as from sound: of two such cameras only
         lags within half a second of these are compared.

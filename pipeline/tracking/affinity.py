@@ -32,9 +32,7 @@ def ray_distance_m(
 ) -> Float[np.ndarray, "*batch"]:
     """Distance d of points to unit rays from a camera centre (eq. 4).
 
-    Returns
-    -------
-        Metres; infinite for points behind the camera, NaN where an input is NaN.
+    Distances are in metres; infinite for points behind the camera, NaN where an input is NaN.
     """
     offset_m = points_m - center_m
     along_m = (offset_m * rays).sum(-1)
@@ -50,16 +48,8 @@ def correspondence_2d(
 ) -> Float[np.ndarray, "targets detections joints"]:
     """2D correspondence A2D of detections with the targets' last match in the same camera (eq. 2).
 
-    Parameters
-    ----------
-    points_px, last_px
-        Undistorted pixels, NaN where a joint is unseen.
-    gap_s
-        Time since each target's last match in this camera.
-
-    Returns
-    -------
-        A2D, NaN where the target or the detection lacks the joint.
+    Pixels are undistorted, NaN where a joint is unseen; ``gap_s`` is the time since each target's last match in this
+    camera. A2D is NaN where the target or the detection lacks the joint.
     """
     moved_px = np.linalg.norm(points_px[None] - last_px[:, None], axis=-1)
     allowed_px = parameters.alpha_2d_px_s * gap_s[:, None, None]
@@ -98,9 +88,7 @@ def affinity(
 ) -> Float[np.ndarray, "targets detections"]:
     """Affinity A of targets and detections (eq. 1): mean over shared joints of A2D + A3D.
 
-    Returns
-    -------
-        A; ``-inf`` for a pair that shares fewer than three joints.
+    It is ``-inf`` for a pair that shares fewer than three joints.
     """
     shared = np.isfinite(terms_3d)
     total = np.where(shared, terms_3d, 0.0) + np.where(shared & np.isfinite(terms_2d), terms_2d, 0.0)

@@ -21,26 +21,16 @@ _MAX_BRANCHES = 1000
 
 
 class Partition(NamedTuple):
-    """Partition of several cameras' detections into people.
+    """Partition of several cameras' detections into people."""
 
-    Parameters
-    ----------
-    parts
-        Detections of each person, at least two, ascending.
-    is_exact
-        Whether the partition is optimal; if not, some parts were matched camera by camera.
-    """
-
-    parts: tuple[tuple[int, ...], ...]
-    is_exact: bool
+    parts: tuple[tuple[int, ...], ...]  # Detections of each person, at least two, ascending
+    is_exact: bool  # Whether the partition is optimal; if not, some parts were matched camera by camera
 
 
 def assign(affinities: Float[np.ndarray, "targets detections"]) -> list[tuple[int, int]]:
     """Match targets and detections for the maximum total affinity (Hungarian algorithm).
 
-    Returns
-    -------
-        Pairs (target, detection); each has a positive affinity.
+    The pairs (target, detection) each have a positive affinity.
     """
     gain = np.maximum(affinities, 0.0)
     rows, columns = linear_sum_assignment(gain, maximize=True)
@@ -53,13 +43,8 @@ def partition(affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarr
     Maximises the sum of affinities within parts. Cycle consistency, ``y_ij + y_jk <= 1 + y_ik`` for all i, j, k, makes
     parts of pairs. Each part of the graph that positive affinities connect is solved by itself: exactly if it has at
     most 16 detections and all such parts together at most 32, else camera by camera, which is exact for two cameras.
-
-    Parameters
-    ----------
-    affinities
-        Symmetric matrix; ``-inf`` for two detections that can't be the same person.
-    groups
-        Camera of each detection. A part has at most one detection of a camera.
+    ``affinities`` are symmetric, ``-inf`` for two detections that can't be the same person; ``groups`` are the cameras
+    of detections, and a part has at most one detection of a camera.
     """
     mutual = _partition_by_best(affinities, groups)
     if mutual is not None:
@@ -88,11 +73,8 @@ def _partition_by_best(
     """Solve eq. 14-16 if best partners are mutual: every node's best partner in every camera chooses that node, too.
 
     A node has at most one partner in a camera. So the sum of every node's best positive affinity to each camera bounds
-    the gain of a partition. Parts in which all nodes are each other's best partners reach that bound.
-
-    Returns
-    -------
-        The parts, or ``None`` if best partners are not mutual.
+    the gain of a partition. Parts in which all nodes are each other's best partners reach that bound. ``None`` if best
+    partners are not mutual.
     """
     linked = np.eye(len(groups), dtype=bool)
     rows = np.arange(len(groups))

@@ -35,17 +35,8 @@ def associate(
 ) -> dict[str, Int[np.ndarray, " _"]]:
     """Assign detections to people.
 
-    Parameters
-    ----------
-    times, detections
-        Frame times and detections by camera name.
-    parameters
-        See ``derive_parameters``.
-
-    Returns
-    -------
-        Identity of each detection by camera name; ``NOBODY`` if it belongs to no target, or to a target that was never
-        confirmed.
+    Returns the identity of each detection by camera name; ``NOBODY`` if it belongs to no target, or to a target that
+    was never confirmed.
     """
     bodies = gather(cameras, times, detections)
     identity = _identify(cameras, times, bodies, undistorted(cameras, bodies), parameters, ignore, ignore)
@@ -62,10 +53,8 @@ def locate_people(
 ) -> People:
     """Triangulate every person at the output frames from all detections of the person's identity.
 
-    Returns
-    -------
-        Tracks, numbered from 1 in order of their first frame, the observations behind each of them, and the bodies
-        that are left.
+    Returns tracks, numbered from 1 in order of their first frame, the observations behind each of them, and the bodies
+    that are left.
     """
     bodies = gather(cameras, times, detections)
     identity = np.concatenate([identities[camera.name] for camera in cameras])
@@ -97,12 +86,8 @@ def track_bodies(
 ) -> People:
     """Associate gathered detections, then locate every person; the detections themselves may have been freed.
 
-    Parameters
-    ----------
-    on_share
-        Called with the completed share of the work; association counts as a half.
-    on_approximate
-        See ``Tracker.run``.
+    ``on_share`` gets the completed share of the work, of which association is a half; ``on_approximate`` is as of
+    ``Tracker.run``.
     """
     ideal_px = undistorted(cameras, bodies)
     identity = _identify(cameras, times, bodies, ideal_px, parameters, part_of(on_share, 0.0, 0.5), on_approximate)

@@ -18,38 +18,22 @@ _MAX_UNMATCHED = 512
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unmatched:
-    """Detection of a camera's most recent frame that belongs to no target.
+    """Detection of a camera's most recent frame that belongs to no target."""
 
-    Parameters
-    ----------
-    camera, row
-        Position of the camera, and row of the detection among all detections.
-    time_s
-        Time of the frame.
-    points_px, score
-        Undistorted joints, NaN where not used, and the detector's confidence.
-    """
-
+    # Position of the camera, and row of the detection among all detections
     camera: int
     row: int
-    time_s: float
+    time_s: float  # Time of the frame
+    # Undistorted joints, NaN where not used, and the detector's confidence
     points_px: Float[np.ndarray, "joints 2"]
     score: Float[np.ndarray, " joints"]
 
 
 class Groups(NamedTuple):
-    """Unmatched detections grouped into people.
+    """Unmatched detections grouped into people."""
 
-    Parameters
-    ----------
-    people
-        Detections of each person, from at least two cameras.
-    is_exact
-        Whether all detections were considered and the grouping is optimal.
-    """
-
-    people: list[list[Unmatched]]
-    is_exact: bool
+    people: list[list[Unmatched]]  # Detections of each person, from at least two cameras
+    is_exact: bool  # Whether all detections were considered and the grouping is optimal
 
 
 def group_unmatched(
@@ -57,14 +41,8 @@ def group_unmatched(
 ) -> Groups:
     """Group detections of several cameras into people (eq. 12-16).
 
-    Of more than 512 detections, those with the highest scores are grouped.
-
-    Parameters
-    ----------
-    fundamentals
-        ``fundamentals[left, right]`` of ``geometry.epipolar.fundamental_matrices``.
-    alpha_px
-        Threshold of the epipolar distance (eq. 13).
+    Of more than 512 detections, those with the highest scores are grouped. ``fundamentals[left, right]`` are of
+    ``geometry.epipolar.fundamental_matrices``; ``alpha_px`` is the threshold of the epipolar distance (eq. 13).
     """
     is_complete = len(unmatched) <= _MAX_UNMATCHED
     if not is_complete:
@@ -103,14 +81,8 @@ def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: T
     """Whether a triangulated group can be a person: enough joints, rays that meet, and the size of a body.
 
     Two people in the same epipolar plane satisfy the epipolar constraint. Their rays then mostly miss each other, or
-    meet at points that make no body of plausible size.
-
-    Parameters
-    ----------
-    xyz_m
-        World positions, NaN where a joint was not located.
-    spread_m
-        See ``spread_m``.
+    meet at points that make no body of plausible size. World positions are NaN where a joint was not located;
+    ``spread_m`` is as of the function of this name.
     """
     known = np.isfinite(xyz_m[:, 0])
     if known.sum() < xyz_m.shape[0] // 3 or not spread_m < parameters.alpha_3d_m:
@@ -120,19 +92,12 @@ def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: T
 
 
 class Lost(NamedTuple):
-    """Confirmed targets without recent observations.
+    """Confirmed targets without recent observations."""
 
-    Parameters
-    ----------
-    xyz_m, velocity_m_s
-        Last positions and velocities, (targets, joints, 3); NaN where a joint was never located.
-    gap_s
-        Time since each target was last located, (targets,).
-    """
-
+    # Last positions and velocities, (targets, joints, 3); NaN where a joint was never located
     xyz_m: np.ndarray
     velocity_m_s: np.ndarray
-    gap_s: np.ndarray
+    gap_s: np.ndarray  # Time since each target was last located, (targets,)
 
 
 def find_returning(
@@ -142,15 +107,8 @@ def find_returning(
 
     A hidden person may continue or stop on the way. So the centre of the body is expected between its last position and
     its position by linear motion. A detour of up to ``duplicate_m`` plus ``max_detour_m_s`` times the gap is allowed.
-
-    Parameters
-    ----------
-    found_m
-        World positions of each body's joints, NaN where a joint was not located.
-
-    Returns
-    -------
-        Position of the lost target by position of the body, for the matched bodies.
+    World positions of each body's joints are NaN where a joint was not located. Returns the position of the lost target
+    by position of the body, for the matched bodies.
     """
     if not len(found_m) or not len(lost.gap_s):
         return {}

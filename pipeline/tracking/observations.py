@@ -17,39 +17,22 @@ NOBODY = -1
 
 
 class Bodies(NamedTuple):
-    """Detections of all cameras, camera by camera and in order of frames.
+    """Detections of all cameras, camera by camera and in order of frames."""
 
-    Parameters
-    ----------
-    camera, frame, time_s
-        Position of the camera, its frame number and the frame's time, (detections,).
-    seen_px
-        Joints in full-image pixels (distorted, as seen), (detections, joints, 2); NaN where a joint was not found.
-    score
-        The detector's confidence, (detections, joints); 0 where a joint was not found.
-    colour
-        Histograms of the colours of the bodies' parts as bytes, (detections, parts, bins); zeros where a part is
-        unknown. Without parts and bins if colours were not measured.
-    """
-
+    # Position of the camera, its frame number and the frame's time, (detections,)
     camera: np.ndarray
     frame: np.ndarray
     time_s: np.ndarray
+    # Joints in full-image pixels (distorted, as seen), (detections, joints, 2); NaN where a joint was not found
     seen_px: np.ndarray
-    score: np.ndarray
+    score: np.ndarray  # The detector's confidence, (detections, joints); 0 where a joint was not found
+    # Histograms of the colours of the bodies' parts as bytes, (detections, parts, bins); zeros where a part is unknown.
+    # Without parts and bins if colours were not measured.
     colour: np.ndarray
 
 
 def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]) -> Bodies:
-    """Copy the detections of all cameras into arrays.
-
-    Parameters
-    ----------
-    cameras
-        Cameras in the order of ``Bodies.camera``.
-    times, detections
-        Frame times and detections by camera name.
-    """
+    """Copy the detections of all cameras into arrays. The cameras are in the order of ``Bodies.camera``."""
     ordered = [detections[camera.name] for camera in cameras]
     seen_px = np.concatenate(
         [_within_view(camera, of_camera.keypoints_px) for camera, of_camera in zip(cameras, ordered, strict=True)]
@@ -101,12 +84,8 @@ def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, 
 def rows_by_person(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
     """Rows of each person's detections in ``bodies``, ascending.
 
-    Of several detections of a person in one frame, the row with the highest sum of scores is kept.
-
-    Parameters
-    ----------
-    identity
-        Identity of each detection; rows with ``NOBODY`` are left out.
+    Of several detections of a person in one frame, the row with the highest sum of scores is kept. Rows with the
+    identity ``NOBODY`` are left out.
     """
     # NumPy sorts integers of 16 bits in linear time.
     is_small = identity.max(initial=NOBODY) <= np.iinfo(np.int16).max
@@ -130,14 +109,8 @@ def sampling_of(
 ) -> Sampling:
     """Prepare the sampling of a person's observations at the output instants.
 
-    Instants go from half a period before the first observation to half a period after the last one.
-
-    Parameters
-    ----------
-    rows
-        Rows of the person's detections, ascending, at most one a camera and frame.
-    num_cameras
-        Number of cameras of the session.
+    Instants go from half a period before the first observation to half a period after the last one. ``rows`` are those
+    of the person's detections, ascending, at most one a camera and frame.
     """
     half_s = 0.5 / timebase.frame_rate_hz
     seen_s = bodies.time_s[rows]
@@ -158,14 +131,7 @@ def sampled_in(life: slice, sampling: Sampling) -> Sampling:
 def detections_at(timebase: Timebase, bodies: Bodies, sampling: Sampling) -> Int[np.ndarray, "frames cameras"]:
     """Rows of a person's detections by nearest output frame and camera.
 
-    Parameters
-    ----------
-    sampling
-        The person's detections and output instants.
-
-    Returns
-    -------
-        Rows of ``bodies``; the last one of several that are nearest to the same frame, -1 where there is none.
+    Of several that are nearest to the same frame the last one counts; -1 where there is none.
     """
     rows = sampling.rows
     num_frames, num_cameras = len(sampling.instants_s), len(sampling.first) - 1

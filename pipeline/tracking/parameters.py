@@ -18,58 +18,30 @@ _JOINT_SPEED_M_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class TrackingParameters:
-    """Parameters of the tracker; the first eight are the paper's.
+    """Parameters of the tracker; the first eight are the paper's."""
 
-    Parameters
-    ----------
-    weight_2d, weight_3d
-        Weights of 2D and 3D correspondence, w2D and w3D (eq. 2 and 4).
-    alpha_2d_px_s
-        Threshold of the 2D speed (eq. 2).
-    alpha_epipolar_px
-        Threshold of the epipolar distance (alpha2D of eq. 13).
-    alpha_3d_m
-        Threshold of the distance between a predicted joint and a ray (eq. 4).
-    lambda_a_hz
-        Penalty rate of affinities (eq. 2 and 4).
-    lambda_t_hz
-        Penalty rate of old observations in triangulation (eq. 11).
-    velocity_window_s
-        Span of the recent positions behind a joint's velocity (eq. 5).
-    min_score
-        Least score of a joint that is used.
-    instant_s
-        Time within which frames of two cameras show the same instant. It is longer than half a period, so that cameras
-        in opposite phase match, and shorter than a period, so that it excludes a camera's previous frame.
-    confirm_instants
-        Number of instants at which two cameras must see a target to confirm it.
-    max_unseen_s, max_unseen_tentative_s
-        Time after which a confirmed or a tentative target ends if no two cameras see it.
-    max_extrapolation_s
-        Time after which predictions (eq. 5) stand still.
-    max_detour_m_s
-        Speed at which a lost target may leave its predicted path and still be matched on return: preferred walking
-        speed (Bohannon 1997).
-    duplicate_m
-        Mean joint distance below which two targets are the same person.
-    """
-
-    alpha_2d_px_s: float
-    alpha_epipolar_px: float
-    lambda_a_hz: float
-    lambda_t_hz: float
+    alpha_2d_px_s: float  # Threshold of the 2D speed (eq. 2)
+    alpha_epipolar_px: float  # Threshold of the epipolar distance (alpha2D of eq. 13)
+    lambda_a_hz: float  # Penalty rate of affinities (eq. 2 and 4)
+    lambda_t_hz: float  # Penalty rate of old observations in triangulation (eq. 11)
+    # Time within which frames of two cameras show the same instant. It is longer than half a period, so that cameras in
+    # opposite phase match, and shorter than a period, so that it excludes a camera's previous frame.
     instant_s: float
+    # Weights of 2D and 3D correspondence, w2D and w3D (eq. 2 and 4)
     weight_2d: float = 0.4
     weight_3d: float = 0.6
-    alpha_3d_m: float = 0.15
-    velocity_window_s: float = 0.2
-    min_score: float = 0.15
-    confirm_instants: int = 3
+    alpha_3d_m: float = 0.15  # Threshold of the distance between a predicted joint and a ray (eq. 4)
+    velocity_window_s: float = 0.2  # Span of the recent positions behind a joint's velocity (eq. 5)
+    min_score: float = 0.15  # Least score of a joint that is used
+    confirm_instants: int = 3  # Number of instants at which two cameras must see a target to confirm it
+    # Time after which a confirmed or a tentative target ends if no two cameras see it
     max_unseen_s: float = 2.0
     max_unseen_tentative_s: float = 0.2
-    max_extrapolation_s: float = 0.25
+    max_extrapolation_s: float = 0.25  # Time after which predictions (eq. 5) stand still
+    # Speed at which a lost target may leave its predicted path and still be matched on return: preferred walking speed
+    # (Bohannon 1997)
     max_detour_m_s: float = 1.4
-    duplicate_m: float = 0.2
+    duplicate_m: float = 0.2  # Mean joint distance below which two targets are the same person
 
 
 def viewed_point_m(cameras: Sequence[Camera]) -> np.ndarray:
@@ -102,11 +74,6 @@ def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> Tracki
 
     ``alpha_2d`` is 3 m/s and ``alpha_epipolar`` is ``alpha_3d``, both projected at the viewed point. Penalty rates are
     the paper's for 25 frames a second (lambda_a 5, lambda_t 10), scaled by the frame rate.
-
-    Parameters
-    ----------
-    frame_rate_hz
-        Rate of the output frames.
     """
     scale_px_m = pixels_per_metre(cameras)
     return TrackingParameters(

@@ -162,9 +162,8 @@ class ReferenceTracker:
     def run(self) -> Int[np.ndarray, " detections"]:
         """Process all frames in time order.
 
-        Returns
-        -------
-            Identity of each detection; ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
+        Returns the identity of each detection; ``NOBODY`` if it belongs to no target, or to a target that was never
+        confirmed.
         """
         merged_s = -np.inf
         for time_s, camera, first, last in zip(*(array.tolist() for array in self._frames[:4]), strict=True):

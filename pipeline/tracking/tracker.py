@@ -56,14 +56,8 @@ def make_frames(
 ) -> Frames:
     """Sort the frames of all cameras by time; frames of the same time keep the order of the cameras.
 
-    Parameters
-    ----------
-    times
-        Frame times of each camera, in the order of ``bodies.camera``.
-    ideal_px
-        Undistorted joints of ``bodies``.
-    min_score
-        Least score of a joint that is used.
+    ``times`` are in the order of ``bodies.camera``, and ``ideal_px`` are the undistorted joints; joints with a score
+    below ``min_score`` are not used.
     """
     first, last = [], []
     starts = np.searchsorted(bodies.camera, np.arange(len(times) + 1))
@@ -91,14 +85,7 @@ def make_frames(
 class Tracker:
     """Gives every detection of a session the identity of a person.
 
-    Parameters
-    ----------
-    cameras
-        The session's cameras.
-    frames
-        What they saw; see ``make_frames``.
-    parameters
-        See ``derive_parameters``.
+    ``frames`` are those of ``make_frames``, ``parameters`` of ``derive_parameters``.
     """
 
     def __init__(self, cameras: Sequence[Camera], frames: Frames, parameters: TrackingParameters) -> None:

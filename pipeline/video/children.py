@@ -45,14 +45,8 @@ def is_caused_by_file(exit_code: int) -> bool:
 def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str) -> ChildError:
     """Build the error of a child that failed for a reason other than its file; its stderr is added as a note.
 
-    Parameters
-    ----------
-    task
-        Task of the child, such as "check of a.mp4".
-    exit_code
-        ``None`` if the child did not start within ``timeout_s``.
-    errors
-        The child's stderr.
+    ``task`` is such as "check of a.mp4"; ``exit_code`` is ``None`` if the child did not start within ``timeout_s``;
+    ``errors`` is its stderr.
     """
     if exit_code is None:
         ending, hint = f"did not start within {timeout_s:g} s", "See that the machine is not overloaded, and try again."

@@ -78,15 +78,8 @@ def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterato
 def decode_keyframes(path: Path, wanted_pts: Collection[int]) -> Iterator[VideoFrame]:
     """Decode some keyframes in the order of display, and no other frame.
 
-    Parameters
-    ----------
-    wanted_pts
-        Timestamps of the keyframes. Those that can't be decoded are missing.
-
-    Raises
-    ------
-    DECODE_ERRORS
-        If the file can't be opened or read.
+    Those of ``wanted_pts`` that can't be decoded are missing. Raises ``DECODE_ERRORS`` if the file can't be opened or
+    read.
     """
     with open_container(path) as container:
         yield from _decode(container, first_video(container), frozenset(wanted_pts))

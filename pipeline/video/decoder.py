@@ -38,42 +38,24 @@ _LOGS_DAMAGE = frozenset({"ffv1"})
 
 
 class Request(NamedTuple):
-    """A range of frames to decode.
+    """A range of frames to decode."""
 
-    Parameters
-    ----------
-    path, codec
-        Path of the file, and FFmpeg's name of its codec.
-    width, height
-        Size of the stored pictures in pixels, before rotation. Frames of another size come without a picture.
-    square_width
-        Width of the pictures with square pixels.
-    seek_pts
-        See ``decode_from``.
-    first_pts, last_pts
-        Timestamps of the first and the last frame of the range.
-    to_the_end
-        Whether to decode the frames after the range too, without their pictures.
-    max_cpu_s
-        Limit on the computing time of the process.
-    only_pts
-        Timestamps of the frames whose pictures are wanted; ``None``: those of all frames of the range.
-    only_keyframes
-        Whether ``only_pts`` are keyframes, so that no other frame needs to be decoded.
-    """
-
+    # Path of the file, and FFmpeg's name of its codec
     path: str
     codec: str
+    # Size of the stored pictures in pixels, before rotation. Frames of another size come without a picture.
     width: int
     height: int
-    square_width: int
-    seek_pts: Sequence[int]
+    square_width: int  # Width of the pictures with square pixels
+    seek_pts: Sequence[int]  # See ``decode_from``
+    # Timestamps of the first and the last frame of the range
     first_pts: int
     last_pts: int
-    to_the_end: bool
-    max_cpu_s: int
+    to_the_end: bool  # Whether to decode the frames after the range too, without their pictures
+    max_cpu_s: int  # Limit on the computing time of the process
+    # Timestamps of the frames whose pictures are wanted; ``None``: those of all frames of the range
     only_pts: Sequence[int] | None = None
-    only_keyframes: bool = False
+    only_keyframes: bool = False  # Whether ``only_pts`` are keyframes, so that no other frame needs to be decoded
 
     @property
     def picture_bytes(self) -> int:

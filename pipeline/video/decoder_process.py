@@ -33,24 +33,13 @@ class LimitError(Exception):
 
 
 class DecodedFrame(NamedTuple):
-    """A decoded frame.
+    """A decoded frame."""
 
-    Parameters
-    ----------
-    pts
-        Presentation timestamp, in ticks of the stream's time base.
-    size_px
-        Width and height, before rotation.
-    is_damaged
-        Whether the decoder marks it as damaged.
-    image_rgb
-        Read-only picture, valid until the next frame is requested. ``None`` outside the range, and for a picture whose
-        size differs from the request.
-    """
-
-    pts: int
-    size_px: tuple[int, int]
-    is_damaged: bool
+    pts: int  # Presentation timestamp, in ticks of the stream's time base
+    size_px: tuple[int, int]  # Width and height, before rotation
+    is_damaged: bool  # Whether the decoder marks it as damaged
+    # Read-only picture, valid until the next frame is requested. ``None`` outside the range, and for a picture whose
+    # size differs from the request.
     image_rgb: UInt8[np.ndarray, "height width 3"] | None
 
 

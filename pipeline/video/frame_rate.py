@@ -55,16 +55,8 @@ def measured_rate(time_s: Float[np.ndarray, " frames"]) -> Fraction | None:
 
     Regular times that are rounded to ticks have intervals that differ by one tick. So the duration of a run of frames
     without a gap has an error of at most one tick. The error of the mean interval is the sum over all runs, divided by
-    the number of intervals. Jitter is treated as rounding.
-
-    Parameters
-    ----------
-    time_s
-        Ascending times of frames in seconds, at least one.
-
-    Returns
-    -------
-        Frames a second; 25 for a single frame, ``None`` where frames share their times.
+    the number of intervals. Jitter is treated as rounding. Times ascend, in seconds, at least one. The rate in frames a
+    second is 25 for a single frame, ``None`` where frames share their times.
     """
     intervals_s = np.sort(np.diff(time_s))
     if not len(intervals_s):

@@ -11,73 +11,34 @@ from pipeline.errors import Problem
 
 @dataclass(frozen=True, slots=True)
 class Timecode:
-    """Timecode of the first frame.
+    """Timecode of the first frame."""
 
-    Parameters
-    ----------
-    time_s
-        Time since midnight.
-    rate_hz
-        Frames a second of the timecode; the video may have a multiple of it.
-    """
-
-    time_s: float
-    rate_hz: float
+    time_s: float  # Time since midnight
+    rate_hz: float  # Frames a second of the timecode; the video may have a multiple of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoInfo:
-    """Properties of a usable video file.
+    """Properties of a usable video file."""
 
-    Parameters
-    ----------
-    path
-        The file.
-    codec
-        FFmpeg's name of the codec.
-    size_px
-        Width and height of the picture as shown: with square pixels, after rotation.
-    rotation_deg
-        Counterclockwise turn of the decoded picture for display: 0, 90, 180 or 270.
-    pts
-        Presentation timestamps of all frames, in ticks of the stream's time base, ascending.
-    keyframe_pts
-        Timestamps of the keyframes, at which decoding can start.
-    time_s
-        Times of the frames in seconds; the first is 0.
-    frame_rate_hz
-        Rate of ``frame_rate.measured_rate``.
-    num_repeated
-        Number of frames that are left out because they have the timestamp of another frame.
-    stored_width_px
-        Width of the stored picture if its pixels are not square; ``None``: they are.
-    timecode
-        Timecode of the first frame; ``None``: the file has none.
-    created_s
-        Time of creation that the file states, in seconds since 1970; ``None``: it states none.
-    warnings
-        What a user should know about the file, each with a stable code.
-    browser_media_type
-        Media type as which browsers play the file; ``None`` if some don't, see ``pipeline.video.playback.browsers``.
-    media_start_s
-        Time of the first frame on the clock of the file, which players show.
-    """
-
-    path: Path
-    codec: str
-    size_px: tuple[int, int]
-    rotation_deg: int
+    path: Path  # The file
+    codec: str  # FFmpeg's name of the codec
+    size_px: tuple[int, int]  # Width and height of the picture as shown: with square pixels, after rotation
+    rotation_deg: int  # Counterclockwise turn of the decoded picture for display: 0, 90, 180 or 270
+    # Presentation timestamps of all frames, in ticks of the stream's time base, ascending
     pts: Int[np.ndarray, " frames"]
-    keyframe_pts: Int[np.ndarray, " keyframes"]
-    time_s: Float[np.ndarray, " frames"]
-    frame_rate_hz: float
-    num_repeated: int = 0
-    stored_width_px: int | None = None
-    timecode: Timecode | None = None
+    keyframe_pts: Int[np.ndarray, " keyframes"]  # Timestamps of the keyframes, at which decoding can start
+    time_s: Float[np.ndarray, " frames"]  # Times of the frames in seconds; the first is 0
+    frame_rate_hz: float  # Rate of ``frame_rate.measured_rate``
+    num_repeated: int = 0  # Number of frames that are left out because they have the timestamp of another frame
+    stored_width_px: int | None = None  # Width of the stored picture if its pixels are not square; ``None``: they are
+    timecode: Timecode | None = None  # Timecode of the first frame; ``None``: the file has none
+    # Time of creation that the file states, in seconds since 1970; ``None``: it states none
     created_s: float | None = None
-    warnings: tuple[Problem, ...] = ()
+    warnings: tuple[Problem, ...] = ()  # What a user should know about the file, each with a stable code
+    # Media type as which browsers play the file; ``None`` if some don't, see ``pipeline.video.playback.browsers``
     browser_media_type: str | None = None
-    media_start_s: float = 0.0
+    media_start_s: float = 0.0  # Time of the first frame on the clock of the file, which players show
 
     @property
     def unrotated_size_px(self) -> tuple[int, int]:

@@ -8,6 +8,7 @@ import json
 import math
 import sys
 from dataclasses import asdict, replace
+from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,6 @@ from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
 from pipeline.video.properties.packets import REPAIR_TIMES, read_packets, shown_pts
-from pipeline.video.properties.pictures import interlaced, square_pixels
 from pipeline.video.properties.regularity import uneven_times
 from pipeline.video.signatures import document_type, is_container
 from pipeline.video.unusable import UnusableError
@@ -45,15 +45,14 @@ _NUM_DECODED = 8
 # Limit on the computing time for a small file. A large file gets additional time for reading its packets.
 _MAX_CPU_S = 8
 _CPU_S_PER_BYTE = 60 / 2**30
+# Encoders that round sizes write ratios such as 404:405. Real ones, from 8:9 on, differ from 1 by a tenth.
+_MAX_ROUNDING = 0.01
+# Widest and narrowest pixels of real formats are 2:1 (anamorphic film) and 8:9; others are errors of a file.
+_MAX_ASPECT = 4
 
 
 def probe(path: Path) -> VideoInfo | Problem:
-    """Examine one file in this process.
-
-    Returns
-    -------
-        Properties of the video, or the problem that makes it unusable.
-    """
+    """Examine one file in this process. Returns properties of the video, or the problem that makes it unusable."""
     try:
         return _probe(path)
     except UnusableError as error:
@@ -154,7 +153,7 @@ def _probe(path: Path) -> VideoInfo:
         stored_width_px=width if width != square_width else None,
         timecode=read_timecode(path, metadata, measured_rate(time_s)),
         created_s=created_s(metadata),
-        warnings=tuple(replace(one, file=path.name) for one in warnings),
+        warnings=tuple(replace(warning, file=path.name) for warning in warnings),
         browser_media_type=browser_media_type(video_format),
         media_start_s=float(pts[0] * time_base),
     )
@@ -249,6 +248,34 @@ def main() -> None:
         answer = asdict(result) | {name: getattr(result, name).tolist() for name in ("pts", "keyframe_pts", "time_s")}
         del answer["path"]
     sys.stdout.write(json.dumps(answer) + "\n")
+
+
+def square_pixels(width_px: int, pixel_aspect: Fraction | None) -> tuple[int, list[Problem]]:
+    """Width of a picture whose pixels are made square, and a warning if they are not.
+
+    ``pixel_aspect`` is the width of a stored pixel over its height, as the file states it (sample aspect ratio);
+    ``None`` or 0 is unknown, and counts as square.
+    """
+    if not pixel_aspect or abs(pixel_aspect - 1) <= _MAX_ROUNDING:
+        return width_px, []
+    shape = f"{pixel_aspect.numerator}:{pixel_aspect.denominator}"
+    if not Fraction(1, _MAX_ASPECT) <= pixel_aspect <= _MAX_ASPECT:
+        message = f"The file states pixels of {shape}, which is not plausible. They are taken as square."
+        return width_px, [Problem("pixel_aspect", message, hint="Export the video with square pixels.")]
+    square_px = max(1, round(width_px * pixel_aspect))
+    message = f"The pixels are not square ({shape}): the pictures are scaled from {width_px} to {square_px} columns."
+    return square_px, [
+        Problem("pixel_aspect", message, hint="The calibration may be of the stored or of the scaled pictures.")
+    ]
+
+
+def interlaced() -> Problem:
+    """Build the warning of a video whose pictures are made of two fields."""
+    return Problem(
+        "interlaced_video",
+        "The video is interlaced: each picture shows two instants, and moving people have combed edges.",
+        hint="Record progressively, or deinterlace the video before.",
+    )
 
 
 if __name__ == "__main__":

@@ -23,16 +23,8 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
     """Examine video files, each in a child process with limits on time and memory.
 
     A file that makes FFmpeg crash, hang or exhaust memory ends only its own child. All children have ended when the
-    function returns or raises, also on an interruption.
-
-    Returns
-    -------
-        Properties or problem of each file, in the order of ``paths``.
-
-    Raises
-    ------
-    ChildError
-        If a child fails for a reason other than its file.
+    function returns or raises, also on an interruption. Returns properties or problem of each file, in the order of
+    ``paths``. Raises ``ChildError`` if a child fails for a reason other than its file.
     """
     running: set[subprocess.Popen[bytes]] = set()
     with ThreadPoolExecutor(_CHILDREN_AT_ONCE) as pool:

@@ -16,10 +16,7 @@ _PAUSE_S = 60.0
 def session_timebase(times: Mapping[str, FrameTimes]) -> Timebase:
     """Output frames from the earliest to the latest frame of all cameras, at the rate of the fastest camera.
 
-    Parameters
-    ----------
-    times
-        Frame times by camera name, ascending, at least one frame a camera.
+    Frame times are by camera name, ascending, at least one frame a camera.
     """
     start_s = min(float(camera_times.time_s[0]) for camera_times in times.values())
     end_s = max(float(camera_times.time_s[-1]) for camera_times in times.values())
@@ -42,14 +39,8 @@ def span_s(timebase: Timebase, start_frame: int, stop_frame: int) -> tuple[float
 def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " frames"]]) -> tuple[range, ...]:
     """Find the output frames to process: all but pauses of more than a minute.
 
-    Parameters
-    ----------
-    time_s
-        Frame times of each camera in seconds, one array a camera.
-
-    Returns
-    -------
-        Ranges of output frames in order, at least one. The output frame of every time in ``time_s`` is in one of them.
+    Frame times are in seconds, an array a camera. The ranges are in order, at least one; the output frame of every time
+    is in one of them.
     """
     is_recorded = np.zeros(timebase.num_frames, bool)
     for camera_time_s in time_s:
@@ -68,10 +59,7 @@ def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " 
 def require_frames(whole: Timebase, frames: range) -> None:
     """Require that a session has a range of output frames.
 
-    Raises
-    ------
-    InputError
-        If the range is empty, or not within the session's frames.
+    Raises ``InputError`` if it is empty, or not within the session's frames.
     """
     if not 0 <= frames.start < frames.stop <= whole.num_frames:
         message = f"The session has the output frames 0 to {whole.num_frames}, not {frames.start} to {frames.stop}."

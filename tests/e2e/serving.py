@@ -14,7 +14,7 @@ from typing import Any
 import httpx2
 import psutil
 
-from api.cli.commands.serve import READY
+from api.cli.served import READY
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.parent_watch import tied_to_parent
 from tests.waiting import wait_for

@@ -9,8 +9,8 @@ import httpx2
 import psutil
 import pytest
 
-from pipeline.simulation.clocks import Clock
 from pipeline.simulation.files import simulation_files
+from pipeline.simulation.rigs import Clock
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from tests.e2e.serving import Served
 from tests.hostile.keypoints import archive, keypoint_files

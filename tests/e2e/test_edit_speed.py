@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from pipeline.runtime.packages.samples import Sample
-from pipeline.simulation.clocks import Clock
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Layout, Rig
+from pipeline.simulation.rigs import Clock, Layout, Rig
 from pipeline.simulation.scenes import Scene, record
 from tests.e2e.serving import Served, serving
 from tests.waiting import wait_for

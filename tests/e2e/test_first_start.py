@@ -14,12 +14,12 @@ from typing import Any
 
 import httpx2
 
-from api.cli.commands.serve import READY
+from api.cli.served import READY
 from pipeline.config import JobChoices, networks_of
 from pipeline.detect import models
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.parent_watch import tied_to_parent
-from pipeline.runtime.warm_up import NUM_COMPILED
+from pipeline.warm_up import NUM_COMPILED
 from tests.api.uploads.test_upload_clients import free_port
 from tests.e2e.serving import COMMAND
 from tests.waiting import wait_for

@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from api.cli.commands.serve import READY
+from api.cli.served import READY
 from api.settings import Settings
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children

@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from api.cli.commands.serve import READY
+from api.cli.served import READY
 from pipeline.runtime.packages.samples import Sample
 from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests
 from tests.waiting import is_alive, wait_for

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from api.cli.commands.serve import READY
+from api.cli.served import READY
 from pipeline.runtime.parent_watch import tied_to_parent
 from tests.e2e.serving import COMMAND, NUM_PROCESSES
 from tests.waiting import wait_for

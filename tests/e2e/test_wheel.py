@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from api.cli.commands.serve import READY
+from api.cli.served import READY
 from hatch_build import install_page_libraries
 from pipeline.runtime.packages.storage import home
 from pipeline.stages.code import stage_codes
@@ -92,7 +92,7 @@ def kernels(tmp_path_factory: pytest.TempPathFactory, programs: Path) -> str:
     """Home folder with the installed networks, and with the wheel's kernels, which are compiled once."""
     folder = tmp_path_factory.mktemp("home")
     (folder / "models").symlink_to(home() / "models")
-    run(programs / "python", "-P", "-m", "multicap.pipeline.runtime.warm_up", cwd=folder, MULTICAP_HOME=str(folder))
+    run(programs / "python", "-P", "-m", "multicap.pipeline.warm_up", cwd=folder, MULTICAP_HOME=str(folder))
     return str(folder)
 
 

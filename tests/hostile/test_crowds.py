@@ -14,9 +14,8 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.config import Method, ReconstructionConfig
 from pipeline.data.people import People
-from pipeline.simulation.clocks import Clock
 from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Layout, Rig
+from pipeline.simulation.rigs import Clock, Layout, Rig
 from pipeline.simulation.scenes import Scene, record
 from pipeline.stages.association import assign_identities, link, locate_people, measure_bones, track
 from pipeline.tracking.observations import Bodies, gather

@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan, without_names
+from pipeline.job_choices import OVERLAY_KIND, REPORT_KIND
 from pipeline.stages.stage import (
     ASSOCIATE,
     CHECK,
@@ -25,7 +26,6 @@ from pipeline.stages.stage import (
     Output,
     ResultFile,
 )
-from pipeline.visual_choices import OVERLAY_KIND, REPORT_KIND
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model.jobs import Job

@@ -13,9 +13,9 @@ from pipeline.capture import preflight
 from pipeline.capture.preflight_record import Preflight
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError
+from pipeline.job_choices import ProxyChoices
 from pipeline.stages.codec import decode
 from pipeline.video.info import VideoInfo
-from pipeline.video.playback.choices import ProxyChoices
 from pipeline.video.probe import probe
 from tests.e2e.captures import video_capture
 from tests.worker.jobs.damage import overwrite

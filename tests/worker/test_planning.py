@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
 from pipeline.config import MAX_OUTPUT_FRAMES, NETWORKS, ReconstructionConfig, method_warnings
 from pipeline.detect.entries import REGISTRY
+from pipeline.job_choices import ProxyChoices
 from pipeline.stages.code import stage_codes
 from pipeline.stages.look import LOOKED_AT_FRAMES
 from pipeline.stages.plan import MAX_TASKS, STAGES, effective_choices, plan
@@ -32,7 +33,6 @@ from pipeline.stages.stage import (
     REPORT,
     FrameCut,
 )
-from pipeline.video.playback.choices import ProxyChoices
 from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.model.work import StagePlan
 from worker.jobs.spec import JobSpec

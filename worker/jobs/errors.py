@@ -43,14 +43,8 @@ class NotFinished(Conflict):
 class NoResults(Conflict):
     """The job has ended without results.
 
-    Parameters
-    ----------
-    state
-        State of the job.
-    reason
-        Error that the job failed with, if any.
-    retryable
-        Whether another attempt may succeed.
+    ``state`` is that of the job, ``reason`` the error that it failed with, if any; ``retryable``: another attempt may
+    succeed.
     """
 
     def __init__(self, state: str, reason: str | None, retryable: bool) -> None:
@@ -78,15 +72,7 @@ class NewerDatabase(JobStoreError):  # noqa: N818
 
 
 class DamagedDatabase(JobStoreError, SQLAlchemyError):  # noqa: N818
-    """The file of a SQLite database can't be read.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    reason
-        Message of SQLite.
-    """
+    """The file of a SQLite database can't be read. ``reason`` is SQLite's message."""
 
     def __init__(self, path: Path, reason: str) -> None:
         self.path, self.reason = path, reason

@@ -25,10 +25,7 @@ _tracer = trace.get_tracer("multicap")
 def transport_options(timeout_s: float) -> dict[str, Any]:
     """Options of connections to the broker; one that died silently is noticed in seconds, and replaced.
 
-    Parameters
-    ----------
-    timeout_s
-        Time for connecting, and for an answer.
+    ``timeout_s`` is for connecting, and for an answer.
     """
     return {
         "socket_timeout": timeout_s,
@@ -40,13 +37,7 @@ def transport_options(timeout_s: float) -> dict[str, Any]:
 
 
 class WorkQueue:
-    """Publisher of messages to the broker.
-
-    Parameters
-    ----------
-    broker_url
-        Celery's broker URL.
-    """
+    """Publisher of messages to the broker. ``broker_url`` is Celery's."""
 
     def __init__(self, broker_url: str) -> None:
         self._celery = Celery(broker=broker_url, set_as_current=False)

@@ -13,16 +13,9 @@ from worker.jobs.database.totals import read_figures
 from worker.jobs.model.rights import Actor
 from worker.jobs.model.work import Figures
 from worker.jobs.repositories.audit import Audit
-from worker.jobs.repositories.calibrations import Calibrations
-from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
-from worker.jobs.repositories.jobs import Jobs
-from worker.jobs.repositories.results import Results
 from worker.jobs.repositories.rights.browser_sessions import BrowserSessions
 from worker.jobs.repositories.rights.keys import Keys
-from worker.jobs.repositories.rights.links import Links, LinkSecrets
-from worker.jobs.repositories.sessions import Sessions
-from worker.jobs.repositories.uploads import Uploads
-from worker.jobs.repositories.visuals import Visuals
+from worker.jobs.repositories.rights.links import LinkSecrets
 from worker.jobs.repositories.webhook_secrets import WebhookSecrets
 from worker.jobs.repositories.webhooks import Webhooks
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS, Leases
@@ -31,36 +24,23 @@ from worker.jobs.repositories.work.plans import Plans
 from worker.jobs.repositories.work.removals import Removals
 from worker.jobs.repositories.work.waits import Waits
 from worker.jobs.repositories.work.workers import Workers
-from worker.jobs.tenant_records import TenantRecords
+from worker.jobs.tenant_records import Records, TenantRecords
 
 __all__ = ["MAX_ATTEMPTS", "JobStore"]
 
 _NOBODY = Actor()
 
 
-class JobStore:
+class JobStore(Records):
     """Repositories of sessions, jobs and all that belongs to them, of all tenants.
 
     Every method of a repository is one transaction. A store may be shared by threads and carried across a fork.
-
-    Parameters
-    ----------
-    database_url
-        SQLAlchemy URL of a SQLite file or of PostgreSQL.
+    ``database_url`` is SQLAlchemy's, of a SQLite file or of PostgreSQL.
     """
 
     def __init__(self, database_url: str) -> None:
         self._database = Database(database_url)
-        access = Access(self._database)
-        # Reached by tenants too, through ``of``.
-        self.sessions = Sessions(access)
-        self.calibrations = Calibrations(access)
-        self.jobs = Jobs(access)
-        self.visuals = Visuals(access)
-        self.results = Results(access)
-        self.uploads = Uploads(access)
-        self.idempotency_keys = IdempotencyKeys(access)
-        self.links = Links(access)
+        super().__init__(Access(self._database))
         # Of the workers.
         self.leases = Leases(self._database)
         self.waits = Waits(self._database)
@@ -78,15 +58,7 @@ class JobStore:
         self.audit = Audit(self._database)
 
     def of(self, tenant: str, quotas: Quotas = NO_QUOTAS, actor: Actor = _NOBODY) -> TenantRecords:
-        """Records of one tenant.
-
-        Parameters
-        ----------
-        quotas
-            Limits of the tenant.
-        actor
-            Key and request that are written to the audit.
-        """
+        """Records of one tenant. ``actor`` is the key and the request that are written to the audit."""
         return TenantRecords(Access(self._database, tenant, quotas, actor))
 
     def transaction(

@@ -19,14 +19,10 @@ from worker.jobs.repositories.visuals import Visuals
 from worker.jobs.repositories.webhook_secrets import read_secrets
 
 
-class TenantRecords:
-    """Records of one tenant; records of other tenants are treated as unknown.
-
-    Every method of a repository is one transaction, except inside ``transaction``.
-    """
+class Records:
+    """One repository for each resource that belongs to tenants. Every method of a repository is one transaction."""
 
     def __init__(self, access: Access) -> None:
-        self._access = access
         self.sessions = Sessions(access)
         self.calibrations = Calibrations(access)
         self.jobs = Jobs(access)
@@ -35,6 +31,17 @@ class TenantRecords:
         self.uploads = Uploads(access)
         self.idempotency_keys = IdempotencyKeys(access)
         self.links = Links(access)
+
+
+class TenantRecords(Records):
+    """Records of one tenant; records of other tenants are treated as unknown.
+
+    Methods of repositories share one transaction inside ``transaction``.
+    """
+
+    def __init__(self, access: Access) -> None:
+        super().__init__(access)
+        self._access = access
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator["TenantRecords"]:

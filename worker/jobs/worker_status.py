@@ -13,26 +13,13 @@ class WorkerState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WorkerStatus:
-    """Status of a worker process, as the process reports it.
+    """Status of a worker process, as the process reports it."""
 
-    Parameters
-    ----------
-    id
-        Host and process id.
-    activity
-        Sentence about its work, without the full stop.
-    done, total
-        Steps of the activity; both 0 where there are none to count.
-    detectors
-        Names of the installed detectors.
-    codes
-        Digests of the stages' code that it runs.
-    """
-
-    id: str
+    id: str  # Host and process id
     state: WorkerState
-    activity: str
+    activity: str  # Sentence about its work, without the full stop
+    # Steps of the activity; both 0 where there are none to count
     done: int = 0
     total: int = 0
-    detectors: tuple[str, ...] = ()
-    codes: tuple[str, ...] = ()
+    detectors: tuple[str, ...] = ()  # Names of the installed detectors
+    codes: tuple[str, ...] = ()  # Digests of the stages' code that it runs

@@ -39,7 +39,7 @@ def compile_kernels(store: JobStore) -> None:
     log.info("kernels_compiling", hint="A first start takes some minutes.")
     done = total = 0
     try:
-        command = tied_to_parent(module_command("pipeline.runtime.warm_up", "--progress"))
+        command = tied_to_parent(module_command("pipeline.warm_up", "--progress"))
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:  # noqa: S603 - our own command
             try:
                 for line in program.stdout or ():

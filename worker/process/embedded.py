@@ -28,18 +28,10 @@ class DataFolderError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class DataDirectory:
-    """Data folder of a service on one machine, and the socket of its broker.
+    """Data folder of a service on one machine, and the socket of its broker."""
 
-    Parameters
-    ----------
-    path
-        Folder of database, artifacts, uploads and logs.
-    socket
-        Unix socket of the broker: only this user can open it, and it takes no port.
-    """
-
-    path: Path
-    socket: Path
+    path: Path  # Folder of database, artifacts, uploads and logs
+    socket: Path  # Unix socket of the broker: only this user can open it, and it takes no port
 
     @property
     def logs_dir(self) -> Path:
@@ -70,10 +62,7 @@ class DataDirectory:
 def lock(path: Path) -> Iterator[DataDirectory]:
     """Lock a data folder for this process, and prepare it for a start.
 
-    Raises
-    ------
-    DataFolderError
-        If another process has locked it, or it can't be written.
+    Raises ``DataFolderError`` if another process has locked it, or it can't be written.
     """
     path = path.absolute()
     with contextlib.ExitStack() as stack:

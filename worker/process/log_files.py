@@ -22,14 +22,8 @@ _REST_S = 1.0
 class LogFile:
     """Log of a program, ``NAME.log``, with older parts ``NAME.log.1`` to ``NAME.log.4``.
 
-    A line that can't be written, for example on a full disk, is lost: the program must neither wait nor fail.
-
-    Parameters
-    ----------
-    path
-        File of the log; its folder is created if it is missing.
-    max_bytes
-        Size at which the file is rotated.
+    A line that can't be written, for example on a full disk, is lost: the program must neither wait nor fail. The
+    folder of ``path`` is created if it is missing; the file is rotated at ``max_bytes``.
     """
 
     def __init__(self, path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:

@@ -26,28 +26,14 @@ _HEALTHY_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """Program that a supervisor keeps running.
-
-    Parameters
-    ----------
-    command
-        Path of an executable, and arguments.
-    env
-        Whole environment of the program.
-    pass_fds
-        Open files that the program inherits.
-    stop_s
-        Time from SIGTERM until the program is killed.
-    stops_last
-        Whether the program is stopped only when all others have ended.
-    """
+    """Program that a supervisor keeps running."""
 
     name: str
-    command: Sequence[str]
-    env: Mapping[str, str]
-    pass_fds: Sequence[int] = ()
-    stop_s: float = 10.0
-    stops_last: bool = False
+    command: Sequence[str]  # Path of an executable, and arguments
+    env: Mapping[str, str]  # Whole environment of the program
+    pass_fds: Sequence[int] = ()  # Open files that the program inherits
+    stop_s: float = 10.0  # Time from SIGTERM until the program is killed
+    stops_last: bool = False  # Whether the program is stopped only when all others have ended
 
 
 @dataclass(slots=True)
@@ -65,14 +51,8 @@ class _Child:
 class Supervisor:
     """Keeps programs running.
 
-    Parameters
-    ----------
-    programs
-        Programs in the order of their start.
-    logs_dir
-        Folder of the log files with the programs' output (``worker.process.log_files``).
-    warn
-        Called with a sentence for the operator after a crash.
+    Programs are in the order of their start, their output in log files (``worker.process.log_files``) in ``logs_dir``.
+    ``warn`` gets a sentence for the operator after a crash.
     """
 
     def __init__(self, programs: Sequence[Program], logs_dir: Path, warn: Callable[[str], None]) -> None:

@@ -27,10 +27,8 @@ _MAX_TEXT = 4000
 def configure_logs(level: LogLevel = "info") -> None:
     """Set up this process's log.
 
-    Parameters
-    ----------
-    level
-        Lowest level of Multicap's events that are written. Events of libraries are written from ``warning`` on.
+    ``level`` is the lowest one of Multicap's events that are written; events of libraries are written from ``warning``
+    on.
     """
     shared: list[Any] = [
         structlog.contextvars.merge_contextvars,

@@ -118,18 +118,10 @@ class _CheckedBackend(httpcore2.NetworkBackend):
 
 @dataclass(frozen=True, slots=True)
 class Sender:
-    """Sends single messages.
+    """Sends single messages."""
 
-    Parameters
-    ----------
-    allow_private
-        Whether messages may go to addresses of private networks and of this machine, too.
-    try_s
-        Time limit of an attempt.
-    """
-
-    allow_private: bool
-    try_s: float = _TRY_S
+    allow_private: bool  # Whether messages may go to addresses of private networks and of this machine, too
+    try_s: float = _TRY_S  # Time limit of an attempt
 
     def send(self, delivery: Delivery, secrets: Sequence[WebhookSecret]) -> str | None:
         """Send a message, signed with all secrets; return a sentence about the failure, or ``None`` on success."""

@@ -52,9 +52,7 @@ def worker_processes() -> list[psutil.Process]:
 def busy_until(processes: Sequence[psutil.Process], is_canceled: Callable[[], bool]) -> float:
     """Watch processes until the job is canceled and all of them are idle or have ended.
 
-    Returns
-    -------
-        Time on the monotonic clock at which the last process was busy.
+    Returns the monotonic time at which the last one was busy.
     """
     last_s = time.monotonic()
     deadline_s = last_s + _LONGEST_S

@@ -15,9 +15,9 @@ from pipeline.clustering.parameters import derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.geometry.camera import image_from_world
 from pipeline.joints import COCO_18
-from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, Simulation, record
 from pipeline.simulation.views.fields import GRID, render
+from pipeline.warm_up import warm_up
 
 # Scenes (of 4 and of 7 people) and numbers of cameras.
 _SIZES = (("noisy", 5), ("crowd", 12))

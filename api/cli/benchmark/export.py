@@ -17,11 +17,11 @@ from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_files
-from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
+from pipeline.warm_up import warm_up
 
 _SCENE, _NUM_CAMERAS, _DURATION_S = "room", 4, 20.0
 

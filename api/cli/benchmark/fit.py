@@ -14,11 +14,11 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Observations, Track3D
-from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
+from pipeline.warm_up import warm_up
 
 # Scenes, of 3 and of 4 people, and numbers of cameras.
 _SIZES = (("room", 4), ("store", 12))

@@ -10,7 +10,6 @@ from api.cli.console import emit, print_table, reporting
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import People
 from pipeline.identity.identify import identify
-from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.motion.exchange import Exchange
 from pipeline.simulation.rigs import Layout, Rig
@@ -18,6 +17,7 @@ from pipeline.simulation.scenes import SCENES, Scene, record
 from pipeline.tracking.associate import track_bodies
 from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
+from pipeline.warm_up import warm_up
 
 _RIG = Rig(Layout.RING, 8, (5.5, 5.0), 2.6)
 _DOORS_M = ((-4.5, -3.0), (4.5, 3.0), (0.0, 4.2))

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.benchmark.videos import loop_video
+from api.cli.benchmark.takes import loop_video
 from api.cli.console import console, emit, print_table, reporting
 from pipeline.capture.session import open_session
 from pipeline.config import JOINTS, PROFILES, Detector, ReconstructionConfig
@@ -17,8 +17,8 @@ from pipeline.detect.session import NETWORK_CLOCK
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
-from pipeline.runtime.warm_up import warm_up
 from pipeline.stages.local import reconstruct_to_files
+from pipeline.warm_up import warm_up
 
 _REFERENCE: Detector = "movenet-multipose"
 

@@ -1,11 +1,14 @@
-"""Long takes made from short takes, and peak memory, for the benchmarks."""
+"""Long takes and videos made from short ones, and peak memory, for the benchmarks."""
 
 import resource
 from dataclasses import replace
+from pathlib import Path
 
+import av
 import numpy as np
 
 from pipeline.data.people import Observations, Track3D
+from pipeline.errors import ModelError
 
 
 def to_and_fro(values: np.ndarray, num_frames: int) -> np.ndarray:
@@ -35,3 +38,22 @@ def longer_observations(seen: Observations, num_frames: int) -> Observations:
 def peak_rss_mib() -> float:
     """Largest resident memory of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def loop_video(source: Path, target: Path, loops: int) -> None:
+    """Write a video that repeats another ``loops`` times, without encoding it again."""
+    with av.open(str(source)) as head, av.open(str(target), "w") as out:
+        stream_in = head.streams.video[0]
+        stream_out = out.add_stream_from_template(stream_in)
+        length = stream_in.duration
+        if length is None:
+            raise ModelError(f"{source.name} does not say how long it is.")
+        for loop in range(loops):
+            with av.open(str(source)) as again:
+                for packet in again.demux(video=0):
+                    if packet.dts is None or packet.pts is None:
+                        continue
+                    packet.pts += loop * length
+                    packet.dts += loop * length
+                    packet.stream = stream_out
+                    out.mux(packet)

@@ -10,10 +10,8 @@ import typer
 
 from api.cli.console import emit, print_table, reporting
 from pipeline.evaluation.pairwise import associate_pairwise
-from pipeline.runtime.warm_up import warm_up
-from pipeline.simulation.clocks import Clock
 from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Layout, Rig
+from pipeline.simulation.rigs import Clock, Layout, Rig
 from pipeline.simulation.scenes import Scene, Simulation, record
 from pipeline.simulation.views.detector import Detector
 from pipeline.simulation.views.faults import NO_FAULTS
@@ -22,6 +20,7 @@ from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.observations import gather, undistorted
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.tracking.tracker import make_frames, make_rig
+from pipeline.warm_up import warm_up
 
 RATE_HZ = 25.0
 # Cameras, people and seconds.

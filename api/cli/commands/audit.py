@@ -34,7 +34,7 @@ def command(
         "did": lambda event: event.act,
         "to": lambda event: event.subject,
     }
-    show_list("deeds", events, _document, cells, as_json)
+    show_list("events", events, _document, cells, as_json)
 
 
 def _document(event: AuditEvent) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from itertools import repeat
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
@@ -18,23 +18,22 @@ from api.cli.benchmark.identity import identity
 from api.cli.benchmark.load import load
 from api.cli.benchmark.profiles import profiles
 from api.cli.benchmark.queue import queue
-from api.cli.benchmark.takes import peak_rss_mib
+from api.cli.benchmark.takes import loop_video, peak_rss_mib
 from api.cli.benchmark.tracking import tracking
-from api.cli.benchmark.videos import loop_video
 from api.cli.client import Json
 from api.cli.console import StageBars, emit, print_table, reporting
-from api.cli.options import DEFAULTS, DetectorOption, JointsOption, ProfileOption, known
+from api.cli.options import checked, with_choices
 from api.cli.served import served
 from pipeline.capture.session import open_session
-from pipeline.config import CHOICES, DetectedJoints, Profile, ReconstructionConfig
+from pipeline.config import ReconstructionConfig
 from pipeline.detect import models
 from pipeline.detect.session import NETWORK_CLOCK
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
-from pipeline.runtime.warm_up import warm_up
 from pipeline.stages.local import reconstruct_to_files
 from pipeline.stages.stage import DETECT
+from pipeline.warm_up import warm_up
 from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
@@ -55,20 +54,16 @@ def _group() -> None:
 
 
 @app.command()
+@with_choices("profile", "joints", "detector")
 def pipeline(
+    *,
     loops: Annotated[int, typer.Option(min=1, max=100, help="Number of repetitions of the sample in its videos.")] = 1,
-    profile: ProfileOption = DEFAULTS.profile,
-    joints: JointsOption = DEFAULTS.joints,
-    detector: DetectorOption = DEFAULTS.detector,
+    chosen: Mapping[str, Any],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Time the sample capture from videos to result files in one process, compared with its networks alone."""
     with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
-        config = ReconstructionConfig(
-            profile=cast(Profile, known(CHOICES["profile"], profile)),
-            joints=cast(DetectedJoints, known(CHOICES["joints"], joints)),
-            detector=detector,
-        )
+        config = ReconstructionConfig.of(checked(chosen))
         models.install_networks(config)
         sample = samples.install()
         videos = list(sample.videos.values())

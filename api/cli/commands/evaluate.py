@@ -4,56 +4,37 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
 from api.cli.console import StageBars, emit, print_table, reporting
-from api.cli.options import (
-    DEFAULTS,
-    DetectorOption,
-    FeetOption,
-    JointCentersOption,
-    JointsOption,
-    MethodOption,
-    ProfileOption,
-    RefineCalibrationOption,
-    SmoothingOption,
-    known,
-    known_feet,
-    known_joint_centers,
-    known_method,
-    known_refinement,
-    known_smoothing,
-)
-from pipeline.calibration_choices import MAX_STATURE_M, MIN_STATURE_M
+from api.cli.options import checked, with_choices
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import open_session
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
-from pipeline.config import CHOICES, DetectedJoints, Method, Profile, ReconstructionConfig
+from pipeline.config import Method, ReconstructionConfig
 from pipeline.data.animation import Animation
 from pipeline.data.cameras import Camera, FrameTimes, Refinement, Timebase
 from pipeline.data.detections import Detections
 from pipeline.data.people import People
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
-from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
+from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration, without_extrinsics
 from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
 from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.evaluation.datasets.shelf_ablation import ablate
 from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
-from pipeline.evaluation.extremities.feet import score_heels_and_toes
+from pipeline.evaluation.extremities.feet import score_foot_directions, score_heels_and_toes
 from pipeline.evaluation.extremities.hands import score_hands
-from pipeline.evaluation.extremities.headings import score_foot_directions
-from pipeline.evaluation.from_people import without_extrinsics
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.evaluation.simulated_feet import score_feet
 from pipeline.identity.identify import identify
+from pipeline.job_choices import MAX_STATURE_M, MIN_STATURE_M
 from pipeline.joints import COCO_17, COCO_18, FINGER_JOINTS, JointSet
 from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
-from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 from pipeline.skeleton.animate import animate
 from pipeline.stages.local import detect_people, reconstruct
@@ -61,6 +42,7 @@ from pipeline.stages.refinement import refine_from_bodies
 from pipeline.tracking.associate import associate, locate_people, track_bodies
 from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
+from pipeline.warm_up import warm_up
 
 # Number of views in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
 _ABLATION_VIEWS = 12
@@ -85,15 +67,11 @@ def _group() -> None:
 
 
 @app.command()
+@with_choices("profile", "joints", "detector", "method", "smoothing", "joint_centers", "refine_calibration")
 def rendered(
+    *,
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
-    profile: ProfileOption = DEFAULTS.profile,
-    joints: JointsOption = DEFAULTS.joints,
-    detector: DetectorOption = DEFAULTS.detector,
-    method: MethodOption = DEFAULTS.method,
-    smoothing: SmoothingOption = DEFAULTS.smoothing,
-    joint_centers: JointCentersOption = DEFAULTS.joint_centers,
-    refine_calibration: RefineCalibrationOption = DEFAULTS.refine_calibration,
+    chosen: Mapping[str, Any],
     stature_m: StatureOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
@@ -101,15 +79,7 @@ def rendered(
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
-        config = ReconstructionConfig(
-            known_method(method),
-            detector,
-            profile=cast(Profile, known(CHOICES["profile"], profile)),
-            joints=cast(DetectedJoints, known(CHOICES["joints"], joints)),
-            smoothing=known_smoothing(smoothing),
-            joint_centers=known_joint_centers(joint_centers),
-            refine_calibration=known_refinement(refine_calibration),
-        )
+        config = ReconstructionConfig.of(checked(chosen))
         errors: dict[str, float] = {}
         if stature_m:
             detections = detect_people(session, config, bars.update)
@@ -130,11 +100,11 @@ def rendered(
 
 
 @app.command()
+@with_choices("method", "smoothing", "refine_calibration")
 def shelf(
+    *,
     data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
-    method: MethodOption = DEFAULTS.method,
-    smoothing: SmoothingOption = DEFAULTS.smoothing,
-    refine_calibration: RefineCalibrationOption = DEFAULTS.refine_calibration,
+    chosen: Mapping[str, Any],
     stature_m: StatureOption = None,
     detections: Annotated[Path | None, typer.Option(help="File of other 2D keypoints of the same images.")] = None,
     every: Annotated[
@@ -147,14 +117,9 @@ def shelf(
 ) -> None:
     """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
     with reporting(as_json):
-        checked_method = known_method(method)
-        config = ReconstructionConfig(
-            checked_method,
-            smoothing=known_smoothing(smoothing),
-            refine_calibration=known_refinement(refine_calibration),
-        )
+        config = ReconstructionConfig.of(checked(chosen))
         whole = load_shelf(data, detections)
-        _refuse_ablation(checked_method, ablation)
+        _refuse_ablation(config.method, ablation)
         benchmark, kept = thin(whole, every)
         warm_up()
         started_s = time.perf_counter()
@@ -170,20 +135,20 @@ def shelf(
         benchmark = replace(benchmark, cameras=cameras)
         views = (benchmark.cameras, benchmark.times, benchmark.detections)
         identities = None
-        if checked_method == "clustering":
+        if config.method == "clustering":
             parameters = clustering_parameters(benchmark.cameras)
             people = People(*reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters))
         else:
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
             identities = associate(*views, limits)
             people = locate_people(*views, identities, benchmark.timebase, limits)
-        people = _told_apart(people, benchmark.cameras, benchmark.timebase, COCO_17, checked_method)
+        people = _identified(people, benchmark.cameras, benchmark.timebase, COCO_17, config.method)
         tracks = animate(
             people.tracks, people.observations, benchmark.cameras, benchmark.timebase, COCO_17, config
         ).tracks
         elapsed_s = time.perf_counter() - started_s
         result = {
-            "method": checked_method,
+            "method": config.method,
             **score_shelf(tracks, benchmark),
             # Clustering assigns joints to people, not whole detections.
             "association_accuracy": None if identities is None else association_accuracy(identities, kept)["all"],
@@ -248,13 +213,12 @@ def _print_ablation(ablation: dict[str, Any]) -> None:
 
 
 @app.command()
+@with_choices("method", "smoothing", "feet", "refine_calibration")
 def simulated(
+    *,
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same scene.")] = 0,
-    method: MethodOption = DEFAULTS.method,
-    smoothing: SmoothingOption = DEFAULTS.smoothing,
-    feet: FeetOption = DEFAULTS.feet,
-    refine_calibration: RefineCalibrationOption = DEFAULTS.refine_calibration,
+    chosen: Mapping[str, Any],
     turn: Annotated[
         float, typer.Option(min=0.0, max=5.0, metavar="DEG", help="Angle by which each camera is turned beforehand.")
     ] = 0.0,
@@ -295,18 +259,12 @@ def simulated(
     """Simulated people with exact truth, seen by a simulated detector with faults."""
     by_views: dict[int, dict[str, Any]] = {}
     with reporting(as_json):
-        checked_method = known_method(method)
-        checked_evidence = _known_evidence(evidence, checked_method, ablation)
-        is_refined = known_refinement(refine_calibration) != "off"
+        config = ReconstructionConfig.of(checked(chosen))
+        checked_evidence = _known_evidence(evidence, config.method, ablation)
+        is_refined = config.refine_calibration != "off"
         if checked_evidence == "fields" and (turn or shift or stature_m or is_refined):
             hint = "Use --evidence bodies, or omit --turn, --shift, --stature-m and --refine-calibration."
             raise InputError([Problem("no_refinement", "Calibrations are refined here from whole bodies.", hint=hint)])
-        config = ReconstructionConfig(
-            checked_method,
-            smoothing=known_smoothing(smoothing),
-            feet=known_feet(feet),
-            refine_calibration=known_refinement(refine_calibration),
-        )
         checked_joints = known_joints(joints)
         found = find_scene(scene)
         if ablation and views is None:
@@ -329,7 +287,7 @@ def simulated(
             {
                 "scene": scene,
                 "seed": seed,
-                "method": checked_method,
+                "method": config.method,
                 "evidence": checked_evidence,
                 "joints": checked_joints,
                 "noise_px": noise,
@@ -396,7 +354,7 @@ def _score_bodies(
         limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
         bodies = gather(simulation.cameras, simulation.times, simulation.detections)
         people = track_bodies(simulation.cameras, simulation.times, bodies, simulation.timebase, limits)
-    people = _told_apart(people, simulation.cameras, simulation.timebase, simulation.joints, config.method)
+    people = _identified(people, simulation.cameras, simulation.timebase, simulation.joints, config.method)
     animation = animate(
         people.tracks, people.observations, simulation.cameras, simulation.timebase, simulation.joints, config
     )
@@ -435,7 +393,7 @@ def _refinement_scores(refinement: Refinement | None) -> dict[str, Any]:
     }
 
 
-def _told_apart(
+def _identified(
     people: People, cameras: Sequence[Camera], timebase: Timebase, joints: JointSet, method: Method
 ) -> People:
     """People after the global pass."""
@@ -447,7 +405,7 @@ def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
         people = People(*cluster_fields(simulation, files))
-        people = _told_apart(people, simulation.cameras, simulation.timebase, COCO_18, config.method)
+        people = _identified(people, simulation.cameras, simulation.timebase, COCO_18, config.method)
         animation = animate(
             people.tracks, people.observations, simulation.cameras, simulation.timebase, COCO_18, config
         )

@@ -113,7 +113,7 @@ def parameters(said: Sequence[str], example: str) -> dict[str, float]:
     return changes
 
 
-@with_choices
+@with_choices()
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file: Qualisys QCA, Caliscope/anipose TOML or JSON.")],

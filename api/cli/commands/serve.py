@@ -13,6 +13,7 @@ from rich.text import Text
 
 from api.app import ExposedError, require_keys_if_exposed
 from api.cli.console import console, refusal, reporting
+from api.cli.served import READY
 from api.cli.store import opened_store
 from api.settings import Settings
 from pipeline.config import networks_of
@@ -22,12 +23,9 @@ from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.repositories.rights.keys import Keys
 from worker.jobs.spec import JobSpec
 from worker.process import embedded
-from worker.process.descriptors import raise_descriptor_limit
 from worker.process.presence import remove_killed
+from worker.process.priorities import raise_descriptor_limit
 from worker.process.supervisor import Program, Supervisor
-
-# Text before the service's address, printed as soon as the service is ready.
-READY = "Multicap is ready at "
 
 _POLL_S = 0.2
 # A usual start takes less; a longer start is explained.

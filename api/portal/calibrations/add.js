@@ -51,7 +51,7 @@ export class AddForm {
     const spec = specOf(fields);
     if (file) return call("/v1/calibrations", { method: "POST", form: fileForm(spec, file.files[0]) });
     const files = [...(footage?.files ?? []), ...(intrinsics?.files ?? [])];
-    const rows = files.map((one) => rowOf({ name: one.name, size: one.size, kind: "footage" }, one));
+    const rows = files.map((file) => rowOf({ name: file.name, size: file.size, kind: "footage" }, file));
     const total = rows.reduce((sum, row) => sum + row.size, 0);
     const uploads = new Uploads(() => {
       this.#text = `${size(rows.reduce((sum, row) => sum + row.sent, 0))} of ${size(total)} sent`;

@@ -95,7 +95,7 @@ export function open(place, route, caller) {
   }
 
   function cameraTable({ name, cameras, report, source }) {
-    const errors = new Map((report?.cameras ?? []).map((one) => [one.name, one.reprojection_error_px]));
+    const errors = new Map((report?.cameras ?? []).map((camera) => [camera.name, camera.reprojection_error_px]));
     const errorOf = (camera) => (errors.get(camera.name) == null ? "" : `${errors.get(camera.name).toFixed(2)} px`);
     return html`<details class="cameras"><summary>Cameras</summary>
       <p class="quiet">${report?.world ?? [source.format, source.axes].filter(Boolean).join("; ")}</p>

@@ -30,7 +30,7 @@ function fileLink(result, options) {
 
 function group(title, results, options) {
   return results.length === 0 ? nothing : html`<div class="of-person"><h3>${title}</h3>
-    <ul class="results">${results.map((one) => fileLink(one, options))}</ul></div>`;
+    <ul class="results">${results.map((result) => fileLink(result, options))}</ul></div>`;
 }
 
 /**
@@ -48,8 +48,8 @@ export function downloads(job, results, options, makeVisuals) {
     ${revisionNote(job)}
     ${visualsNote(job, ofAll.filter(isShown), makeVisuals)}
     ${group("To show", ofAll.filter(isShown), options)}
-    ${people.map(([person, name]) => group(name, results.filter((one) => one.person === person), options))}
-    ${group("Everybody", ofAll.filter((one) => !isShown(one)), options)}
+    ${people.map(([person, name]) => group(name, results.filter((result) => result.person === person), options))}
+    ${group("Everybody", ofAll.filter((result) => !isShown(result)), options)}
   </section>`;
 }
 

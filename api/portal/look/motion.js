@@ -44,7 +44,7 @@ export class Motion extends EventTarget {
     else await this.#renew();
     if (isGuest) return;
     const { jobs } = await call(`/v1/sessions/${session.id}/jobs?state=succeeded`);
-    this.#others = jobs.filter((one) => one.id !== job.id && one.kind === "reconstruction");
+    this.#others = jobs.filter((other) => other.id !== job.id && other.kind === "reconstruction");
     this.#titles = titlesOf([job, ...this.#others], await readOptions());
     this.#drawChoice();
   }
@@ -148,7 +148,7 @@ export class Motion extends EventTarget {
     const choose = (event) => this.#show(this.#others.find(({ id }) => id === event.target.value) ?? null);
     render(this.#others.length === 0 ? nothing : html`<label class="compare">Compare with
       <select @change=${choose}><option value="">no other job</option>
-        ${this.#others.map((one) => html`<option value=${one.id} .selected=${one.id === this.#chosen?.id}>${this.#titles.get(one.id)}</option>`)}
+        ${this.#others.map((other) => html`<option value=${other.id} .selected=${other.id === this.#chosen?.id}>${this.#titles.get(other.id)}</option>`)}
       </select></label>`, this.choice);
   }
 }

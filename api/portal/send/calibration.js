@@ -10,7 +10,7 @@ const UNITS = [["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
 
 function factsOf(calibration) {
   const sizes = [...new Set(calibration.cameras.map(({ size_px: px }) => (px ? px.join(" × ") : "size unknown")))];
-  const errors = (calibration.report?.cameras ?? []).map((one) => one.reprojection_error_px).filter((one) => one != null);
+  const errors = (calibration.report?.cameras ?? []).map((camera) => camera.reprojection_error_px).filter((errorPx) => errorPx != null);
   const facts = [count(calibration.cameras.length, "camera"), sizes.join(", ")];
   if (errors.length) facts.push(`error ${Math.max(...errors).toFixed(2)} px at most`);
   if (calibration.source.units) facts.push(`in ${calibration.source.units}`);

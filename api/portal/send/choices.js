@@ -10,14 +10,14 @@ const FEW_PEOPLE = 4;
 function offered(choice, spec, options) {
   const lacks = new Map();
   if (choice.name === "detector") options.detectors.forEach(({ name, installed }) => lacks.set(name, installed === false));
-  const networks = (profile, joints) => profile?.joints.find((one) => one.joints === joints);
-  const profileOf = (name) => options.profiles.find((one) => one.name === name);
+  const networks = (profile, joints) => profile?.joints.find((entry) => entry.joints === joints);
+  const profileOf = (name) => options.profiles.find((profile) => profile.name === name);
   if (choice.name === "profile") {
-    for (const one of options.profiles) lacks.set(one.name, networks(one, one.default_joints)?.installed === false);
+    for (const profile of options.profiles) lacks.set(profile.name, networks(profile, profile.default_joints)?.installed === false);
   }
   if (choice.name === "joints") {
     const profile = profileOf(spec.profile ?? options.choices.find(({ name }) => name === "profile")?.default);
-    for (const one of profile?.joints ?? []) lacks.set(one.joints, one.installed === false);
+    for (const entry of profile?.joints ?? []) lacks.set(entry.joints, entry.installed === false);
   }
   return choice.values.filter(({ name }) => !lacks.get(name));
 }
@@ -100,7 +100,7 @@ const FIELDS = {
     const chosen = new Set(valueOf(choice, spec));
     const toggle = (name) => (event) => {
       if (event.target.checked) chosen.add(name); else chosen.delete(name);
-      const list = choice.values.map((value) => value.name).filter((one) => chosen.has(one));
+      const list = choice.values.map((value) => value.name).filter((value) => chosen.has(value));
       set(JSON.stringify(list) === JSON.stringify(choice.default) ? undefined : list);
     };
     return frame(choice, offered(choice, spec, options).map(({ name, label, note }) => tile({
@@ -138,7 +138,7 @@ const FIELDS = {
     const range = spec[choice.name] ?? [null, null];
     const bound = (index) => (event) => {
       const changed = range.map((one, place) => (place === index ? numberIn(event) ?? null : one));
-      set(changed.every((one) => one === null) ? undefined : changed);
+      set(changed.every((end) => end === null) ? undefined : changed);
     };
     const labels = ["first", "after the last"];
     return html`<fieldset class="field"><legend>${choice.label}: ${choice.unset}, or</legend>

@@ -59,7 +59,7 @@ async function walk(entry, files) {
   for (;;) {
     const piece = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));
     if (piece.length === 0) return;
-    for (const one of piece) await walk(one, files);
+    for (const child of piece) await walk(child, files);
   }
 }
 

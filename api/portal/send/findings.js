@@ -18,7 +18,7 @@ export function pictureOf(camera) {
 function evidenceOf({ code, camera, evidence }, cameras) {
   const names = code === "same_video" ? [camera, evidence?.other_camera] : [camera];
   const shown = names.flatMap((name) => {
-    const { thumbnails = [] } = cameras.find((one) => one.name === name) ?? {};
+    const { thumbnails = [] } = cameras.find((camera) => camera.name === name) ?? {};
     return (evidence?.pictures ?? []).map((number) => ({ name, ...thumbnails[number] })).filter(({ link }) => link);
   });
   if (shown.length === 0) return nothing;

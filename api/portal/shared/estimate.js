@@ -12,7 +12,7 @@ function cameraFrameS(spec, options) {
   if (choice("method") !== "tracking" || choice("detector") !== "auto") return null;
   const profile = options.profiles.find(({ name }) => name === choice("profile"));
   const joints = choice("joints") === "auto" ? profile?.default_joints : choice("joints");
-  return profile?.joints.find((one) => one.joints === joints)?.camera_frame_s ?? null;
+  return profile?.joints.find((entry) => entry.joints === joints)?.camera_frame_s ?? null;
 }
 
 // Ratio of the time of a job here to that of the measurements; null of a job that tells nothing.

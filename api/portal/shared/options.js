@@ -17,8 +17,8 @@ export async function readOptions() {
 
 /** Value of a choice as words. */
 export function valueOf(choice, value) {
-  const label = (one) => choice.values.find(({ name }) => name === one)?.label ?? String(one);
-  return Array.isArray(value) ? value.map((one) => label(one ?? "…")).join(", ") : label(value);
+  const label = (item) => choice.values.find(({ name }) => name === item)?.label ?? String(item);
+  return Array.isArray(value) ? value.map((item) => label(item ?? "…")).join(", ") : label(value);
 }
 
 // Choices of a spec that differ from the defaults, as words; an empty list if none does.

@@ -110,8 +110,8 @@ export class Player extends EventTarget {
 
 /** Frames of takes on the session's clock, from the first to the last. */
 export function rangeOf(descriptions) {
-  const rateHz = Math.max(...descriptions.map((one) => one.frame_rate_hz));
-  const startS = Math.min(...descriptions.map((one) => one.start_time_s));
-  const endS = Math.max(...descriptions.map((one) => one.start_time_s + (one.num_frames - 1) / one.frame_rate_hz));
+  const rateHz = Math.max(...descriptions.map((take) => take.frame_rate_hz));
+  const startS = Math.min(...descriptions.map((take) => take.start_time_s));
+  const endS = Math.max(...descriptions.map((take) => take.start_time_s + (take.num_frames - 1) / take.frame_rate_hz));
   return { startS, rateHz, numFrames: Math.round((endS - startS) * rateHz) + 1 };
 }

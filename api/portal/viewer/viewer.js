@@ -66,7 +66,7 @@ export class Viewer {
     this.shown.forEach((isShown, person) => { if (!isShown) this.view?.setShown(person, false); });
     if (hadFocus && !hadFocus.isConnected) this.figures.querySelector("[aria-selected=true]").focus({ preventScroll: true });
     this.#listenToStore();
-    this.player.setRange(rangeOf([this, this.follower].filter((one) => one !== null).map((one) => one.description)));
+    this.player.setRange(rangeOf([this, this.follower].filter((viewer) => viewer !== null).map((viewer) => viewer.description)));
     this.#show(true);
     this.wall.redraw();
   }

@@ -83,7 +83,7 @@ function renameForm(view, session) {
     if (!name || name === session.name) return end();
     return view.act(session.id, async () => {
       const renamed = await call(session.links.self, { method: "PATCH", body: { name } });
-      view.sessions = view.sessions.map((one) => (one.id === session.id ? renamed : one));
+      view.sessions = view.sessions.map((other) => (other.id === session.id ? renamed : other));
       end();
       announce(`Renamed to ${name}.`);
       await feed.refresh(); // jobs bear the name too

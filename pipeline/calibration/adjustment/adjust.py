@@ -30,35 +30,22 @@ _MIN_INFORMATION = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjustment:
-    """Adjusted cameras and structure.
+    """Adjusted cameras and structure."""
 
-    Parameters
-    ----------
-    cameras, structure, lengths_m
-        Unknowns after the adjustment.
-    sigma
-        Standard deviations of the cameras' parameters: 0 where a parameter was not free, infinite where the data don't
-        determine it.
-    residuals_px
-        Projections minus observations.
-    sigma_px
-        Standard deviation of an observation's coordinate.
-    """
-
+    # Unknowns after the adjustment
     cameras: tuple[Camera, ...]
     structure: Structure
     lengths_m: Float[np.ndarray, " lengths"]
+    # Standard deviations of the cameras' parameters: 0 where a parameter was not free, infinite where the data don't
+    # determine it
     sigma: Parameters
-    residuals_px: Float[np.ndarray, "n 2"]
-    sigma_px: float
+    residuals_px: Float[np.ndarray, "n 2"]  # Projections minus observations
+    sigma_px: float  # Standard deviation of an observation's coordinate
 
     def error_px(self, camera: Int[np.ndarray, " n"]) -> Float[np.ndarray, " cameras"]:
         """Median distance of each camera's projections from its observations; NaN without any.
 
-        Parameters
-        ----------
-        camera
-            Number of the camera of each observation.
+        ``camera`` has the number of each observation's camera.
         """
         distance_px = np.linalg.norm(self.residuals_px, axis=-1)
         medians = [

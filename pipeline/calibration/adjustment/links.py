@@ -8,21 +8,13 @@ from jaxtyping import Float, Int
 
 
 class LinkRows(NamedTuple):
-    """Residuals of links in units of their standard deviations, with their derivatives.
+    """Residuals of links in units of their standard deviations, with their derivatives."""
 
-    Parameters
-    ----------
-    residual
-        Residuals.
-    points, by_points
-        The two points of each row, and the derivatives by them.
-    length, by_length
-        Number of the length in each row, and the derivative by it; the derivative is 0 in rows without a length.
-    """
-
-    residual: Float[np.ndarray, " rows"]
+    residual: Float[np.ndarray, " rows"]  # Residuals
+    # The two points of each row, and the derivatives by them
     points: Int[np.ndarray, "rows 2"]
     by_points: Float[np.ndarray, "rows 2 3"]
+    # Number of the length in each row, and the derivative by it; the derivative is 0 in rows without a length
     length: Int[np.ndarray, " rows"]
     by_length: Float[np.ndarray, " rows"]
 
@@ -38,21 +30,11 @@ class PointLink(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DistanceLinks:
-    """Distances of pairs of points that are equal to lengths, which the adjustment estimates too.
+    """Distances of pairs of points that are equal to lengths, which the adjustment estimates too."""
 
-    Parameters
-    ----------
-    pairs
-        Numbers of two points.
-    length
-        Number of the length that each pair has.
-    sigma_m
-        Standard deviation of each distance from its length.
-    """
-
-    pairs: Int[np.ndarray, "links 2"]
-    length: Int[np.ndarray, " links"]
-    sigma_m: Float[np.ndarray, " links"]
+    pairs: Int[np.ndarray, "links 2"]  # Numbers of two points
+    length: Int[np.ndarray, " links"]  # Number of the length that each pair has
+    sigma_m: Float[np.ndarray, " links"]  # Standard deviation of each distance from its length
 
     def linearise(self, xyz_m: Float[np.ndarray, "points 3"], lengths_m: Float[np.ndarray, " lengths"]) -> LinkRows:
         """Residuals ``(|a - b| - length) / sigma``."""
@@ -65,18 +47,10 @@ class DistanceLinks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShiftLinks:
-    """Pairs of points that are close to each other: a joint at two instants.
+    """Pairs of points that are close to each other: a joint at two instants."""
 
-    Parameters
-    ----------
-    pairs
-        Numbers of two points.
-    sigma_m
-        Standard deviation of the shift of each pair along an axis.
-    """
-
-    pairs: Int[np.ndarray, "links 2"]
-    sigma_m: Float[np.ndarray, " links"]
+    pairs: Int[np.ndarray, "links 2"]  # Numbers of two points
+    sigma_m: Float[np.ndarray, " links"]  # Standard deviation of the shift of each pair along an axis
 
     def linearise(self, xyz_m: Float[np.ndarray, "points 3"], lengths_m: Float[np.ndarray, " lengths"]) -> LinkRows:
         """Residuals ``(a - b) / sigma``, three a pair."""

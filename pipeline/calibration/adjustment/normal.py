@@ -36,28 +36,17 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Normal:
-    """Normal equations of the cameras' free parameters and of what is eliminated: the blocks, then the lengths.
+    """Normal equations of the cameras' free parameters and of what is eliminated: the blocks, then the lengths."""
 
-    Parameters
-    ----------
-    cameras, cameras_right
-        Normal matrix and right side of the free parameters.
-    mixed
-        Mixed part, eliminated unknowns by free parameters; the rows of lengths are zero.
-    blocks
-        Diagonal blocks of the structure, without the links.
-    right
-        Right side of the eliminated unknowns.
-    coupling
-        What links and priors of lengths add to the normal matrix of the eliminated unknowns; ``None`` without links.
-        It is sparse: a length meets the points of its own links alone.
-    """
-
+    # Normal matrix and right side of the free parameters
     cameras: Float[np.ndarray, "parameters parameters"]
     cameras_right: Float[np.ndarray, " parameters"]
+    # Mixed part, eliminated unknowns by free parameters; the rows of lengths are zero
     mixed: Float[np.ndarray, "unknowns parameters"]
-    blocks: Float[np.ndarray, "blocks size size"]
-    right: Float[np.ndarray, " unknowns"]
+    blocks: Float[np.ndarray, "blocks size size"]  # Diagonal blocks of the structure, without the links
+    right: Float[np.ndarray, " unknowns"]  # Right side of the eliminated unknowns
+    # What links and priors of lengths add to the normal matrix of the eliminated unknowns; ``None`` without links. It
+    # is sparse: a length meets the points of its own links alone.
     coupling: csc_array | None
 
     def reduced(self) -> Float[np.ndarray, "parameters parameters"]:
@@ -84,10 +73,7 @@ class Normal:
     def step(self, damping: float) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " unknowns"]]:
         """Damped step of the free parameters, and of the eliminated unknowns.
 
-        Raises
-        ------
-        LinAlgError
-            If the equations are singular.
+        Raises ``LinAlgError`` if the equations are singular.
         """
         eliminated = self._solver(damping)(np.column_stack([self.mixed, self.right]))
         diagonal = np.diag(self.cameras)
@@ -173,9 +159,7 @@ def _weighted_rows(
 ) -> tuple[Float[np.ndarray, "n 2 parameters"], Float[np.ndarray, "n 2 size"], Float[np.ndarray, "n 2"]]:
     """Rows of a camera's observations, times the roots of their weights.
 
-    Returns
-    -------
-        Derivatives by the camera's free parameters, derivatives by the block, and residuals.
+    They are derivatives by the camera's free parameters, derivatives by the block, and residuals.
     """
     points_px, by_camera, by_point = linearise(state.cameras[number], xyz_m)
     residual = (points_px - problem.observations.points_px[problem.observations.camera == number]) / sigma_px

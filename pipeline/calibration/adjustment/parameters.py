@@ -38,10 +38,7 @@ def no_prior(num_cameras: int) -> Parameters:
 def move_camera(camera: Camera, step: Float[np.ndarray, " parameters"]) -> Camera:
     """Change a camera by a step of its parameters.
 
-    Parameters
-    ----------
-    step
-        Steps of all parameters, or of the first ones; those of coefficients that the camera does not have must be zero.
+    The step is of all parameters, or of the first ones, and zero for coefficients that the camera does not have.
     """
     if not step.any():
         return camera

@@ -42,22 +42,13 @@ _HUBER, _CAUCHY = 1.345, 2.385
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointObservations:
-    """Observations of points of the structure's blocks, in any order.
+    """Observations of points of the structure's blocks, in any order."""
 
-    Parameters
-    ----------
-    camera, block
-        Numbers of the camera and of the block.
-    model_m
-        Place of the point in its body; without meaning for free points.
-    points_px
-        Distorted pixels.
-    """
-
+    # Numbers of the camera and of the block
     camera: Int[np.ndarray, " n"]
     block: Int[np.ndarray, " n"]
-    model_m: Float[np.ndarray, "n 3"]
-    points_px: Float[np.ndarray, "n 2"]
+    model_m: Float[np.ndarray, "n 3"]  # Place of the point in its body; without meaning for free points
+    points_px: Float[np.ndarray, "n 2"]  # Distorted pixels
 
 
 def observations_of_points(points_px: Float[np.ndarray, "points cameras 2"]) -> PointObservations:
@@ -76,30 +67,15 @@ class AdjustmentProblem:
 
     The gauge is the caller's: leave the extrinsics of one camera fixed, and for free points also one coordinate of a
     second camera's position, or give priors; otherwise standard deviations of positions and rotations are infinite.
-
-    Parameters
-    ----------
-    cameras
-        Given cameras: means of the priors.
-    free
-        Parameters that may change.
-    prior_sigma
-        Standard deviations of the parameters before anything is observed; infinite where nothing is known.
-    observations
-        Observations.
-    loss
-        Robust loss of observations.
-    links
-        Links between free points.
-    lengths_m, length_sigma_m
-        Lengths of the links, with which the search begins, and their standard deviations as priors.
     """
 
-    cameras: tuple[Camera, ...]
-    free: Free
+    cameras: tuple[Camera, ...]  # Given cameras: means of the priors
+    free: Free  # Parameters that may change
+    # Standard deviations of the parameters before anything is observed; infinite where nothing is known
     prior_sigma: Parameters
-    observations: PointObservations
-    loss: Loss = Loss.CAUCHY
-    links: tuple[PointLink, ...] = ()
+    observations: PointObservations  # Observations
+    loss: Loss = Loss.CAUCHY  # Robust loss of observations
+    links: tuple[PointLink, ...] = ()  # Links between free points
+    # Lengths of the links, with which the search begins, and their standard deviations as priors
     lengths_m: Float[np.ndarray, " lengths"] = field(default_factory=_no_lengths)
     length_sigma_m: Float[np.ndarray, " lengths"] = field(default_factory=_no_lengths)

@@ -11,21 +11,11 @@ from pipeline.geometry.fisheye import fisheye_by_coefficients, fisheye_by_ideal
 
 
 class Projection(NamedTuple):
-    """Distorted projections and their derivatives; NaN for points behind the camera.
+    """Distorted projections and their derivatives; NaN for points behind the camera."""
 
-    Parameters
-    ----------
-    points_px
-        Distorted pixels.
-    by_camera
-        Derivatives by the parameters of ``adjustment.parameters``.
-    by_point
-        Derivatives by the points in the world, pixels a metre.
-    """
-
-    points_px: Float[np.ndarray, "points 2"]
-    by_camera: Float[np.ndarray, "points 2 22"]
-    by_point: Float[np.ndarray, "points 2 3"]
+    points_px: Float[np.ndarray, "points 2"]  # Distorted pixels
+    by_camera: Float[np.ndarray, "points 2 22"]  # Derivatives by the parameters of ``adjustment.parameters``
+    by_point: Float[np.ndarray, "points 2 3"]  # Derivatives by the points in the world, pixels a metre
 
 
 def linearise(camera: Camera, xyz_m: Float[np.ndarray, "points 3"]) -> Projection:

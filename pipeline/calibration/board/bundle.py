@@ -32,21 +32,12 @@ _MAX_ERROR_SHARE = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedBoard:
-    """Board at an instant.
+    """Board at an instant."""
 
-    Parameters
-    ----------
-    root_from_board
-        Pose in the frame of the cameras.
-    corners_px
-        Corners by number of the camera, numbered alike in all of them.
-    error_px
-        Mean over the cameras of the median distance of the corners from their projections.
-    """
-
-    root_from_board: Rigid3
+    root_from_board: Rigid3  # Pose in the frame of the cameras
+    # Corners by number of the camera, numbered alike in all of them
     corners_px: Mapping[int, Float[np.ndarray, "corners 2"]]
-    error_px: float
+    error_px: float  # Mean over the cameras of the median distance of the corners from their projections
 
 
 def place_board(
@@ -57,12 +48,7 @@ def place_board(
 ) -> PlacedBoard | None:
     """Find the pose and the numberings that explain an instant's views best; ``None`` if none explains them.
 
-    Parameters
-    ----------
-    cameras
-        Cameras with known poses, by number.
-    corners_px, poses
-        Corners and possible poses of the board in the cameras that see it.
+    Cameras with known poses are by number, corners and possible poses of the board by the camera that sees it.
     """
     best: PlacedBoard | None = None
     for number, possible in poses.items():

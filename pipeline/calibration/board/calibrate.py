@@ -33,11 +33,11 @@ from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration.similarity import move_world
-from pipeline.calibration_choices import KnownPoint
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3
+from pipeline.job_choices import KnownPoint
 from pipeline.progress import OnShare, ignore
 
 # Instants to which the whole rig is fitted.
@@ -63,16 +63,12 @@ def calibrate_board(
 
     Parameters
     ----------
-    views
-        Views of each camera.
     given
         Cameras whose intrinsics are known, by name: they stay. ``None``: intrinsics are calibrated.
     frame_rate_hz
         Rate of the videos: views within half a frame are of one instant. 0 for photographs.
     floor_time_s
         See ``find_places``.
-    on_share
-        Called with the share of the work that is done.
     known_points
         Points that determine the world, in place of the board on the floor.
 

@@ -49,10 +49,7 @@ def _too_few(views: BoardViews, board: Board, least: int) -> Problem:
 def require_linked_by_board(rig: BoardRig, pairs: Sequence[BoardPair], frame_rate_hz: float) -> list[BoardPair]:
     """Pairs that link all cameras.
 
-    Raises
-    ------
-    InputError
-        If a camera is not linked: the reason is its views, or its clock.
+    Raises ``InputError`` if a camera is not linked: the reason is its views, or its clock.
     """
     usable = [pair for pair in pairs if _is_usable(pair)]
     linked = spanning_tree(len(rig.views), usable)

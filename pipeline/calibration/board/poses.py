@@ -20,18 +20,10 @@ _MIN_CORNERS = 4
 
 
 class BoardPose(NamedTuple):
-    """Possible pose of a board in a camera.
+    """Possible pose of a board in a camera."""
 
-    Parameters
-    ----------
-    cam_from_board
-        Transform from the board, as it is numbered.
-    is_turned
-        Whether the corners are numbered from the other end: those of an ambiguous chessboard.
-    """
-
-    cam_from_board: Rigid3
-    is_turned: bool
+    cam_from_board: Rigid3  # Transform from the board, as it is numbered
+    is_turned: bool  # Whether the corners are numbered from the other end: those of an ambiguous chessboard
 
 
 def possible_poses(camera: Camera, corners_px: Float[np.ndarray, "corners 2"], board: Board) -> list[BoardPose]:

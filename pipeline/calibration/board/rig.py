@@ -21,20 +21,12 @@ _NUM_TRIED = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardRig:
-    """Views of all cameras, their cameras, and the instants that they share.
-
-    Parameters
-    ----------
-    poses
-        Possible poses of the board at each view of each camera.
-    instants
-        Number of the view of each camera at each instant, -1 where it has none.
-    """
+    """Views of all cameras, their cameras, and the instants that they share."""
 
     views: tuple[BoardViews, ...]
     cameras: tuple[Camera, ...]
-    poses: tuple[tuple[Sequence[BoardPose], ...], ...]
-    instants: np.ndarray
+    poses: tuple[tuple[Sequence[BoardPose], ...], ...]  # Possible poses of the board at each view of each camera
+    instants: np.ndarray  # Number of the view of each camera at each instant, -1 where it has none
 
     def shared(self, first: int, second: int) -> list[tuple[Sequence[BoardPose], Sequence[BoardPose]]]:
         """Possible poses in two cameras at the instants at which both see the board."""
@@ -44,21 +36,13 @@ class BoardRig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardPair:
-    """Relative pose of two cameras.
+    """Relative pose of two cameras."""
 
-    Parameters
-    ----------
-    first, second
-        Numbers of the cameras.
-    second_from_first
-        Transform between the cameras.
-    num_agreeing, num_shared
-        Number of instants that agree with it, and of all instants at which both see the board.
-    """
-
+    # Numbers of the cameras
     first: int
     second: int
-    second_from_first: Rigid3
+    second_from_first: Rigid3  # Transform between the cameras
+    # Number of instants that agree with it, and of all instants at which both see the board
     num_agreeing: int
     num_shared: int
 
@@ -68,11 +52,8 @@ def relate_by_board(
 ) -> BoardPair | None:
     """Find the relative pose of two cameras that most instants agree with; ``None`` if they share no view.
 
-    Parameters
-    ----------
-    poses
-        Possible poses in both cameras at each shared instant. Wrong solutions of the plane, and wrong numberings,
-        differ from instant to instant; the right ones give the same relative pose at all of them.
+    ``poses`` are the possible ones in both cameras at each shared instant. Wrong solutions of the plane, and wrong
+    numberings, differ from instant to instant; the right ones give the same relative pose at all of them.
     """
     if not poses:
         return None

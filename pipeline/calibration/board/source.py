@@ -13,9 +13,9 @@ from jaxtyping import Float, UInt8
 from pipeline.calibration.board.detection.detect import DetectedBoard, find_board, is_exchanged
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
-from pipeline.calibration_choices import BOARD_FRAMES
 from pipeline.data.arrays import read_only
 from pipeline.errors import InputError, Problem
+from pipeline.job_choices import BOARD_FRAMES
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 
@@ -34,14 +34,8 @@ def frames_to_look_at(
 ) -> list[int]:
     """Numbers of a camera's frames nearest to instants that are the same for all cameras, ascending.
 
-    Parameters
-    ----------
-    time_s
-        Frame times of the camera on the session's clock.
-    span_s
-        First and last time of the session.
-    interval_s
-        Interval of the session's frames; the instants are as far apart, or farther if there are too many.
+    Times are on the session's clock, ``span_s`` its first and last one. The instants are ``interval_s`` apart, the
+    interval of the session's frames, or farther if there are too many.
     """
     begin_s, end_s = span_s
     number = min(BOARD_FRAMES, int((end_s - begin_s) / interval_s) + 1)
@@ -70,19 +64,8 @@ def look_in_video(
 ) -> BoardViews:
     """Look for the board in some frames of a video.
 
-    Parameters
-    ----------
-    time_s
-        Frame times on the session's clock.
-    frames
-        Numbers of the frames, ascending.
-    on_frame
-        Called after each of these frames.
-
-    Raises
-    ------
-    InputError, ChildError
-        See ``pipeline.video.decode.decode``; problems name the camera.
+    Times are on the session's clock, and numbers of frames ascend. Raises as ``pipeline.video.decode.decode``; problems
+    name the camera.
     """
 
     def pictures() -> Iterator[tuple[float, np.ndarray]]:
@@ -100,12 +83,8 @@ def look_in_video(
 def find_photographs(folder: Path) -> Mapping[str, Sequence[Path]]:
     """Photographs of each camera: a subfolder a camera, or a folder of one camera.
 
-    Folders that are named as Pose2Sim does, ``int_cam01_img``, give the camera ``cam01``.
-
-    Raises
-    ------
-    InputError
-        If there are no photographs.
+    Folders that are named as Pose2Sim does, ``int_cam01_img``, give the camera ``cam01``. Raises ``InputError`` if
+    there are no photographs.
     """
     photographs = {}
     if folder.is_dir():
@@ -126,10 +105,7 @@ def look_in_photographs(
 ) -> BoardViews:
     """Look for the board in photographs of one camera, which have no times.
 
-    Raises
-    ------
-    InputError
-        With all photographs that can't be read or have another size than the first one.
+    Raises ``InputError`` with all photographs that can't be read or have another size than the first one.
     """
     problems: list[Problem] = []
     sizes: list[tuple[int, int]] = []

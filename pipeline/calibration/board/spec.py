@@ -23,26 +23,17 @@ _SQUARE_RANGE_M = (0.002, 2.0)
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A flat board. Its corners are numbered along the rows; x along a row, y down the columns, z into the board.
+    """A flat board. Its corners are numbered along the rows; x along a row, y down the columns, z into the board."""
 
-    Parameters
-    ----------
-    kind
-        ``chessboard``: numbers of inner corners, as OpenCV counts them; ``charuco``: numbers of squares.
-    cols, rows
-        Numbers along the width and the height.
-    square_m, marker_m
-        Sides of a square and of a marker.
-    dictionary
-        Name of the dictionary of the markers, such as ``DICT_4X4_50``.
-    """
-
+    # ``chessboard``: numbers of inner corners, as OpenCV counts them; ``charuco``: numbers of squares
     kind: Literal["chessboard", "charuco"]
+    # Numbers along the width and the height
     cols: int
     rows: int
+    # Sides of a square and of a marker
     square_m: float
     marker_m: float = 0.0
-    dictionary: str = ""
+    dictionary: str = ""  # Name of the dictionary of the markers, such as ``DICT_4X4_50``
 
     @property
     def corner_counts(self) -> tuple[int, int]:

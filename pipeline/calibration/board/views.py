@@ -18,36 +18,18 @@ _MAX_DOTS = 4000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardViews:
-    """Corners of a board in pictures of one camera.
+    """Corners of a board in pictures of one camera."""
 
-    Parameters
-    ----------
-    camera
-        Name of the camera.
-    size_px
-        Width and height of the pictures.
-    time_s
-        Time of each picture on the session's clock; NaN for photographs, which have none.
-    corners_px
-        Pixels of each corner by number; NaN where a corner was not found.
-    sharpness_px
-        Width of the edges of the board: smaller is sharper.
-    num_pictures
-        Number of pictures that were looked at, with and without the board.
-    num_mirrored
-        Number of pictures in which the board is mirrored.
-    num_exchanged
-        Number of pictures that show a board with the numbers of columns and rows exchanged.
-    """
-
-    camera: str
-    size_px: tuple[int, int]
+    camera: str  # Name of the camera
+    size_px: tuple[int, int]  # Width and height of the pictures
+    # Time of each picture on the session's clock; NaN for photographs, which have none
     time_s: Float[np.ndarray, " views"]
+    # Pixels of each corner by number; NaN where a corner was not found
     corners_px: Float[np.ndarray, "views corners 2"]
-    sharpness_px: Float[np.ndarray, " views"]
-    num_pictures: int
-    num_mirrored: int = 0
-    num_exchanged: int = 0
+    sharpness_px: Float[np.ndarray, " views"]  # Width of the edges of the board: smaller is sharper
+    num_pictures: int  # Number of pictures that were looked at, with and without the board
+    num_mirrored: int = 0  # Number of pictures in which the board is mirrored
+    num_exchanged: int = 0  # Number of pictures that show a board with the numbers of columns and rows exchanged
 
     def __len__(self) -> int:
         """Number of views."""

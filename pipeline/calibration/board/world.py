@@ -24,34 +24,19 @@ _MOST_INSTANTS = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Places on the floor at which the board lies.
+    """Places on the floor at which the board lies."""
 
-    Parameters
-    ----------
-    stretches
-        Instants at each place; the first place is the origin of the world.
-    is_certain
-        Whether the board lies still there with all cameras above it; else the best instant was taken.
-    """
-
-    stretches: tuple[range, ...]
-    is_certain: bool
+    stretches: tuple[range, ...]  # Instants at each place; the first place is the origin of the world
+    is_certain: bool  # Whether the board lies still there with all cameras above it; else the best instant was taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardWorld:
-    """World of a rig.
+    """World of a rig."""
 
-    Parameters
-    ----------
-    world_from_root
-        Transform from the frame of the cameras: origin at the board's first corner, x along its rows, Z up.
-    tilt_sigma_rad
-        Standard deviation of the floor's tilt: of the less certain of its two directions.
-    """
-
+    # Transform from the frame of the cameras: origin at the board's first corner, x along its rows, Z up
     world_from_root: Rigid3
-    tilt_sigma_rad: float
+    tilt_sigma_rad: float  # Standard deviation of the floor's tilt: of the less certain of its two directions
 
 
 def find_places(
@@ -127,14 +112,8 @@ def find_board_world(
     """Fit the floor's plane to the board at each of its places (generalised least squares).
 
     Directions of the boards' normals and heights of their middles, relative to the first board, are the observations:
-    linear in the slopes and the height of the plane, which are small.
-
-    Parameters
-    ----------
-    root_from_boards
-        Board at each place, in the frame of the cameras.
-    covariance
-        Their covariance: steps of ``adjustment.structure.Bodies``, six a board.
+    linear in the slopes and the height of the plane, which are small. The boards are in the frame of the cameras; their
+    covariance is of steps of ``adjustment.structure.Bodies``, six a board.
     """
     first = root_from_boards[0]
     middle_in_root_m = first.apply(middle_m)

@@ -2,14 +2,23 @@
 
 from collections.abc import Sequence
 
-from pipeline.calibration.checks.lenses import check_lens
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.calibration.checks.lenses import check_lens, growing_radius
 from pipeline.calibration.checks.places import check_places
-from pipeline.calibration.checks.views import check_views
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
+from pipeline.geometry.camera import center_in_world, project, rays_in_world
+from pipeline.geometry.undistortion import undistort_px
 
 MIN_CAMERAS = 2
+# Places in the view of a camera: a grid on the picture, and distances at which people are, up to three times the
+# extent of the rig.
+_GRID = (9, 7)
+_NEAREST_M, _FARTHEST_M, _FARTHEST = 0.5, 10.0, 3.0
+_NUM_DISTANCES = 100
 
 
 def check_cameras(cameras: Sequence[Camera]) -> list[Finding]:
@@ -40,3 +49,48 @@ def _check_number(cameras: Sequence[Camera]) -> list[Finding]:
     message = f"The calibration has {len(cameras)} camera{'s' * (len(cameras) != 1)}: nobody can be located."
     hint = "Give a calibration of at least two cameras."
     return [Finding("too_few_cameras", message, None, "error", hint, {"num_cameras": len(cameras)})]
+
+
+def check_views(cameras: Sequence[Camera]) -> list[Finding]:
+    """Find cameras whose view no other camera shares: people there can't be located.
+
+    The sizes of the cameras' pictures must be known.
+    """
+    centers_m = np.array([center_in_world(camera) for camera in cameras])
+    apart_m = np.linalg.norm(centers_m[:, None] - centers_m[None], axis=-1)
+    findings = []
+    for number, camera in enumerate(cameras):
+        places_m = _places_m(camera, float(apart_m.max()))
+        # Neighbours first: they share most.
+        others = [other for other in np.argsort(apart_m[number], kind="stable") if other != number]
+        if others and not any(sees(cameras[other], places_m).any() for other in others):
+            message = "No other camera sees any place that the camera sees: people there can't be located."
+            hint = "Check the camera's pose and the axes of the calibration, or turn the camera to the others' view."
+            findings.append(Finding("no_common_view", message, camera.name, "error", hint))
+    return findings
+
+
+def _places_m(camera: Camera, extent_m: float) -> Float[np.ndarray, "places 3"]:
+    """Places that a camera sees, from half a metre to three times the extent of the rig away."""
+    columns, rows = (np.linspace(0.0, side - 1.0, count) for side, count in zip(camera.size_px, _GRID, strict=True))
+    grid_px = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    ideal_px = undistort_px(camera, grid_px)
+    rays = rays_in_world(camera, ideal_px[np.isfinite(ideal_px).all(-1)])
+    distance_m = np.linspace(_NEAREST_M, max(_FARTHEST_M, _FARTHEST * extent_m), _NUM_DISTANCES)
+    places_m = (center_in_world(camera) + distance_m[:, None, None] * rays).reshape(-1, 3)
+    return places_m[sees(camera, places_m)]
+
+
+def sees(camera: Camera, places_m: Float[np.ndarray, "places 3"]) -> Bool[np.ndarray, " places"]:
+    """Whether a camera has places in its picture.
+
+    The size of its picture must be known; the places are in the world.
+    """
+    _, limit = growing_radius(camera)
+    in_cam = camera.cam_from_world.apply(places_m)
+    is_ahead = in_cam[:, 2] > 0.0
+    # Beyond the limit, distortion would bring places back into the picture.
+    is_within = is_ahead & (np.linalg.norm(in_cam[:, :2], axis=-1) <= limit * np.where(is_ahead, in_cam[:, 2], 1.0))
+    points_px = np.where(is_within[:, None], project(camera, places_m), np.nan)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((points_px > -0.5) & (points_px < np.array(camera.size_px) - 0.5)).all(-1))

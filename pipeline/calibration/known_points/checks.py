@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from math import dist, hypot
 
-from pipeline.calibration_choices import KnownPoint
 from pipeline.errors import Problem
+from pipeline.job_choices import KnownPoint
 
 MIN_POINTS = 3
 # Points are on a line if no triangle of them is higher than this share of its longest side.

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.known_points.checks import MIN_POINTS, point_problems
 from pipeline.calibration.similarity import Similarity, umeyama
-from pipeline.calibration_choices import KnownPoint
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world, project, projection_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views
+from pipeline.job_choices import KnownPoint
 
 # Distances of the points from where cameras see them, as metres and as a share of the points' extent: above the first
 # limit a warning, above the second one an error.
@@ -34,38 +34,19 @@ _FEW = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedRig:
-    """Cameras in the world of the known points.
+    """Cameras in the world of the known points."""
 
-    Parameters
-    ----------
-    cameras
-        The cameras there.
-    scale
-        Factor by which the rig grew; 1 if its size was known.
-    world
-        Sentence for the report.
-    warnings
-        Doubts.
-    """
-
-    cameras: tuple[Camera, ...]
-    scale: float
-    world: str
-    warnings: tuple[Problem, ...]
+    cameras: tuple[Camera, ...]  # The cameras there
+    scale: float  # Factor by which the rig grew; 1 if its size was known
+    world: str  # Sentence for the report
+    warnings: tuple[Problem, ...]  # Doubts
 
 
 def place_by_points(cameras: Sequence[Camera], points: Sequence[KnownPoint], keeps_scale: bool) -> PlacedRig:
     """Move cameras as a whole into the world of known points.
 
-    Parameters
-    ----------
-    keeps_scale
-        Whether the size of the rig is known, by a board; else it is that of the points.
-
-    Raises
-    ------
-    InputError
-        If fewer than three points are seen by two cameras, if they are on a line, or if they don't fit.
+    ``keeps_scale``: the size of the rig is known, by a board; else it is that of the points. Raises ``InputError`` if
+    fewer than three points are seen by two cameras, if they are on a line, or if they don't fit.
     """
     if problems := point_problems(points, {camera.name: camera.size_px for camera in cameras}):
         raise InputError(problems)

@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
 
-from pipeline.calibration_choices import MAX_KNOWN_POINTS, MAX_POINT_M, KnownPoint
 from pipeline.errors import InputError, Problem
+from pipeline.job_choices import MAX_KNOWN_POINTS, MAX_POINT_M, KnownPoint
 
 COLUMNS = ("name", "x_m", "y_m", "z_m", "camera", "x_px", "y_px")
 _MAX_BYTES = 4 << 20
@@ -14,13 +14,7 @@ _HINT = f"The first line names the columns {','.join(COLUMNS)}; each further lin
 
 
 def read_known_points(path: Path) -> tuple[KnownPoint, ...]:
-    """Read points from a table.
-
-    Raises
-    ------
-    InputError
-        With all problems of the table.
-    """
+    """Read points from a table. Raises ``InputError`` with all problems of the table."""
     problems: list[Problem] = []
     points: dict[str, KnownPoint] = {}
 

@@ -16,20 +16,11 @@ from pipeline.geometry.tracks import triangulate_instants
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedBodies:
-    """Bodies of groups of tracklets, sorted by group and instant.
+    """Bodies of groups of tracklets, sorted by group and instant."""
 
-    Parameters
-    ----------
-    group
-        Number of the group: one person, who may have several groups.
-    instant
-        Instant of each body.
-    points_px
-        Distorted pixels of ``JOINTS``, NaN where a camera does not see the joint.
-    """
-
-    group: Int[np.ndarray, " n"]
-    instant: Int[np.ndarray, " n"]
+    group: Int[np.ndarray, " n"]  # Number of the group: one person, who may have several groups
+    instant: Int[np.ndarray, " n"]  # Instant of each body
+    # Distorted pixels of ``JOINTS``, NaN where a camera does not see the joint
     points_px: Float[np.ndarray, "n cameras joints 2"]
 
     def __len__(self) -> int:

@@ -48,21 +48,11 @@ _FOCAL_SIGMA, _K1_SIGMA = 0.25, 0.15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeopleFit:
-    """Adjusted cameras.
+    """Adjusted cameras."""
 
-    Parameters
-    ----------
-    cameras
-        Cameras; the world is the one they came with.
-    sigma
-        Standard deviations of their parameters.
-    error_px
-        Median distance of each camera's projections from the observations.
-    """
-
-    cameras: tuple[Camera, ...]
-    sigma: Parameters
-    error_px: Float[np.ndarray, " cameras"]
+    cameras: tuple[Camera, ...]  # Cameras; the world is the one they came with
+    sigma: Parameters  # Standard deviations of their parameters
+    error_px: Float[np.ndarray, " cameras"]  # Median distance of each camera's projections from the observations
 
 
 def adjust_poses(posed: Mapping[int, Camera], bodies: MatchedBodies, has_free_lenses: bool) -> dict[int, Camera]:
@@ -78,10 +68,7 @@ def adjust_people_rig(
 ) -> PeopleFit:
     """Adjust all cameras to bodies all over the take, with bones and speeds.
 
-    Parameters
-    ----------
-    has_free_lenses
-        Whether focal lengths and first radial coefficients are adjusted too.
+    ``has_free_lenses``: focal lengths and first radial coefficients are adjusted too.
     """
     chosen = _spread(bodies, _MANY_BODIES)
     adjusted, camera = _adjust(cameras, chosen, instants_s, has_free_lenses)

@@ -21,11 +21,11 @@ from pipeline.calibration.people.rig import pose_cameras
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of, with_camera
 from pipeline.calibration.people.world import PeopleWorld, find_people_world
 from pipeline.calibration.report import CalibrationResult, report_camera
-from pipeline.calibration_choices import KnownPoint
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, FrameTimes
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError
+from pipeline.job_choices import KnownPoint
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 
@@ -55,17 +55,11 @@ def calibrate_people(
     ----------
     cameras
         Cameras with known or guessed intrinsics; their poses are ignored.
-    times, detections
-        Frame times and detected bodies by camera.
-    joints
-        Joints of the detections.
     stature_m
         Statures of the people, in any order; one for all is enough.
     has_intrinsics
         Whether the intrinsics are known, and stay; else a focal length and a radial coefficient of each camera are
         estimated.
-    on_share
-        Called with the share of the work that is done.
     known_points
         Points that determine the world with its scale, in place of the people.
 

@@ -42,13 +42,7 @@ def require_people(cameras: Sequence[Camera], tracklets: Sequence[ViewTracklet],
 def require_linked_by_people(
     cameras: Sequence[Camera], posed: Mapping[int, Camera], relatives: Sequence[RelativePose]
 ) -> list[Camera]:
-    """All cameras with their poses.
-
-    Raises
-    ------
-    InputError
-        If a camera is not linked.
-    """
+    """All cameras with their poses. Raises ``InputError`` if a camera is not linked."""
     problems = []
     for number, camera in enumerate(cameras):
         if number in posed:
@@ -66,13 +60,7 @@ def require_linked_by_people(
 
 
 def world_or_refused(world: PeopleWorld | None) -> PeopleWorld:
-    """World.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """World. Raises ``InputError`` if there is none."""
     if world is None:
         message = "Nobody is seen from the shoulders to the ankles for a second; scale and vertical are unknown."
         raise InputError([Problem("people_not_whole", message, hint=_FILM)])

@@ -47,17 +47,10 @@ class _Growing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """A body in one camera's frames, one after the other.
+    """A body in one camera's frames, one after the other."""
 
-    Parameters
-    ----------
-    times_s
-        Times of the frames in which it was found.
-    points_px
-        Distorted pixels of the joints that are followed; NaN where a joint is not seen.
-    """
-
-    times_s: Float[np.ndarray, " frames"]
+    times_s: Float[np.ndarray, " frames"]  # Times of the frames in which it was found
+    # Distorted pixels of the joints that are followed; NaN where a joint is not seen
     points_px: Float[np.ndarray, "frames joints 2"]
 
     @property
@@ -72,14 +65,7 @@ def follow_bodies(
 ) -> list[Followed]:
     """Follow bodies from frame to frame of one camera; a body ends where another one comes so close that both may swap.
 
-    Parameters
-    ----------
-    time_s
-        Times of the camera's frames.
-    detected
-        Bodies with the joints ``joints``.
-    names
-        Joints that are followed.
+    ``names`` are the joints that are followed.
     """
     points_px = _chosen(detected, joints, names)
     starts = np.searchsorted(detected.frame, np.arange(len(time_s) + 1))
@@ -112,9 +98,7 @@ def _continued(
 ) -> tuple[list[_Growing], list[_Growing]]:
     """Continue tracklets with the bodies of a frame.
 
-    Returns
-    -------
-        Tracklets that go on, new ones included, and those that end because more than one body may be theirs.
+    Returns tracklets that go on, new ones included, and those that end because more than one body may be theirs.
     """
     shift = np.full((len(growing), len(bodies)), np.inf)
     if len(growing) and len(bodies):

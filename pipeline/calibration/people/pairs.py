@@ -38,57 +38,29 @@ class Match:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativePose:
-    """Relative pose of two cameras up to scale.
+    """Relative pose of two cameras up to scale."""
 
-    Parameters
-    ----------
-    first, second
-        Numbers of the cameras.
-    second_from_first
-        Transform; its translation has length 1.
-    matches
-        Tracklets that are one person.
-    support
-        Instants of people that fit.
-    angle_deg
-        Median angle between the rays to a joint.
-    cost
-        Mean truncated cost of the joints that the matches compare.
-    """
-
+    # Numbers of the cameras
     first: int
     second: int
-    second_from_first: Rigid3
-    matches: tuple[Match, ...]
-    support: float
-    angle_deg: float
-    cost: float
+    second_from_first: Rigid3  # Transform; its translation has length 1
+    matches: tuple[Match, ...]  # Tracklets that are one person
+    support: float  # Instants of people that fit
+    angle_deg: float  # Median angle between the rays to a joint
+    cost: float  # Mean truncated cost of the joints that the matches compare
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Compared:
-    """Points of all pairs of tracklets of two cameras that overlap in time.
+    """Points of all pairs of tracklets of two cameras that overlap in time."""
 
-    Parameters
-    ----------
-    tracklets
-        Numbers of the two tracklets of each pair.
-    overlap
-        Number of instants that the pair shares.
-    owner
-        Pair of each point.
-    left, right
-        Points on the normalised image planes.
-    tolerance
-        Sampson distance up to which a point fits.
-    """
-
-    tracklets: Int[np.ndarray, "pairs 2"]
-    overlap: Float[np.ndarray, " pairs"]
-    owner: Int[np.ndarray, " n"]
+    tracklets: Int[np.ndarray, "pairs 2"]  # Numbers of the two tracklets of each pair
+    overlap: Float[np.ndarray, " pairs"]  # Number of instants that the pair shares
+    owner: Int[np.ndarray, " n"]  # Pair of each point
+    # Points on the normalised image planes
     left: Float[np.ndarray, "n 2"]
     right: Float[np.ndarray, "n 2"]
-    tolerance: Float[np.ndarray, " n"]
+    tolerance: Float[np.ndarray, " n"]  # Sampson distance up to which a point fits
 
 
 def relate_by_people(

@@ -30,12 +30,7 @@ def pose_cameras(
 ) -> Mapping[int, Camera]:
     """Pose the cameras that can be linked, in the frame of one of them, at a scale that is about right.
 
-    Parameters
-    ----------
-    cameras
-        Intrinsics; the poses are ignored.
-    has_free_lenses
-        Whether focal lengths and first radial coefficients are adjusted too.
+    The cameras' poses are ignored. ``has_free_lenses``: focal lengths and first radial coefficients are adjusted too.
     """
     posed = _seed(cameras, relatives, bodies)
     while posed:

@@ -21,9 +21,7 @@ def statures(
 ) -> tuple[Float[np.ndarray, " people"], Float[np.ndarray, " people"]]:
     """Estimate statures, in the unit of the points.
 
-    Returns
-    -------
-        Stature of each group of which shin, thigh and trunk are known often enough, and its number of bodies.
+    Returns the stature of each group of which shin, thigh and trunk are known often enough, and its number of bodies.
     """
     ankle, knee, hip, shoulder = (xyz[:, _pair(kind)] for kind in ("ankle", "knee", "hip", "shoulder"))
     lengths = (
@@ -46,10 +44,7 @@ def scale_from(
 ) -> float:
     """Metres a unit, with which the estimated statures are closest to known ones (sum of absolute logarithms).
 
-    Parameters
-    ----------
-    stature_m
-        Statures of the people; nobody knows who is who, so each estimate is compared with the closest one.
+    Nobody knows who is who, so each estimate is compared with the closest stature.
     """
     tried = np.log(np.array(stature_m)[:, None] / estimates[None]).ravel()
     distance = np.abs(np.log(estimates)[None, :, None] + tried[:, None, None] - np.log(np.array(stature_m)))

@@ -21,27 +21,14 @@ _STEP_S, _MAX_INSTANTS = 0.1, 1200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewTracklet:
-    """A body in one camera at consecutive instants.
+    """A body in one camera at consecutive instants."""
 
-    Parameters
-    ----------
-    camera
-        Number of the camera.
-    first
-        First instant.
-    points_px
-        Distorted pixels of ``JOINTS``; NaN where a joint is not seen.
-    ideal
-        The same points on the normalised image plane (z = 1), without distortion.
-    height_px
-        Median height of the body in the image.
-    """
-
-    camera: int
-    first: int
-    points_px: Float[np.ndarray, "instants joints 2"]
+    camera: int  # Number of the camera
+    first: int  # First instant
+    points_px: Float[np.ndarray, "instants joints 2"]  # Distorted pixels of ``JOINTS``; NaN where a joint is not seen
+    # The same points on the normalised image plane (z = 1), without distortion
     ideal: Float[np.ndarray, "instants joints 2"]
-    height_px: float
+    height_px: float  # Median height of the body in the image
 
     @property
     def instants(self) -> range:

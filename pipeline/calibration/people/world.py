@@ -25,22 +25,13 @@ _SHOULDERS = [JOINTS.index("left_shoulder"), JOINTS.index("right_shoulder")]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeopleWorld:
-    """Cameras in a world with Z up.
+    """Cameras in a world with Z up."""
 
-    Parameters
-    ----------
-    cameras
-        Cameras; the floor is z = 0, the origin lies under the middle of the people, and y points away from the first
-        camera.
-    scale
-        Metres of this world to the unit of the cameras before.
-    has_floor
-        Whether feet determine the floor; else z = 0 is only at the height of the lowest feet.
-    """
-
+    # Cameras; the floor is z = 0, the origin lies under the middle of the people, and y points away from the first
+    # camera
     cameras: tuple[Camera, ...]
-    scale: float
-    has_floor: bool
+    scale: float  # Metres of this world to the unit of the cameras before
+    has_floor: bool  # Whether feet determine the floor; else z = 0 is only at the height of the lowest feet
 
 
 def find_people_world(
@@ -48,14 +39,7 @@ def find_people_world(
 ) -> PeopleWorld | None:
     """Put cameras into the world of the people; ``None`` if nobody is seen from shoulders to ankles.
 
-    Parameters
-    ----------
-    cameras
-        Adjusted cameras in any frame and scale.
-    stature_m
-        Statures of the people, in any order.
-    rate_hz
-        Rate of the instants.
+    The cameras are adjusted, in any frame and scale; statures are in any order. ``rate_hz`` is that of the instants.
     """
     xyz = bodies.triangulated(cameras)
     estimates_m, weights = statures(xyz, bodies.group)

@@ -29,10 +29,7 @@ def is_panoptic(listed: Sequence[Any]) -> bool:
 def read_document(document: Mapping[str, Any], file: str) -> CameraFile | None:
     """Read a JSON object of one of these data sets; ``None`` if it is of neither.
 
-    Raises
-    ------
-    InputError
-        With all problems of all cameras.
+    Raises ``InputError`` with all problems of all cameras.
     """
     listed = document.get("cameras")
     if isinstance(listed, list) and is_panoptic(listed):

@@ -46,10 +46,7 @@ _EASYMOCAP = "EasyMocap"
 def read_fields(fields: Mapping[str, Any], file: str) -> CameraFile | None:
     """Read the cameras of a mapping; ``None`` if it has no camera of these formats.
 
-    Raises
-    ------
-    InputError
-        With all problems of all cameras.
+    Raises ``InputError`` with all problems of all cameras.
     """
     names = _easymocap_names(fields)
     if names:

@@ -27,21 +27,11 @@ _MIN_RATIO = 3.0
 
 
 class Step(NamedTuple):
-    """Step of a camera's orientation.
+    """Step of a camera's orientation."""
 
-    Parameters
-    ----------
-    camera
-        Position of the camera.
-    time_s
-        Time of the step on the session's clock.
-    turn_rad
-        Angle of the step.
-    """
-
-    camera: int
-    time_s: float
-    turn_rad: float
+    camera: int  # Position of the camera
+    time_s: float  # Time of the step on the session's clock
+    turn_rad: float  # Angle of the step
 
     def hidden(self, sightings: JointSightings) -> Bool[np.ndarray, "points cameras"]:
         """Views of the camera on the side of the step that has fewer of them."""
@@ -56,12 +46,8 @@ class Step(NamedTuple):
 def find_steps(cameras: Sequence[Camera], sightings: JointSightings) -> list[Step]:
     """Find the largest step of each camera's orientation; none with fewer than three cameras.
 
-    A camera that was moved makes the others seem to move as well: not all of the steps are true.
-
-    Parameters
-    ----------
-    cameras
-        Cameras that fit the take on the whole.
+    A camera that was moved makes the others seem to move as well: not all of the steps are true. The cameras must fit
+    the take on the whole.
     """
     if len(cameras) < 3:
         return []

@@ -38,21 +38,12 @@ _DECIMALS = 7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level:
-    """Move of the world that puts the floor to z = 0.
+    """Move of the world that puts the floor to z = 0."""
 
-    Parameters
-    ----------
-    level_from_given
-        Transform from the given world: the shortest turn about the people's place, and a shift along Z.
-    tilt_deg
-        Angle by which the world turns.
-    height_m
-        Height of the floor in the given world, in the middle of the people.
-    """
-
+    # Transform from the given world: the shortest turn about the people's place, and a shift along Z
     level_from_given: Rigid3
-    tilt_deg: float
-    height_m: float
+    tilt_deg: float  # Angle by which the world turns
+    height_m: float  # Height of the floor in the given world, in the middle of the people
 
 
 def find_level(cameras: Sequence[Camera], poses: Sequence[Poses3D], joints: JointSet) -> Level | None:
@@ -64,8 +55,6 @@ def find_level(cameras: Sequence[Camera], poses: Sequence[Poses3D], joints: Join
         Cameras of the given world, by which the feet are located.
     poses
         Poses of people, such as those of ``sightings.sampled_poses``; only their 2D joints are used.
-    joints
-        Joints of the poses.
 
     Returns
     -------

@@ -45,44 +45,23 @@ _BLOCK_S, _MIN_BLOCKS = 2.0, 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedCameras:
-    """Result of a refinement.
+    """Result of a refinement."""
 
-    Parameters
-    ----------
-    cameras
-        Refined cameras in the given world; the given ones if they are about as good.
-    is_refined
-        Whether the cameras are refined ones.
-    error_before_px, error_after_px
-        Median reprojection error of the given and of the refined cameras, cross-validated; NaN without sightings.
-    steps
-        Cameras that were moved in the middle of the take.
-    num_points
-        Number of points.
-    """
-
-    cameras: tuple[Camera, ...]
-    is_refined: bool
+    cameras: tuple[Camera, ...]  # Refined cameras in the given world; the given ones if they are about as good
+    is_refined: bool  # Whether the cameras are refined ones
+    # Median reprojection error of the given and of the refined cameras, cross-validated; NaN without sightings
     error_before_px: float
     error_after_px: float
-    steps: tuple[Step, ...]
-    num_points: int
+    steps: tuple[Step, ...]  # Cameras that were moved in the middle of the take
+    num_points: int  # Number of points
 
 
 def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings) -> RefinedCameras:
     """Refine cameras from sightings of people.
 
     Refined cameras are taken if the cross-validated reprojection error falls by more than a quarter. The world stays:
-    most cameras are as close to their given poses as the sightings allow.
-
-    Parameters
-    ----------
-    given
-        Cameras as calibrated.
-    start
-        Cameras with which the search begins: the given ones, or those of an earlier refinement.
-    sightings
-        Joints of people.
+    most cameras are as close to their given poses as the sightings allow. ``given`` are the cameras as calibrated. The
+    search begins with ``start``: the given ones, or those of an earlier refinement.
     """
     unchanged = RefinedCameras(tuple(given), False, np.nan, np.nan, (), len(sightings))
     if len(sightings) < _MIN_POINTS:

@@ -22,17 +22,10 @@ _CELL_M = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointSightings:
-    """Joints of people, each seen by at least two cameras at one instant.
+    """Joints of people, each seen by at least two cameras at one instant."""
 
-    Parameters
-    ----------
-    time_s
-        Time of each point on the session's clock.
-    points_px
-        Distorted pixels of the full image; NaN where a camera does not see the point.
-    """
-
-    time_s: Float[np.ndarray, " points"]
+    time_s: Float[np.ndarray, " points"]  # Time of each point on the session's clock
+    # Distorted pixels of the full image; NaN where a camera does not see the point
     points_px: Float[np.ndarray, "points cameras 2"]
 
     def __len__(self) -> int:
@@ -63,16 +56,8 @@ def choose_sightings(
     """Choose joints of people all over the take and the volume.
 
     Every square of 0.5 m of the floor gives equally many poses, evenly spread over time, as far as it has as many.
-    Views with a score below 0.3 are left out, and fingers.
-
-    Parameters
-    ----------
-    poses
-        Poses of people, such as those of ``sampled_poses``.
-    joints
-        Joints of the poses.
-    max_points
-        Largest number of points, about.
+    Views with a score below 0.3 are left out, and fingers. The poses are such as those of ``sampled_poses``;
+    ``max_points`` is about the largest number of points.
     """
     index = [number for number, name in enumerate(joints.names) if name not in FINGER_JOINTS]
     parts = [_usable(some, index) for some in poses]

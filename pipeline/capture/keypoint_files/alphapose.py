@@ -25,45 +25,31 @@ _POINTS = "keypoints"
 
 
 def frames_of(content: Any) -> Mapping[int, Any]:
-    """Split all images by the numbers in their names.
-
-    Raises
-    ------
-    KeypointsError
-        If an image has no number, or the number of another one.
-    TypeError, KeyError
-        If the content is not in the format.
-    """
+    """Split all images by the numbers in their names."""
     frames: dict[int, Any] = {}
     names: dict[int, str] = {}
-    for name, one in content.items() if isinstance(content, dict) else ((one["image_id"], one) for one in content):
+    for name, image in (
+        content.items() if isinstance(content, dict) else ((image["image_id"], image) for image in content)
+    ):
         number = _number_of(name)
         if names.setdefault(number, name) != name:
             raise KeypointsError(f"{names[number]} and {name} have the same frame number.", "image_id")
         if isinstance(content, dict):
-            frames[number] = one
+            frames[number] = image
         else:
-            frames.setdefault(number, []).append(one)
+            frames.setdefault(number, []).append(image)
     return frames
 
 
 def read_frame(content: Any) -> People:
-    """Read the people of an image with at least one detected joint.
-
-    Raises
-    ------
-    KeypointsError, CrowdError
-        If the frame can't be used.
-    UnreadableError, TypeError, KeyError
-        If the content is not in the format.
-    """
+    """Read the people of an image with at least one detected joint."""
     if isinstance(content, dict):
-        bodies = {"people": [{"pose_keypoints_2d": one["joints"]} for one in content.get("bodies", ())]}
+        bodies = {"people": [{"pose_keypoints_2d": body["joints"]} for body in content.get("bodies", ())]}
         return openpose.read_frame(content if "people" in content else bodies)
     check_number(content)
     if not content:
         return nobody()
-    people = [one[_POINTS] for one in content]
+    people = [person[_POINTS] for person in content]
     layout = layout_of(len(people[0]) // 3, _POINTS)
     return with_detected_joints(arranged(points_of(people, len(layout.points), _POINTS), layout))
 

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.capture.keypoint_files.names import joint_of
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
@@ -25,7 +24,7 @@ from pipeline.capture.keypoint_files.people import (
     points_of,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged, layout_of_names
+from pipeline.capture.keypoint_files.points import arranged, joint_of, layout_of_names
 from pipeline.joints import BODY_FEET, COCO_17
 from pipeline.layouts import LAYOUTS, Layout
 
@@ -36,15 +35,7 @@ _BODY_FEET = [_WHOLE.points.index(name) for name in BODY_FEET.names]
 
 
 def frames_of(content: Any) -> Mapping[int, Any]:
-    """Split the people of all frames by the number of the frame; ``images`` names frames that may show nobody.
-
-    Raises
-    ------
-    KeypointsError
-        If a person has no number of a frame.
-    TypeError, KeyError
-        If the content is not in the format.
-    """
+    """Split the people of all frames by the number of the frame; ``images`` names frames that may show nobody."""
     frames: dict[int, list[Any]] = {}
     numbers: Mapping[Any, int] = {}
     if isinstance(content, dict):
@@ -61,15 +52,7 @@ def frames_of(content: Any) -> Mapping[int, Any]:
 
 
 def read_frame(content: Any) -> People:
-    """Read the people of a frame with at least one detected joint.
-
-    Raises
-    ------
-    KeypointsError, CrowdError
-        If the frame can't be used.
-    UnreadableError, TypeError, KeyError
-        If the content is not in the format.
-    """
+    """Read the people of a frame with at least one detected joint."""
     listed, layout = content if isinstance(content, _Frame) else _people_of(content)
     check_number(listed)
     if not listed:
@@ -104,11 +87,11 @@ def _people_of(content: Any) -> _Frame:
     if not isinstance(listed, list) or not all(isinstance(person, dict) for person in listed):
         raise TypeError
     categories = content.get("categories", ()) if isinstance(content, dict) else ()
-    names = {one["id"]: tuple(map(str, one[_BODY])) for one in categories if one.get(_BODY)}
+    names = {category["id"]: tuple(map(str, category[_BODY])) for category in categories if category.get(_BODY)}
     if not names:
         return _Frame(listed, None)
-    people = [one for one in listed if one.get("category_id") in names]
-    used = {names[one["category_id"]] for one in people}
+    people = [person for person in listed if person.get("category_id") in names]
+    used = {names[person["category_id"]] for person in people}
     if len(used) > 1:
         raise KeypointsError("People of several categories have points of different names.", "category_id")
     found = next(iter(used), COCO_17.names)
@@ -121,7 +104,10 @@ def _numbers_of(images: Sequence[Mapping[str, Any]]) -> Mapping[Any, int]:
     ids = [frame_number(image["id"], "id") for image in images]
     named = [number_in_name(image.get("file_name")) for image in images]
     is_named = None not in named and len(set(named)) == len(set(ids))
-    return {one: number if is_named and number is not None else one for one, number in zip(ids, named, strict=True)}
+    return {
+        image_id: number if is_named and number is not None else image_id
+        for image_id, number in zip(ids, named, strict=True)
+    }
 
 
 def _hand(side: str) -> str:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
-from pipeline.capture.keypoint_files.names import joint_of, named_layout
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
@@ -23,7 +22,7 @@ from pipeline.capture.keypoint_files.people import (
     number_in_name,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged
+from pipeline.capture.keypoint_files.points import arranged, joint_of, named_layout
 from pipeline.layouts import Layout
 from pipeline.parsing import UnreadableError
 
@@ -35,24 +34,13 @@ _SCENE = "single"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Columns of a file.
+    """Columns of a file."""
 
-    Parameters
-    ----------
-    names
-        Name of each column as messages show it; empty for those before the points.
-    number
-        Column of each number: individuals, points of the layout, and x, y and likelihood; -1 without one.
-    layout
-        Layout of the points.
-    num_leading
-        Columns before the points.
-    """
-
-    names: Sequence[str]
+    names: Sequence[str]  # Name of each column as messages show it; empty for those before the points
+    # Column of each number: individuals, points of the layout, and x, y and likelihood; -1 without one
     number: Int[np.ndarray, "people points 3"]
-    layout: Layout
-    num_leading: int
+    layout: Layout  # Layout of the points
+    num_leading: int  # Columns before the points
 
 
 def is_table(content: bytes) -> bool:
@@ -63,12 +51,8 @@ def is_table(content: bytes) -> bool:
 def frames_of(content: bytes) -> Mapping[int, tuple[Columns, str]]:
     """Split the rows by the number of their frame.
 
-    Raises
-    ------
-    KeypointsError
-        If the headers can't be used, or if a row has no number, or that of another one.
-    UnreadableError
-        If the content is no text.
+    Raises ``KeypointsError`` if the headers can't be used, or if a row has no number, or that of another one;
+    ``UnreadableError`` if the content is no text.
     """
     try:
         lines = content.decode("utf-8-sig").splitlines()
@@ -98,10 +82,7 @@ def frames_of(content: bytes) -> Mapping[int, tuple[Columns, str]]:
 def read_frame(content: tuple[Columns, str]) -> People:
     """Read the people of a row with at least one detected joint.
 
-    Raises
-    ------
-    KeypointsError, CrowdError
-        If the row can't be used.
+    Raises ``KeypointsError`` or ``CrowdError`` if the row can't be used.
     """
     columns, line = content
     cells = _cells(line)
@@ -125,17 +106,17 @@ def _columns(headers: Mapping[str, Sequence[str]]) -> Columns:
         raise KeypointsError("The rows of headers bodyparts and coords are missing.")
     if len({len(cells) for cells in headers.values()}) > 1:
         raise KeypointsError("The rows of headers have different numbers of cells.")
-    coords = [one.strip().lower() for one in headers["coords"]]
+    coords = [coord.strip().lower() for coord in headers["coords"]]
     parts = headers["bodyparts"]
     owners = headers.get("individuals", [""] * len(coords))
-    points = [k for k, one in enumerate(coords) if one in _COORDS]
+    points = [k for k, coord in enumerate(coords) if coord in _COORDS]
     people = list(dict.fromkeys(owners[k] for k in points))
     if len(people) > 1 and _SCENE in people:
         people.remove(_SCENE)
     check_number(people)
     of_people = set(people)
     # Only points that are joints: a scene of strangers may have any number of others.
-    names = [one for one in dict.fromkeys(parts[k] for k in points if owners[k] in of_people) if joint_of(one)]
+    names = [name for name in dict.fromkeys(parts[k] for k in points if owners[k] in of_people) if joint_of(name)]
     layout = named_layout(names, "bodyparts")
     number = np.full((len(people), len(names), len(_COORDS)), -1)
     place_of_person = {name: k for k, name in enumerate(people)}

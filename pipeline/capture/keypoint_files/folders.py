@@ -55,21 +55,11 @@ def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contents:
-    """People of a folder.
+    """People of a folder."""
 
-    Parameters
-    ----------
-    frames
-        People by frame number, in ascending order.
-    num_joints
-        Number of their joints, detected or not.
-    forms
-        Names of the forms of the files.
-    """
-
-    frames: dict[int, People]
-    num_joints: int
-    forms: frozenset[str]
+    frames: dict[int, People]  # People by frame number, in ascending order
+    num_joints: int  # Number of their joints, detected or not
+    forms: frozenset[str]  # Names of the forms of the files
 
 
 def read_folder(
@@ -82,12 +72,8 @@ def read_folder(
 ) -> Contents:
     """Read the people of a camera; stop above ``max_joints``.
 
-    A folder has files of single frames, named by their numbers, or one JSON or CSV file of all frames.
-
-    Parameters
-    ----------
-    size_px
-        Width and height of the camera's images; ``None`` if unknown.
+    A folder has files of single frames, named by their numbers, or one JSON or CSV file of all frames. ``size_px`` has
+    width and height of the camera's images; ``None`` if unknown.
     """
     found = _Problems(folder)
     files = _choose(folder, found)

@@ -9,20 +9,17 @@ from pipeline.capture.keypoint_files.people import KeypointsError, People
 
 
 class Form(NamedTuple):
-    """Form of a file.
+    """Form of a file, with the functions of its reader.
 
-    Parameters
-    ----------
-    name
-        Program or format, as users know it.
-    read_frame
-        Reads the people of a frame from the content of its file, or from an entry of ``frames_of``.
-    frames_of
-        Splits the content of a file of all frames by their numbers; ``None`` if the content is of a single frame.
+    Both raise ``TypeError``, ``KeyError`` or ``UnreadableError`` if the content is not in the format, and
+    ``KeypointsError`` if it can't be used, such as for a frame without a number or with the number of another one.
+    ``read_frame`` raises ``CrowdError`` if there are too many people.
     """
 
-    name: str
+    name: str  # Program or format, as users know it
+    # Reads the people of a frame from the content of its file, or from an entry of ``frames_of``
     read_frame: Callable[[Any], People]
+    # Splits the content of a file of all frames by their numbers; ``None`` if the content is of a single frame
     frames_of: Callable[[Any], Mapping[int, Any]] | None
 
 
@@ -32,15 +29,8 @@ OPENPOSE = "OpenPose"
 def form_of(content: Any, size_px: tuple[int, int] | None) -> Form:
     """Find the form of a file's content: parsed JSON, or the bytes of a CSV file.
 
-    Parameters
-    ----------
-    size_px
-        Width and height of the camera's images; ``None`` if unknown.
-
-    Raises
-    ------
-    KeypointsError
-        If a CSV file is of no known form. Unknown JSON is taken as OpenPose's.
+    ``size_px`` has width and height of the camera's images; ``None`` if unknown. Unknown JSON is taken as OpenPose's.
+    Raises ``KeypointsError`` if a CSV file is of no known form.
     """
     if isinstance(content, bytes):
         if not deeplabcut.is_table(content):
@@ -54,7 +44,7 @@ def form_of(content: Any, size_px: tuple[int, int] | None) -> Form:
 
 
 def _form_of_list(content: list[Any], size_px: tuple[int, int] | None) -> Form:
-    first = next((one for one in content if isinstance(one, dict)), {})
+    first = next((entry for entry in content if isinstance(entry, dict)), {})
     if "instances" in first:
         return Form("MMPose", mmpose.read_frame, mmpose.frames_of)
     if "keypoint_scores" in first:

@@ -40,23 +40,15 @@ _BODY_FEET = [_LAYOUT.points.index(name) for name in BODY_FEET.names]
 
 
 def frames_of(content: Any) -> Mapping[int, Any]:
-    """Split all frames by their numbers.
-
-    Raises
-    ------
-    KeypointsError
-        If a frame has no number, or the number of another one.
-    TypeError, KeyError
-        If the content is not in the format.
-    """
+    """Split all frames by their numbers."""
     listed = content["frames"] if isinstance(content, dict) else content
     check_frames(len(listed))
     size = {_SIZE: content[_SIZE]} if isinstance(content, dict) and _SIZE in content else {}
     frames: dict[int, Any] = {}
-    for place, one in enumerate(listed):
-        is_own = isinstance(content, dict) and one.keys().isdisjoint(RESULTS)
-        result = {RESULTS[0]: None} if one is None else one
-        number = frame_number(one["frame"] if is_own else result.get("frame", place), "frame")
+    for place, entry in enumerate(listed):
+        is_own = isinstance(content, dict) and entry.keys().isdisjoint(RESULTS)
+        result = {RESULTS[0]: None} if entry is None else entry
+        number = frame_number(entry["frame"] if is_own else result.get("frame", place), "frame")
         if number in frames:
             raise KeypointsError(f"Frame {number} is listed twice.", "frame")
         frames[number] = {**size, **result}
@@ -66,17 +58,7 @@ def frames_of(content: Any) -> Mapping[int, Any]:
 def read_frame(content: Any, size_px: tuple[int, int] | None = None) -> People:
     """Read the people of a frame with at least one detected joint.
 
-    Parameters
-    ----------
-    size_px
-        Width and height of the camera's images, for results that don't state the size; ``None`` if unknown.
-
-    Raises
-    ------
-    KeypointsError, CrowdError
-        If the frame can't be used.
-    UnreadableError, TypeError, KeyError
-        If the content is not in the format.
+    ``size_px`` has width and height of the camera's images, for results that don't state them; ``None`` if unknown.
     """
     scale_px = _size_px(content)
     poses = content.get("poses")
@@ -105,7 +87,7 @@ def _poses_of(result: Mapping[str, Any]) -> list[dict[str, Any]]:
         raise TypeError
     poses = _people_of(result[field])
     check_number(poses)
-    people = [{_POSE: one} for one in poses]
+    people = [{_POSE: pose} for pose in poses]
     for side in SIDES:
         name = _hand(side) if _hand(side) in result else f"{side}HandLandmarks"
         hands = _people_of(result.get(name))
@@ -144,7 +126,9 @@ def _flat(landmarks: Sequence[Mapping[str, Any]] | None, field: str) -> list[Any
     if len(landmarks) not in (_NUM_POSE, NUM_HAND_POINTS):
         message = f"{field} has {len(landmarks)} landmarks; a pose has {_NUM_POSE}, a hand has {NUM_HAND_POINTS}."
         raise KeypointsError(message, field)
-    return [number for one in landmarks for number in (one["x"], one["y"], one.get("visibility", 1.0))]
+    return [
+        number for landmark in landmarks for number in (landmark["x"], landmark["y"], landmark.get("visibility", 1.0))
+    ]
 
 
 def _hand(side: str) -> str:

@@ -28,15 +28,7 @@ _POINTS, _SCORES, _NAMES = "keypoints", "keypoint_scores", "keypoint_id2name"
 
 
 def frames_of(content: Any) -> Mapping[int, Any]:
-    """Split all frames by their numbers.
-
-    Raises
-    ------
-    KeypointsError
-        If a frame has no number, or the number of another one.
-    TypeError, KeyError
-        If the content is not in the format.
-    """
+    """Split all frames by their numbers."""
     layout = None
     if isinstance(content, dict):
         names = _names_of(content.get("meta_info"))
@@ -44,24 +36,16 @@ def frames_of(content: Any) -> Mapping[int, Any]:
         content = content["instance_info"]
     check_frames(len(content))
     frames: dict[int, Any] = {}
-    for one in content:
-        number = frame_number(one["frame_id"], "frame_id")
+    for frame in content:
+        number = frame_number(frame["frame_id"], "frame_id")
         if number in frames:
             raise KeypointsError(f"Frame {number} is listed twice.", "frame_id")
-        frames[number] = _Frame(one["instances"], layout)
+        frames[number] = _Frame(frame["instances"], layout)
     return frames
 
 
 def read_frame(content: Any) -> People:
-    """Read the people of a frame with at least one detected joint.
-
-    Raises
-    ------
-    KeypointsError, CrowdError
-        If the frame can't be used.
-    UnreadableError, TypeError, KeyError
-        If the content is not in the format.
-    """
+    """Read the people of a frame with at least one detected joint."""
     instances, layout = content if isinstance(content, _Frame) else _Frame(content, None)
     if not isinstance(instances, list):
         raise TypeError
@@ -69,19 +53,19 @@ def read_frame(content: Any) -> People:
     if not instances:
         return nobody()
     num_points = len(instances[0][_POINTS])
-    for one in instances:
-        if len(one[_POINTS]) != num_points:
+    for instance in instances:
+        if len(instance[_POINTS]) != num_points:
             raise KeypointsError("People have different numbers of points.", _POINTS)
-        if len(one[_SCORES]) != num_points:
-            message = f"A person has {num_points} points and {len(one[_SCORES])} scores."
+        if len(instance[_SCORES]) != num_points:
+            message = f"A person has {num_points} points and {len(instance[_SCORES])} scores."
             raise KeypointsError(message, _SCORES)
     layout = layout_of(num_points, _POINTS) if layout is None else layout
     if len(layout.points) != num_points:
         raise KeypointsError(f"A person has {num_points} points; the file names {len(layout.points)}.", _POINTS)
-    points_px = read_numbers([one[_POINTS] for one in instances])
+    points_px = read_numbers([instance[_POINTS] for instance in instances])
     if points_px.shape != (len(instances), num_points, 2):
         raise KeypointsError("A point must have x and y.", _POINTS)
-    scores = read_numbers([one[_SCORES] for one in instances])
+    scores = read_numbers([instance[_SCORES] for instance in instances])
     if scores.shape != (len(instances), num_points):
         raise KeypointsError("A score must be a number.", _SCORES)
     return with_detected_joints(arranged(np.concatenate([points_px, scores[..., None]], axis=-1), layout))

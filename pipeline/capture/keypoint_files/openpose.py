@@ -24,15 +24,7 @@ _LENGTHS = frozenset(3 * len(joints.names) for joints in (BODY_25, COCO_18, COCO
 
 
 def read_frame(content: Any) -> People:
-    """Read the people of a frame with at least one detected joint of the body.
-
-    Raises
-    ------
-    KeypointsError, CrowdError
-        If the frame can't be used.
-    UnreadableError, TypeError, KeyError
-        If the content is not in the format.
-    """
+    """Read the people of a frame with at least one detected joint of the body."""
     listed = content["people"]
     bodies = [person[_BODY] for person in listed]
     check_number(bodies)

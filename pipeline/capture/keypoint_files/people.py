@@ -46,10 +46,7 @@ JOINT_SETS: Mapping[int, JointSet] = {len(joints.names): joints for joints in (*
 class KeypointsError(Exception):
     """The file can't be used; the text is the message of its problem.
 
-    Parameters
-    ----------
-    field
-        Name of the field in question, if there is one.
+    ``field`` is the name of the field in question, if there is one.
     """
 
     def __init__(self, message: str, field: str | None = None) -> None:
@@ -117,12 +114,7 @@ def check_number(listed: Sequence[Any]) -> None:
 def with_detected_joints(people: People) -> People:
     """Check the positions and the number of people, and leave out people without a detected joint.
 
-    Raises
-    ------
-    KeypointsError
-        If a detected joint is not within the limits.
-    CrowdError
-        If there are too many people.
+    Raises ``KeypointsError`` if a detected joint is not within the limits, ``CrowdError`` if there are too many people.
     """
     detected = is_detected(people)
     if not KEYPOINT_PX.holds(people[detected, :2]):
@@ -136,34 +128,27 @@ def with_detected_joints(people: People) -> People:
 def points_of(lists: Sequence[Any], num_points: int, field: str) -> Float[np.ndarray, "_ _ 3"]:
     """Convert flat lists of x, y and score, one a person, to points; an empty list or ``None`` is a part unseen.
 
-    Raises
-    ------
-    KeypointsError
-        If a list has another length.
-    UnreadableError
-        If an entry is not a number.
+    Raises ``KeypointsError`` if a list has another length, ``UnreadableError`` if an entry is not a number.
     """
-    for one in lists:
-        if one is not None and not isinstance(one, list):
+    for numbers in lists:
+        if numbers is not None and not isinstance(numbers, list):
             raise UnreadableError
-        if one and len(one) != 3 * num_points:
-            raise KeypointsError(f"{field} has {len(one)} numbers; {num_points} points have {3 * num_points}.", field)
-    values = read_numbers([one or [0.0] * (3 * num_points) for one in lists])
+        if numbers and len(numbers) != 3 * num_points:
+            raise KeypointsError(
+                f"{field} has {len(numbers)} numbers; {num_points} points have {3 * num_points}.", field
+            )
+    values = read_numbers([numbers or [0.0] * (3 * num_points) for numbers in lists])
     return values.reshape(len(lists), num_points, 3)
 
 
 def hands_of(lists_of: Callable[[str], Sequence[Any]], field_of: Callable[[str], str]) -> People | None:
     """Fingers of the left and of the right hand, without the wrists; ``None`` if nobody has a hand.
 
-    Parameters
-    ----------
-    lists_of
-        Function that gives a list of x, y and score of the points of a side's hand for each person.
-    field_of
-        Function that gives the name of the field of a side.
+    ``lists_of`` gives a list of x, y and score of the points of a side's hand for each person, ``field_of`` the name of
+    the field of a side.
     """
     by_side = [lists_of(side) for side in SIDES]
-    if not any(any(one) for lists in by_side for one in lists if one):
+    if not any(any(numbers) for lists in by_side for numbers in lists if numbers):
         return None
     hands = [
         points_of(lists, NUM_HAND_POINTS, field_of(side))[:, 1:] for side, lists in zip(SIDES, by_side, strict=True)

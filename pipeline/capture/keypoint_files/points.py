@@ -1,19 +1,30 @@
-"""Points in the order of a file, as joints in the order of a joint set."""
+"""Points in the order of a file, as joints in the order of a joint set; names of points as joints of ours."""
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from pipeline.capture.keypoint_files.names import named_layout
 from pipeline.capture.keypoint_files.people import KeypointsError, People
-from pipeline.joints import without_hands
+from pipeline.joints import BODY_FEET, COCO_17, SIDES, without_hands
 from pipeline.layouts import LAYOUTS, Layout
 
 _NAMES = ("coco-17", "coco-wholebody-23", "halpe-26", "coco-wholebody-133", "halpe-136")
 _BY_COUNT: Mapping[int, Layout] = {len(LAYOUTS[name].points): LAYOUTS[name] for name in _NAMES}
 # Layouts with hands: points of fingers have names of each file's own, so that the number tells the layout.
 _WHOLE = {133, 136}
+_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+", re.ASCII)
+# In MPII's order, which human models of DeepLabCut follow, the right side is first: ankle1 is the right ankle.
+_SIDE: Mapping[str, str] = {"left": "left", "l": "left", "2": "left", "right": "right", "r": "right", "1": "right"}
+_PARTS: Mapping[str, str] = {
+    **{name.removeprefix("left_"): name.removeprefix("left_") for name in BODY_FEET.names if name.startswith("left_")},
+    **dict.fromkeys(("bigtoe", "greattoe", "footindex", "toe"), "big_toe"),
+}
+_MAX_NAME, _MAX_POINTS = 100, 1000
+REQUIRED = tuple(f"{side}_{part}" for part in ("shoulder", "hip") for side in SIDES)
+"""Joints without which there is no trunk, and so no skeleton."""
 
 
 def layout_of(num_points: int, field: str) -> Layout:
@@ -32,14 +43,8 @@ def layout_of_names(names: Sequence[str], field: str) -> Layout:
 def arranged(points: People, layout: Layout) -> People:
     """Points of people as the joints of their layout; joints without a point, and hands of nobody, are not detected.
 
-    Parameters
-    ----------
-    points
-        People, points of the layout, and x, y and score.
-
-    Returns
-    -------
-        People, joints of ``layout.joints`` (without fingers if nobody has a finger), and x, y and score.
+    Axes are people, points of the layout, and x, y and score; those of the result people, joints of ``layout.joints``
+    (without fingers if nobody has a finger), and x, y and score.
     """
     joints, taken = _chosen(layout)
     people = np.zeros((len(points), len(layout.joints.names), 3))
@@ -53,3 +58,46 @@ def _chosen(layout: Layout) -> tuple[list[int], list[int]]:
     """Joints that have a point, and their points."""
     joints = [k for k, name in enumerate(layout.joints.names) if name in layout.points]
     return joints, [layout.points.index(layout.joints.names[k]) for k in joints]
+
+
+def joint_of(name: str) -> str | None:
+    """Joint of ``BODY_FEET`` that a point is named after; ``None`` if it is none of them.
+
+    The side is a word or a letter, before or after the part: ``left_shoulder``, ``LShoulder``, ``shoulder_l``,
+    ``lshoulder``; or 1 (right) or 2 (left) after it.
+
+    Examples
+    --------
+    >>> [joint_of(name) for name in ("LShoulder", "rknee", "ankle1", "Left big toe", "Nose", "tail")]
+    ['left_shoulder', 'right_knee', 'right_ankle', 'left_big_toe', 'nose', None]
+    """
+    words = [word.lower() for word in _WORD.findall(name[:_MAX_NAME])]
+    if words == ["nose"]:
+        return "nose"
+    sides = [_SIDE[word] for word in words if word in _SIDE]
+    part = "".join(word for word in words if word not in _SIDE)
+    if not sides and part not in _PARTS:
+        prefix = next((side for side in ("left", "right", "l", "r") if part.removeprefix(side) in _PARTS), "")
+        sides, part = [_SIDE[prefix]] if prefix else [], part.removeprefix(prefix)
+    return f"{sides[0]}_{_PARTS[part]}" if len(sides) == 1 and part in _PARTS else None
+
+
+def named_layout(names: Sequence[str], field: str) -> Layout:
+    """Layout of points with these names: joints of ``COCO_17``, with heels and big toes if one of them is named.
+
+    Raises ``KeypointsError`` if there are too many points, if two of them are one joint, or if a shoulder or a hip is
+    missing.
+    """
+    if len(names) > _MAX_POINTS:
+        raise KeypointsError(f"There are names of {len(names)} points; at most {_MAX_POINTS} are allowed.", field)
+    points = tuple(joint_of(name) for name in names)
+    used = [point for point in points if point is not None]
+    for joint, count in Counter(used).items():
+        if count > 1:
+            twice = ", ".join([name for name, point in zip(names, points, strict=True) if point == joint][:3])
+            raise KeypointsError(f"Several points are the joint {joint}: {twice}.", field)
+    if missing := [joint for joint in REQUIRED if joint not in used]:
+        message = f"No point is named after the joints {', '.join(missing)}; shoulders and hips are required."
+        raise KeypointsError(message, field)
+    joints = COCO_17 if set(used) <= set(COCO_17.names) else BODY_FEET
+    return Layout(f"named-{len(points)}", points, joints)

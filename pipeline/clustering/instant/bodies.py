@@ -28,18 +28,11 @@ _BLOCK = 2**12
 
 
 class InstantBodies(NamedTuple):
-    """Detected bodies of all views at an instant.
+    """Detected bodies of all views at an instant."""
 
-    Parameters
-    ----------
-    view
-        Position of the camera, (bodies,).
-    candidate
-        Row of the candidate of each joint, (bodies, joints); ``NOWHERE`` for a missing joint. Of several candidates of
-        a joint, the one with the highest score.
-    """
-
-    view: np.ndarray
+    view: np.ndarray  # Position of the camera, (bodies,)
+    # Row of the candidate of each joint, (bodies, joints); ``NOWHERE`` for a missing joint. Of several candidates of a
+    # joint, the one with the highest score.
     candidate: np.ndarray
 
 

@@ -34,10 +34,7 @@ def frame_at(times: FrameTimes, timebase: Timebase, frame: int) -> int | None:
     """Number of a camera's frame nearest to an output frame, within the output frame's half-open period.
 
     Periods cut time in the same way as chunks of frames, so that all evidence for an output frame is in its chunk.
-
-    Returns
-    -------
-        ``None`` if the camera has no frame in the period.
+    ``None`` if the camera has no frame in the period.
     """
     first, stop = np.searchsorted(times.time_s, [timebase.time_s(frame - 0.5), timebase.time_s(frame + 0.5)])
     if first == stop:
@@ -48,12 +45,7 @@ def frame_at(times: FrameTimes, timebase: Timebase, frame: int) -> int | None:
 class BodyEvidence:
     """Evidence from a detector's bodies: their joints are candidates, and joints of a body are connected.
 
-    Parameters
-    ----------
-    cameras
-        Cameras in the order of ``Candidates.view``.
-    times, detections
-        Frame times and detections by camera name.
+    Cameras are in the order of ``Candidates.view``; frame times and detections are by camera name.
     """
 
     def __init__(
@@ -101,12 +93,8 @@ class BodyEvidence:
 class FieldEvidence:
     """Evidence from heatmaps and fields: peaks are candidates, and part affinity fields connect them.
 
-    Parameters
-    ----------
-    cameras
-        Cameras in the order of ``Candidates.view``.
-    times, fields
-        Frame times and fields by camera name; the fields must cover the output frames given to ``at``.
+    Cameras are in the order of ``Candidates.view``; frame times and fields are by camera name. The fields must cover
+    the output frames given to ``at``.
     """
 
     def __init__(

@@ -35,17 +35,10 @@ class _Draft(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """3D joints of all people and kinds at an instant.
+    """3D joints of all people and kinds at an instant."""
 
-    Parameters
-    ----------
-    points
-        Kinds and positions of the joints.
-    candidate
-        Row of the candidate behind a joint in each view, (joints, cameras); ``NOWHERE`` for no candidate.
-    """
-
-    points: JointPoints
+    points: JointPoints  # Kinds and positions of the joints
+    # Row of the candidate behind a joint in each view, (joints, cameras); ``NOWHERE`` for no candidate
     candidate: np.ndarray
 
     def where(self, chosen: Bool[np.ndarray, " joints"] | Int[np.ndarray, " chosen"]) -> "Joints":
@@ -81,8 +74,6 @@ def find_joints(
     candidates
         Candidates of all joints. Of more than ``MAX_CANDIDATES`` candidates of a joint in a view, those with the
         highest scores are used.
-    limits
-        See ``work_limits.WorkLimits``.
     known
         Joints that were found before. They are parents like others, their candidates are not used again, and they are
         the first joints of the result.
@@ -389,11 +380,8 @@ def adopt(
     """Assign unused candidates to the joint nearest to their ray that lacks their view; changes ``chosen``.
 
     Such a candidate met no other candidate within tau1, because of noise or an inaccurate calibration, but is within
-    the spread of a joint. Without it, the reprojection error of the joint would be too small.
-
-    Returns
-    -------
-        Whether any candidate was assigned.
+    the spread of a joint. Without it, the reprojection error of the joint would be too small. Returns whether any
+    candidate was assigned.
     """
     free = np.setdiff1d(np.arange(len(candidates.view)), chosen)
     view = candidates.view[free]

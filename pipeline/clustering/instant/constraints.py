@@ -18,12 +18,8 @@ def fits(
 ) -> Bool[np.ndarray, "parents points"]:
     """Whether pairs satisfy eq. 2 and 3; a pair without evidence (score NaN) satisfies eq. 2.
 
-    Parameters
-    ----------
-    score, least
-        Connectivity scores, and the least score of each point.
-    error, tau3
-        Relative errors of the length, and the largest allowed error.
+    ``score`` is the connectivity, ``least`` the least one of each point; ``error`` is the relative error of the length,
+    ``tau3`` the largest one that is allowed.
     """
     return (np.isnan(score) | (score >= least)) & (error <= tau3)
 
@@ -39,15 +35,8 @@ def nearly_fits(
     """Whether pairs satisfy either of eq. 2 and 3, and the other one up to a factor.
 
     Hypotheses from two views are less accurate than the final joint, and fields of touching limbs weaken each other.
-
-    Parameters
-    ----------
-    score, least, error, tau3
-        See ``fits``.
-    is_measured
-        Whether the limb's length is known for any person; only then may connectivity be weaker.
-    leniency
-        Factor by which the other threshold may be missed.
+    Arguments are as of ``fits``. ``is_measured``: the limb's length is known for any person; only then may connectivity
+    be weaker. ``leniency`` is the factor by which the other threshold may be missed.
     """
     weakly = fits(score, least / leniency, error, tau3) & is_measured
     return fits(score, least, error, leniency * tau3) | weakly
@@ -58,10 +47,8 @@ def length_error(
 ) -> Float[np.ndarray, "parents points"]:
     """Relative error of a point's distance to a parent against the known bone lengths (eq. 3).
 
-    Returns
-    -------
-        Smallest error over all people; 0 if no length is known; infinite for a distance that no person's limb has, and
-        for joints without a limb between them.
+    The smallest error over all people counts; 0 if no length is known; infinite for a distance that no person's limb
+    has, and for joints without a limb between them.
     """
     error = np.full((len(parents.joint), len(points.joint)), np.inf)
     parent, point = np.nonzero(parents.joint[:, None] == np.array(skeleton.parents)[points.joint])
@@ -81,10 +68,8 @@ def pose_length_error(
 ) -> Float[np.ndarray, "poses joints"]:
     """Relative error of the limb from each joint to its parent against the known bone lengths (eq. 3).
 
-    Returns
-    -------
-        Smallest error over all people; 0 if no length is known; infinite for a distance that no person's limb has; NaN
-        where either end is missing.
+    The smallest error over all people counts; 0 if no length is known; infinite for a distance that no person's limb
+    has; NaN where either end is missing.
     """
     distance_m = np.linalg.norm(poses_m - poses_m[:, list(skeleton.parents)], axis=-1)
     distance_m[:, 0] = np.nan  # the root has no limb

@@ -21,21 +21,12 @@ NOWHERE = -1
 
 
 class JointPoints(NamedTuple):
-    """3D points that may be joints.
+    """3D points that may be joints."""
 
-    Parameters
-    ----------
-    joint
-        Number of the joint in the skeleton, (points,).
-    xyz_m
-        World positions, (points, 3).
-    body
-        Detection behind a point in each view, else that of its nearest ancestor with a detection, (points, cameras);
-        ``NOWHERE`` if unknown.
-    """
-
-    joint: np.ndarray
-    xyz_m: np.ndarray
+    joint: np.ndarray  # Number of the joint in the skeleton, (points,)
+    xyz_m: np.ndarray  # World positions, (points, 3)
+    # Detection behind a point in each view, else that of its nearest ancestor with a detection, (points, cameras);
+    # ``NOWHERE`` if unknown
     body: np.ndarray
 
 
@@ -56,10 +47,7 @@ class LimbEvidence(Protocol):
 class Membership:
     """Evidence from a detector's bodies: in a view with detections behind both points, s is 1 if they are the same.
 
-    Parameters
-    ----------
-    tau2
-        Least score of every joint with its parent (eq. 2).
+    ``tau2`` is the least score of every joint with its parent (eq. 2).
     """
 
     def __init__(self, skeleton: Skeleton, tau2: float) -> None:
@@ -78,7 +66,7 @@ class Membership:
 
 
 class ViewFields(NamedTuple):
-    """Part affinity fields of one camera at an instant; see ``data.PafFields``."""
+    """Part affinity fields of one camera at an instant; see ``data.detections.PafFields``."""
 
     camera: Camera
     fields: UInt8[np.ndarray, "limbs 2 height width"]

@@ -14,28 +14,15 @@ _BLOCK = 2**15
 
 
 class Candidates(NamedTuple):
-    """2D candidates of all views at one instant.
+    """2D candidates of all views at one instant."""
 
-    Parameters
-    ----------
-    joint
-        Number of the joint in the skeleton, (candidates,).
-    view
-        Position of the camera, (candidates,).
-    points_px, seen_px
-        Undistorted and distorted pixels, (candidates, 2).
-    score
-        The detector's confidence H(x), (candidates,).
-    body
-        Detection of each candidate, (candidates,); -1 for a detector without bodies.
-    """
-
-    joint: np.ndarray
-    view: np.ndarray
+    joint: np.ndarray  # Number of the joint in the skeleton, (candidates,)
+    view: np.ndarray  # Position of the camera, (candidates,)
+    # Undistorted and distorted pixels, (candidates, 2)
     points_px: np.ndarray
     seen_px: np.ndarray
-    score: np.ndarray
-    body: np.ndarray
+    score: np.ndarray  # The detector's confidence H(x), (candidates,)
+    body: np.ndarray  # Detection of each candidate, (candidates,); -1 for a detector without bodies
 
     def where(self, chosen: Bool[np.ndarray, " candidates"] | Int[np.ndarray, " chosen"]) -> "Candidates":
         """Select candidates by a mask or by rows."""
@@ -43,18 +30,10 @@ class Candidates(NamedTuple):
 
 
 class Hypotheses(NamedTuple):
-    """3D points triangulated from two candidates of different views.
+    """3D points triangulated from two candidates of different views."""
 
-    Parameters
-    ----------
-    xyz_m
-        World positions, (hypotheses, 3).
-    pair
-        Rows of the two candidates, (hypotheses, 2).
-    """
-
-    xyz_m: np.ndarray
-    pair: np.ndarray
+    xyz_m: np.ndarray  # World positions, (hypotheses, 3)
+    pair: np.ndarray  # Rows of the two candidates, (hypotheses, 2)
 
     def where(self, chosen: Bool[np.ndarray, " hypotheses"] | Int[np.ndarray, " chosen"]) -> "Hypotheses":
         """Select hypotheses by a mask or by rows."""

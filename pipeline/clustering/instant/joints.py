@@ -18,15 +18,8 @@ def refine(
     """Minimise the sum of ``H(x_i) || P_i X - x_i ||`` (eq. 4) by Levenberg-Marquardt, all joints at once.
 
     The norm is not squared. So each step weights a view by its confidence over its error (reweighted least squares).
-
-    Parameters
-    ----------
-    xyz_m
-        Initial world positions.
-    points_px
-        Undistorted pixels; ignored where the confidence is 0.
-    confidence
-        Confidence H of each view, 0 for a view that is left out.
+    The search begins at ``xyz_m``. Pixels are undistorted, and ignored where the confidence H of the view is 0: it is
+    left out.
     """
     points_px = np.where(confidence[..., None] > 0, points_px, 0.0)
     damping = np.full(len(xyz_m), _FIRST_DAMPING)

@@ -19,17 +19,10 @@ _VIEW_WORTH = 0.01
 
 
 class Poses(NamedTuple):
-    """Poses of all people at one instant, joints in the skeleton's order.
+    """Poses of all people at one instant, joints in the skeleton's order."""
 
-    Parameters
-    ----------
-    xyz_m
-        World positions, (people, joints, 3); NaN where a joint was not found.
-    candidate
-        Row of the candidate behind a joint in each view, (people, joints, cameras); ``NOWHERE`` for no candidate.
-    """
-
-    xyz_m: np.ndarray
+    xyz_m: np.ndarray  # World positions, (people, joints, 3); NaN where a joint was not found
+    # Row of the candidate behind a joint in each view, (people, joints, cameras); ``NOWHERE`` for no candidate
     candidate: np.ndarray
 
 
@@ -44,12 +37,8 @@ def parse(
     """Assemble poses from the root joints on; a joint belongs to at most one pose.
 
     Poses with fewer than ``min_joints`` of the paper's joints are left out. Of poses closer than ``duplicate_m``, the
-    pose with the most observations is kept.
-
-    Parameters
-    ----------
-    known
-        Joints of people who were found before, ``NOWHERE`` where a joint is missing; only missing joints are added.
+    pose with the most observations is kept. ``known`` are joints of people who were found before, ``NOWHERE`` where a
+    joint is missing; only missing joints are added.
     """
     if known is None:
         known = np.empty((0, len(skeleton.names)), int)

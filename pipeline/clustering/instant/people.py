@@ -32,18 +32,11 @@ _ARM, _LEG = ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")
 
 
 class MatchedPeople(NamedTuple):
-    """People found from whole bodies.
+    """People found from whole bodies."""
 
-    Parameters
-    ----------
-    joints
-        The people's joints. ``body`` is the person's body in each view, also for joints that another body shows.
-    joint_of
-        Row of each person's joints in ``joints``, (people, joints); ``NOWHERE`` for a missing joint.
-    """
-
+    # The people's joints. ``body`` is the person's body in each view, also for joints that another body shows.
     joints: Joints
-    joint_of: np.ndarray
+    joint_of: np.ndarray  # Row of each person's joints in ``joints``, (people, joints); ``NOWHERE`` for a missing joint
 
 
 class _Repair(NamedTuple):

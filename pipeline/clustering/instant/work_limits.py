@@ -36,15 +36,9 @@ _STEPS_A_ROUND = 100
 
 @dataclass(slots=True)
 class WorkLimits:
-    """Account of the work at one instant.
+    """Account of the work at one instant."""
 
-    Parameters
-    ----------
-    is_exact
-        Whether no limit was exceeded so far.
-    """
-
-    is_exact: bool = True
+    is_exact: bool = True  # Whether no limit was exceeded so far
     _left: int = _MAX_STEPS
 
     def allows(self, size: int, most: int) -> bool:

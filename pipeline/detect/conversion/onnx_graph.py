@@ -41,13 +41,7 @@ class OnnxGraph:
         return name
 
     def encode(self, inputs: Mapping[str, Axes], outputs: Mapping[str, Axes]) -> bytes:
-        """Check the model and serialise it; the same graph gives the same bytes.
-
-        Parameters
-        ----------
-        inputs, outputs
-            Shapes by name.
-        """
+        """Check the model and serialise it; the same graph gives the same bytes. Shapes are by name."""
         body = helper.make_graph(
             self._nodes,
             "network",
@@ -63,10 +57,7 @@ class OnnxGraph:
 class OnDemandConversion(ABC, Generic[_Key]):
     """Conversion of a network's operations to ONNX, each when its output is first needed.
 
-    Parameters
-    ----------
-    names
-        Names in ONNX of the network's inputs, by key.
+    ``names`` are those in ONNX of the network's inputs, by key.
     """
 
     def __init__(self, names: dict[_Key, str] | None = None) -> None:

@@ -15,14 +15,7 @@ NCHW_FROM_NHWC = (0, 3, 1, 2)
 class TfliteConversion(OnDemandConversion[int]):
     """Conversion of operators, by the index of their output.
 
-    Parameters
-    ----------
-    graph
-        Graph of the model.
-    starts
-        Names in ONNX of the inputs, by index.
-    handlers
-        Functions that convert an operator, by its kind.
+    ``starts`` are the names in ONNX of the inputs, by index; ``handlers`` convert an operator, by its kind.
     """
 
     def __init__(self, graph: Graph, starts: dict[int, str], handlers: Mapping[str, "Handler"]) -> None:

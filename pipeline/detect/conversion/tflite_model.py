@@ -30,21 +30,13 @@ class Tensor:
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """Operator of a model.
+    """Operator of a model."""
 
-    Parameters
-    ----------
-    kind
-        Name of the operation, such as ``CONV_2D``.
-    inputs, outputs
-        Indices of tensors; -1 for an omitted input.
-    options
-        Table of the schema with the operation's options, such as ``tflite.Conv2DOptions``; ``None`` without options.
-    """
-
-    kind: str
+    kind: str  # Name of the operation, such as ``CONV_2D``
+    # Indices of tensors; -1 for an omitted input
     inputs: tuple[int, ...]
     outputs: tuple[int, ...]
+    # Table of the schema with the operation's options, such as ``tflite.Conv2DOptions``; ``None`` without options
     options: Any
 
 
@@ -76,13 +68,7 @@ class Graph:
 
 
 def read_model(model: bytes) -> Graph:
-    """Read a TensorFlow Lite flatbuffer.
-
-    Raises
-    ------
-    ModelError
-        If the content is damaged or is not such a model.
-    """
+    """Read a TensorFlow Lite flatbuffer. Raises ``ModelError`` if the content is damaged or is not such a model."""
     try:
         root = tflite.Model.GetRootAs(model)
         graph = root.Subgraphs(0)

@@ -26,21 +26,11 @@ _NEIGHBOURHOOD = np.ones((7, 7), np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class FieldGrid:
-    """Grid of a network's maps on its input, and the threshold of its fields.
+    """Grid of a network's maps on its input, and the threshold of its fields."""
 
-    Parameters
-    ----------
-    stride_px
-        Size of a cell in pixels of the input.
-    shift_px
-        Offset of the network's maps to the right and downwards, in pixels of the input.
-    tau2
-        Least connectivity score of connected joints (Chen et al. 2020, eq. 2); depends on the network, 0.3 in the
-        paper.
-    """
-
-    stride_px: int
-    shift_px: tuple[float, float]
+    stride_px: int  # Size of a cell in pixels of the input
+    shift_px: tuple[float, float]  # Offset of the network's maps to the right and downwards, in pixels of the input
+    # Least connectivity score of connected joints (Chen et al. 2020, eq. 2); depends on the network, 0.3 in the paper
     tau2: float
 
     def on_image(self, letterbox: LetterBox) -> MapGrid:
@@ -52,23 +42,15 @@ class FieldGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageFields:
-    """Peaks and part affinity fields of one image.
+    """Peaks and part affinity fields of one image."""
 
-    Parameters
-    ----------
-    joint, points_px, score
-        Joint of each peak, its position in pixels of the image, and the heatmap's value, at most 1.
-    fields
-        Unit vectors (x, y) along each limb, as bytes; see ``pipeline.data.detections.PafFields``.
-    grid
-        Positions of the fields' cells on the image.
-    """
-
+    # Joint of each peak, its position in pixels of the image, and the heatmap's value, at most 1
     joint: Int[np.ndarray, " n"]
     points_px: Float[np.ndarray, "n 2"]
     score: Float[np.ndarray, " n"]
+    # Unit vectors (x, y) along each limb, as bytes; see ``pipeline.data.detections.PafFields``
     fields: UInt8[np.ndarray, "limbs 2 height width"]
-    grid: MapGrid
+    grid: MapGrid  # Positions of the fields' cells on the image
 
 
 def read_fields(
@@ -104,9 +86,7 @@ def find_peaks(
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
     """Find the local maxima of heatmaps with subcell accuracy.
 
-    Returns
-    -------
-        Joint, position (x, y) in cells, and value (at most 1) of each peak; in order of joints, rows and columns.
+    Returns joint, position (x, y) in cells, and value (at most 1) of each peak, in order of joints, rows and columns.
     """
     peaks = [_peaks_of(heatmap) for heatmap in heatmaps]
     joint = np.repeat(np.arange(len(peaks)), [len(score) for _, score in peaks])

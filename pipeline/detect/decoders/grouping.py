@@ -23,13 +23,9 @@ def group(image: ImageFields, limbs: Int[np.ndarray, "limbs 2"], num_joints: int
 
     Parameters
     ----------
-    image
-        Peaks and fields of the image.
     limbs
         First and second joint of each field's limb, ordered from the root: except for the first limbs, the first joint
         of a limb is the second joint of an earlier limb.
-    num_joints
-        Number of joints of a body.
 
     Returns
     -------

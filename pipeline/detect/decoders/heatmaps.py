@@ -18,16 +18,8 @@ def decode_heatmaps(
 ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
     """Decode the points of one crop.
 
-    Parameters
-    ----------
-    maps
-        Confidence of each cell.
-    input_px
-        Width and height of the network's input.
-
-    Returns
-    -------
-        Pixels of the input, and confidences in [0, 1].
+    ``maps`` are confidences of cells, ``input_px`` is the size of the network's input. Returns pixels of the input, and
+    confidences in [0, 1].
     """
     num_rows, num_columns = maps.shape[1:]
     rows, columns = np.divmod(maps.reshape(len(maps), -1).argmax(1), num_columns)

@@ -34,34 +34,18 @@ _DUPLICATE_DISTANCE = 0.03
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Peaks of the heatmaps, padded with heat 0 to the same number for every joint.
+    """Peaks of the heatmaps, padded with heat 0 to the same number for every joint."""
 
-    Parameters
-    ----------
-    cell_yx
-        Row and column of the peak's cell.
-    joint_px
-        Position (x, y) of the joint in pixels of the network's input.
-    heat
-        Confidence of the peak.
-    """
-
-    cell_yx: Int[np.ndarray, "joints candidates 2"]
-    joint_px: Float[np.ndarray, "joints candidates 2"]
-    heat: Float[np.ndarray, "joints candidates"]
+    cell_yx: Int[np.ndarray, "joints candidates 2"]  # Row and column of the peak's cell
+    joint_px: Float[np.ndarray, "joints candidates 2"]  # Position (x, y) of the joint in pixels of the network's input
+    heat: Float[np.ndarray, "joints candidates"]  # Confidence of the peak
 
 
 def decode_movenet(outputs: Mapping[str, np.ndarray]) -> ImageBodies:
     """Decode the four heads of one image.
 
-    Parameters
-    ----------
-    outputs
-        ``center`` (1, 1, h, w), ``heatmap`` (1, joints, h, w), ``offset`` and ``regress`` (1, 2 joints, h, w).
-
-    Returns
-    -------
-        Bodies in pixels of the network's input, without duplicates; each peak is a joint of at most one body.
+    They are ``center`` (1, 1, h, w), ``heatmap`` (1, joints, h, w), ``offset`` and ``regress`` (1, 2 joints, h, w).
+    Bodies are in pixels of the network's input, without duplicates; each peak is a joint of at most one body.
     """
     center, heatmap, offset, regress = (outputs[head][0] for head in ("center", "heatmap", "offset", "regress"))
     centers_yx, center_score = _find_centers(center)
@@ -147,10 +131,7 @@ def _choose_exclusively(
     """Assign each peak to at most one body, in descending order of affinity.
 
     Without this rule, overlapping people would share peaks, and one of the bodies would be a mixture of both people.
-
-    Returns
-    -------
-        Candidate of each joint, and whether the joint has a candidate.
+    Returns the candidate of each joint, and whether it has one.
     """
     num_bodies, num_joints, num_candidates = affinity.shape
     choice = np.zeros((num_bodies, num_joints), np.int64)

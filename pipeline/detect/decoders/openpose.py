@@ -39,14 +39,8 @@ _CHANNELS = np.array([[channel, channel + 1] for _, _, channel in _LIMBS])
 def decode_openpose(outputs: Mapping[str, np.ndarray], grid: MapGrid, image_size_px: tuple[int, int]) -> ImageFields:
     """Decode a network's outputs to peaks in pixels of the image and fields.
 
-    Parameters
-    ----------
-    outputs
-        ``heatmaps`` (1, 19, height, width), whose last channel is the background, and ``pafs`` (1, 38, height, width).
-    grid
-        Positions of the maps' cells on the image.
-    image_size_px
-        Width and height of the image.
+    They are ``heatmaps`` (1, 19, height, width), whose last channel is the background, and ``pafs`` (1, 38, height,
+    width). ``grid`` has the positions of their cells on the image.
     """
     heatmaps = outputs["heatmaps"][0, : len(COCO_18.names)]
     return read_fields(heatmaps, outputs["pafs"][0], grid, image_size_px, _CHANNELS)

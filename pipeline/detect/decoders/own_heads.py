@@ -34,16 +34,8 @@ def decode_rtmo(
 ) -> tuple[Float[np.ndarray, "n points 2"], Float[np.ndarray, "n points"], Float[np.ndarray, " n"]]:
     """Decode the people of one image (Lu et al., CVPR 2024); duplicates were removed by the network.
 
-    Parameters
-    ----------
-    boxes
-        x0, y0, x1, y1 and confidence.
-    keypoints
-        x, y and confidence.
-
-    Returns
-    -------
-        Pixels of the network's input, confidences in [0, 1] of points and of people, in descending order.
+    Boxes are x0, y0, x1, y1 and confidence, points x, y and confidence. Returns pixels of the network's input,
+    confidences in [0, 1] of points and of people, in descending order.
     """
     order = np.argsort(-boxes[:, 4], kind="stable")
     chosen = order[boxes[order, 4] > _MIN_BODY_SCORE]

@@ -19,26 +19,13 @@ _AS_IT_IS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 @dataclass(frozen=True, slots=True)
 class OwnNetwork:
-    """Network of the user's own.
+    """Network of the user's own."""
 
-    Parameters
-    ----------
-    head
-        Kind of the outputs.
-    layout
-        Name of the layout of its keypoints in ``pipeline.layouts.LAYOUTS``.
-    input_px
-        Width and height of the input.
-    channels
-        Order of the colour channels.
-    mean, std
-        Subtracted from the values 0..255 of each channel, and by what the difference is divided.
-    """
-
-    head: OwnHead
-    layout: str
-    input_px: tuple[int, int]
-    channels: Channels
+    head: OwnHead  # Kind of the outputs
+    layout: str  # Name of the layout of its keypoints in ``pipeline.layouts.LAYOUTS``
+    input_px: tuple[int, int]  # Width and height of the input
+    channels: Channels  # Order of the colour channels
+    # Subtracted from the values 0..255 of each channel, and by what the difference is divided
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
 
@@ -51,10 +38,7 @@ class OwnNetwork:
 def usual_network(head: OwnHead, layout: str, input_px: tuple[int, int] | None = None) -> OwnNetwork:
     """Describe a network as those of its kind are usually trained.
 
-    Parameters
-    ----------
-    input_px
-        Width and height of the input; those of the smallest published networks by default.
+    Without ``input_px``, width and height of the input are those of the smallest published networks.
     """
     if head == "rtmo":
         return OwnNetwork(head, layout, input_px or (640, 640), "bgr", *_AS_IT_IS)
@@ -67,13 +51,7 @@ def encode_description(network: OwnNetwork) -> bytes:
 
 
 def decode_description(content: bytes, filename: str) -> OwnNetwork:
-    """Decode a description.
-
-    Raises
-    ------
-    ModelError
-        If the content is damaged; the message names the file.
-    """
+    """Decode a description. Raises ``ModelError`` if the content is damaged; the message names the file."""
     try:
         fields: dict[str, Any] = json.loads(content)
         width, height = (int(side) for side in fields["input_px"])

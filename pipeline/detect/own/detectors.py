@@ -29,17 +29,10 @@ _PADDING = 114
 
 @dataclass(frozen=True, slots=True)
 class OwnInCrops:
-    """Detector that reads the joints of each body in its crop.
+    """Detector that reads the joints of each body in its crop."""
 
-    Parameters
-    ----------
-    body
-        Detector that finds the bodies.
-    network, own
-        Network of crops and its description.
-    """
-
-    body: BodyDetector
+    body: BodyDetector  # Detector that finds the bodies
+    # Network of crops and its description
     network: Network
     own: OwnNetwork
 
@@ -78,14 +71,9 @@ class OwnInCrops:
 
 @dataclass(frozen=True, slots=True)
 class OwnInOneStage:
-    """Detector that finds all people of an image by one network.
+    """Detector that finds all people of an image by one network."""
 
-    Parameters
-    ----------
-    network, own
-        Network of whole images and its description.
-    """
-
+    # Network of whole images and its description
     network: Network
     own: OwnNetwork
 

@@ -35,10 +35,6 @@ def add_own(path: Path, network: OwnNetwork, has_chosen_size: bool = True) -> st
 
     Parameters
     ----------
-    path
-        ONNX file.
-    network
-        Description of the network.
     has_chosen_size
         Whether the size of the input must be that of the description; otherwise a fixed size of the file counts.
 
@@ -82,10 +78,7 @@ def own_names() -> tuple[str, ...]:
 def own_entry(name: str) -> NetworkEntry:
     """Entry of a network that was added.
 
-    Raises
-    ------
-    ModelError
-        If there is no such network, or its files were changed.
+    Raises ``ModelError`` if there is no such network, or its files were changed.
     """
     path = home() / "models" / f"{name}.onnx"
     if not _NAME.fullmatch(name) or not path.is_file():

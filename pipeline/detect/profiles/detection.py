@@ -43,10 +43,7 @@ load_detector = functools.cache(open_detector)
 def open_landmarks(name: str) -> Network:
     """Open an installed network of the registry that reads landmarks in crops.
 
-    Raises
-    ------
-    ModelError
-        If the network is unknown, not installed or reads no crops, or its file was changed.
+    Raises ``ModelError`` if it is unknown, not installed or reads no crops, or its file was changed.
     """
     if not entry_of(name).head.reads_crops:
         raise ModelError(f"The network {name} reads no crops.")
@@ -70,12 +67,7 @@ def load_own(name: str) -> BodyDetector:
 def joints_of(networks: Networks, joints: Literal["body", "feet", "whole"]) -> JointSet:
     """Joints of the detections of a reconstruction.
 
-    Parameters
-    ----------
-    networks
-        Networks of the reconstruction.
-    joints
-        Joints that are asked for; see ``pipeline.config.detected_joints``. Networks without crops have their own.
+    ``joints`` are those asked for, see ``pipeline.config.detected_joints``; networks without crops have their own.
     """
     return entry_of(networks.body).joints if networks.near is None else _JOINT_SETS[joints]
 

@@ -27,27 +27,8 @@ def look_at_people(
 ) -> CameraSizes:
     """Choose the size of a camera's images by the people in some of its frames.
 
-    Parameters
-    ----------
-    camera
-        Name of the camera.
-    detector
-        Detector at its usual size.
-    rule
-        Rule of the profile.
-    max_frames
-        Largest number of frames to look at.
-    on_frame
-        Called after each frame.
-
-    Returns
-    -------
-        Sizes, which depend on the whole video and the rule alone.
-
-    Raises
-    ------
-    InputError, ChildError
-        See ``pipeline.video.decode.decode``.
+    The detector is at its usual size. The sizes depend on the whole video and the rule alone. Raises as
+    ``pipeline.video.decode.decode``.
     """
     video = session.videos[[known.name for known in session.cameras].index(camera)]
     chosen = frames_to_look_at(video, max_frames)

@@ -33,34 +33,19 @@ _TWO_PASS_RATIO = 2.6
 
 @dataclass(frozen=True, slots=True)
 class SizeRule:
-    """Rule that chooses the size of images by the people in them.
+    """Rule that chooses the size of images by the people in them."""
 
-    Parameters
-    ----------
-    span_px
-        Pixels of the network's input that the joints of the tallest body shall span.
-    max_px
-        Greatest length of the longer side of an image, which bounds the computing time.
-    """
-
-    span_px: float
-    max_px: int
+    span_px: float  # Pixels of the network's input that the joints of the tallest body shall span
+    max_px: int  # Greatest length of the longer side of an image, which bounds the computing time
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSizes:
-    """Sizes of a camera's images in the network's input.
+    """Sizes of a camera's images in the network's input."""
 
-    Parameters
-    ----------
-    scaled_px
-        Length of the longer side in each pass over an image, ascending: one pass, or two.
-    border_px
-        Span of joints in pixels of the image from which on a body belongs to the first of two passes; ``None`` for one
-        pass.
-    """
-
-    scaled_px: tuple[int, ...]
+    scaled_px: tuple[int, ...]  # Length of the longer side in each pass over an image, ascending: one pass, or two
+    # Span of joints in pixels of the image from which on a body belongs to the first of two passes; ``None`` for one
+    # pass
     border_px: float | None = None
 
 
@@ -93,8 +78,6 @@ def choose_sizes(
         Spans of the bodies in some frames, an array a frame; NaN for a body of unknown size.
     image_size_px
         Width and height of the camera's images.
-    rule
-        Rule of the profile.
 
     Returns
     -------

@@ -25,19 +25,12 @@ _SAME_DISTANCE = 0.08
 
 @dataclass(frozen=True, slots=True)
 class TwoSizes:
-    """Detector that merges two passes over an image.
+    """Detector that merges two passes over an image."""
 
-    Parameters
-    ----------
-    coarse, fine
-        The same network with smaller and with larger images.
-    border_px
-        Span of joints in pixels of the image from which on a body is taken from the coarse pass.
-    """
-
+    # The same network with smaller and with larger images
     coarse: Detector
     fine: Detector
-    border_px: float
+    border_px: float  # Span of joints in pixels of the image from which on a body is taken from the coarse pass
 
     @property
     def joints(self) -> JointSet:
@@ -53,16 +46,8 @@ def merge_passes(coarse: ImageBodies, fine: ImageBodies, border_px: float) -> Im
     """Merge the bodies of two passes over one image.
 
     Tall bodies come from the coarse pass. Bodies of the fine pass follow, unless they repeat a tall body or a part of
-    it. The other bodies of the coarse pass are kept if the fine pass lacks them.
-
-    Parameters
-    ----------
-    border_px
-        Span of joints from which on a body is tall. A body of unknown span is not.
-
-    Returns
-    -------
-        Bodies in descending order of confidence.
+    it. The other bodies of the coarse pass are kept if the fine pass lacks them. A body is tall from a span of joints
+    of ``border_px`` on, and not if its span is unknown. The bodies are in descending order of confidence.
     """
     is_tall = np.asarray(body_spans_px(coarse) >= border_px)
     tall, small = _select(coarse, is_tall), _select(coarse, ~is_tall)

@@ -1,6 +1,6 @@
 """Ranges of MoveNet MultiPose's values on 40 pictures of the sample capture, in steps of ``quantize``.
 
-``calibration.measure_ranges`` measured them, on five frames of each camera at 512 and 416 pixels.
+``measure_ranges`` of the tests measured them, on five frames of each camera at 512 and 416 pixels.
 """
 
 from collections.abc import Mapping

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.detect.topdown.heatmaps import read_near
 from pipeline.detect.topdown.regions import Region, upward
 from pipeline.joints import COCO_17
 
@@ -74,35 +73,25 @@ _MIN_TRUNK = 0.15
 _MIN_BODY_PX = 40.0
 
 _HIPS, _SHOULDERS = (COCO_17.indices((f"left_{kind}", f"right_{kind}")) for kind in ("hip", "shoulder"))
+_REACH_CELLS = 3
+"""Cells of the window on each side of its central cell: the window of MediaPipe, 7 x 7."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseOutputs:
-    """Outputs of BlazePose for the crop of one body.
+    """Outputs of BlazePose for the crop of one body."""
 
-    Parameters
-    ----------
-    regressed_px
-        Regressed landmarks in pixels of the image.
-    logits
-        Heatmaps before the sigmoid.
-    region
-        Region of the crop.
-    """
-
-    regressed_px: Float[np.ndarray, "landmarks 2"]
-    logits: Float[np.ndarray, "landmarks height width"]
-    region: Region
+    regressed_px: Float[np.ndarray, "landmarks 2"]  # Regressed landmarks in pixels of the image
+    logits: Float[np.ndarray, "landmarks height width"]  # Heatmaps before the sigmoid
+    region: Region  # Region of the crop
 
     def near(
         self, expected_px: Float[np.ndarray, "landmarks 2"]
     ) -> tuple[Float[np.ndarray, "landmarks 2"], Float[np.ndarray, " landmarks"]]:
         """Read landmarks near expected positions in the image.
 
-        Returns
-        -------
-            Positions in pixels of the image and peaks in [0, 1]; NaN and 0 where the expected position is NaN or
-            outside of the crop.
+        Returns pixels of the image and peaks in [0, 1]; NaN and 0 where the expected position is NaN or outside of the
+        crop.
         """
         cells = _from_edge(self.region.crop_from_image(expected_px, CROP_PX)) / _CELL_PX
         read_cells, peak = read_near(self.logits, cells)
@@ -111,9 +100,7 @@ class PoseOutputs:
     def refined(self) -> tuple[Float[np.ndarray, "landmarks 2"], Float[np.ndarray, " landmarks"]]:
         """Read landmarks near their regressed positions; without a sure heatmap there, they stay where they are.
 
-        Returns
-        -------
-            Positions in pixels of the image and peaks in [0, 1].
+        Returns pixels of the image and peaks in [0, 1].
         """
         read_px, peak = self.near(self.regressed_px)
         return np.where(peak[:, None] >= SURE_PEAK, read_px, self.regressed_px), peak
@@ -122,10 +109,8 @@ class PoseOutputs:
 def decode_pose(outputs: Mapping[str, np.ndarray], region: Region) -> PoseOutputs:
     """Decode the outputs of one crop.
 
-    Parameters
-    ----------
-    outputs
-        ``landmarks``, 39 times x, y, z, visibility and presence in pixels of the crop; ``heatmap`` (1, 39, 64, 64).
+    They are ``landmarks``, 39 times x, y, z, visibility and presence in pixels of the crop, and ``heatmap`` (1, 39, 64,
+    64).
     """
     regressed_px = outputs["landmarks"].reshape(_NUM_OUTPUTS, 5)[: len(LANDMARKS), :2].astype(np.float64)
     return PoseOutputs(
@@ -141,14 +126,8 @@ def score_of_peak(peak: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shap
 def body_region(keypoints_px: Float[np.ndarray, "joints 2"], score: Float[np.ndarray, " joints"]) -> Region | None:
     """Region of a body: a circle around its joints, with hips and shoulders upright.
 
-    Parameters
-    ----------
-    keypoints_px, score
-        Joints of ``COCO_17`` in pixels of the image, NaN where missing, and their scores.
-
-    Returns
-    -------
-        The region, or ``None`` for a body that is too small or has too few joints.
+    Joints are those of ``COCO_17`` in pixels of the image, NaN where missing, with their scores. ``None`` for a body
+    that is too small or has too few joints.
     """
     seen = (score >= _MIN_SCORE) & np.isfinite(keypoints_px).all(-1)
     if seen.sum() < _MIN_JOINTS or body_size_px(keypoints_px, seen) < _MIN_BODY_PX:
@@ -182,3 +161,39 @@ def _from_edge(points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*
 def _from_center(points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
     """Positions from the centre of the crop's first pixel."""
     return points_px - 0.5
+
+
+def read_near(
+    logits: Float[np.ndarray, "maps height width"], expected: Float[np.ndarray, "maps 2"]
+) -> tuple[Float[np.ndarray, "maps 2"], Float[np.ndarray, " maps"]]:
+    """Read each heatmap around an expected position: the mean of the window's cells, weighted by their heat.
+
+    Parameters
+    ----------
+    logits
+        Heatmaps before the sigmoid.
+    expected
+        Positions (x, y) in cells; the centre of the first cell is (0, 0). NaN for a position that is not known.
+
+    Returns
+    -------
+        Positions (x, y) in cells, NaN where the expected position is NaN or outside of the map; and the greatest heat
+        in the window, in [0, 1], 0 there.
+    """
+    height, width = logits.shape[1:]
+    known = np.asarray(((expected >= -0.5) & (expected < (width - 0.5, height - 0.5))).all(-1))
+    central = np.rint(np.where(known[:, None], expected, 0.0)).astype(np.int64)
+    steps = np.arange(-_REACH_CELLS, _REACH_CELLS + 1)
+    columns, rows = central[:, :1] + steps, central[:, 1:] + steps
+    is_inside = ((rows >= 0) & (rows < height))[:, :, None] & ((columns >= 0) & (columns < width))[:, None, :]
+    maps = np.arange(len(logits))[:, None, None]
+    window = logits[maps, rows.clip(0, height - 1)[:, :, None], columns.clip(0, width - 1)[:, None, :]]
+    heat = np.where(is_inside & known[:, None, None], _sigmoid(window.astype(np.float64)), 0.0)
+    total = heat.sum((1, 2))
+    weight = np.where(known, total, np.nan)
+    position = np.stack([(heat.sum(1) * columns).sum(1), (heat.sum(2) * rows).sum(1)], axis=-1) / weight[:, None]
+    return position, heat.max((1, 2))
+
+
+def _sigmoid(logits: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    return 1 / (1 + np.exp(-logits.clip(-60, 60)))

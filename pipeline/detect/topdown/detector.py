@@ -20,27 +20,14 @@ _ANKLES, _WRISTS = (COCO_17.indices((f"left_{kind}", f"right_{kind}")) for kind 
 
 @dataclass(frozen=True, slots=True)
 class TopDown:
-    """Detector that adds landmarks in crops to the bodies of another detector.
+    """Detector that adds landmarks in crops to the bodies of another detector."""
 
-    Parameters
-    ----------
-    body
-        Detector of the joints ``COCO_17`` in whole images.
-    near
-        BlazePose, for crops of 256 x 256 pixels.
-    hand
-        Hand network for crops of 224 x 224 pixels; ``None`` for joint sets without fingers.
-    refines_body
-        Whether the joints of the body are averaged with BlazePose's, at the common marks of both; see ``joint_maps``.
-    joints
-        Joints to detect: ``COCO_17``, ``BODY_FEET`` or ``WHOLE_BODY``.
-    """
-
-    body: BodyDetector
-    near: Network
-    hand: Network | None
+    body: BodyDetector  # Detector of the joints ``COCO_17`` in whole images
+    near: Network  # BlazePose, for crops of 256 x 256 pixels
+    hand: Network | None  # Hand network for crops of 224 x 224 pixels; ``None`` for joint sets without fingers
+    # Whether the joints of the body are averaged with BlazePose's, at the common marks of both; see ``fusion``
     refines_body: bool
-    joints: JointSet
+    joints: JointSet  # Joints to detect: ``COCO_17``, ``BODY_FEET`` or ``WHOLE_BODY``
 
     def __post_init__(self) -> None:
         if self.body.joints.names != COCO_17.names:

@@ -34,36 +34,21 @@ _KNUCKLES = (5, 9, 17)  # of index, middle finger and little finger
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hand:
-    """Hand of a body in an image.
+    """Hand of a body in an image."""
 
-    Parameters
-    ----------
-    body, side
-        Numbers of the body and of the side in ``pipeline.joints.SIDES``.
-    points_px
-        Wrist and 20 joints of the fingers in pixels of the image.
-    score
-        Confidence in [0, 1].
-    palm_px
-        Length of the palm in pixels of the image.
-    wrist_distance
-        Distance of the hand's wrist from the body's wrist, in lengths of the palm.
-    """
-
+    # Numbers of the body and of the side in ``pipeline.joints.SIDES``
     body: int
     side: int
-    points_px: Float[np.ndarray, "points 2"]
-    score: float
-    palm_px: float
-    wrist_distance: float
+    points_px: Float[np.ndarray, "points 2"]  # Wrist and 20 joints of the fingers in pixels of the image
+    score: float  # Confidence in [0, 1]
+    palm_px: float  # Length of the palm in pixels of the image
+    wrist_distance: float  # Distance of the hand's wrist from the body's wrist, in lengths of the palm
 
 
 def hand_region(landmarks_px: Float[np.ndarray, "landmarks 2"], side: int) -> Region | None:
     """Region of a hand from BlazePose's landmarks of wrist, index finger and little finger.
 
-    Returns
-    -------
-        The region, or ``None`` for a hand that is too small or has missing landmarks.
+    ``None`` for a hand that is too small or has missing landmarks.
     """
     wrist_px, index_px, pinky_px = (
         landmarks_px[LANDMARK[f"{SIDES[side]}_{name}"]] for name in ("wrist", "index", "pinky")

@@ -16,20 +16,11 @@ _MARGIN = 2
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Square region of an image.
+    """Square region of an image."""
 
-    Parameters
-    ----------
-    center_px
-        Centre in pixels of the image.
-    side_px
-        Length of a side in pixels of the image; positive.
-    angle_rad
-        Angle from the upward axis of the image to the upward axis of the crop, clockwise in the image.
-    """
-
-    center_px: tuple[float, float]
-    side_px: float
+    center_px: tuple[float, float]  # Centre in pixels of the image
+    side_px: float  # Length of a side in pixels of the image; positive
+    # Angle from the upward axis of the image to the upward axis of the crop, clockwise in the image
     angle_rad: float = 0.0
 
     def crop_from_image(self, points_px: Float[np.ndarray, "*batch 2"], crop_px: int) -> Float[np.ndarray, "*batch 2"]:
@@ -59,11 +50,8 @@ def crop(
 ) -> Float32[np.ndarray, "1 3 crop_px crop_px"]:
     """Resample a region of an image (bilinear) into a network's input.
 
-    Pixels of large regions are averaged first. The border of the image is repeated outside of the image.
-
-    Returns
-    -------
-        Values from 0 to 1.
+    Pixels of large regions are averaged first. The border of the image is repeated outside of the image. Values are
+    from 0 to 1.
     """
     factor = int(region.side_px / crop_px)
     if factor >= 2:

@@ -27,33 +27,19 @@ _MAX_BYTES = 1 << 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedTruth:
-    """Ground truth of a rendered capture.
+    """Ground truth of a rendered capture."""
 
-    Parameters
-    ----------
-    names
-        Names of the joints.
-    time_s
-        Times of the truth on the session's clock, ascending.
-    xyz_m
-        World positions of the joints, NaN where a person is absent.
-    feet_m
-        World positions of ankle and toe base of the left and of the right foot; ``None`` if the truth has no bones.
-    """
-
-    names: tuple[str, ...]
-    time_s: Float[np.ndarray, " frames"]
-    xyz_m: Float[np.ndarray, "people frames joints 3"]
+    names: tuple[str, ...]  # Names of the joints
+    time_s: Float[np.ndarray, " frames"]  # Times of the truth on the session's clock, ascending
+    xyz_m: Float[np.ndarray, "people frames joints 3"]  # World positions of the joints, NaN where a person is absent
+    # World positions of ankle and toe base of the left and of the right foot; ``None`` if the truth has no bones
     feet_m: Float[np.ndarray, "people frames 2 2 3"] | None = None
 
 
 def load_rendered(folder: Path) -> RenderedTruth:
     """Read the truth of a rendered capture.
 
-    Raises
-    ------
-    InputError
-        If a part of the folder is missing, or the truth is incomplete or inconsistent.
+    Raises ``InputError`` if a part of the folder is missing, or the truth is incomplete or inconsistent.
     """
     problems = [
         Problem("dataset_incomplete", "A part of the rendered capture is missing.", file=name, hint=hint)
@@ -84,11 +70,8 @@ def score_rendered(
     """Score tracks on the twelve body joints by the metrics of ``pipeline.evaluation.mpjpe``.
 
     Each instant of the truth is compared with the nearest output frame within half a period. An instant without such a
-    frame has no predictions.
-
-    Returns
-    -------
-        ``mpjpe_mm``, ``pck150``, ``recall``, ``switches`` and ``ghost_rate``; ``None`` for a figure without data.
+    frame has no predictions. Returns ``mpjpe_mm``, ``pck150``, ``recall``, ``switches`` and ``ghost_rate``; ``None``
+    for a figure without data.
     """
     position = np.rint((truth.time_s - timebase.start_time_s) * timebase.frame_rate_hz)
     inside = (position >= 0) & (position < timebase.num_frames)

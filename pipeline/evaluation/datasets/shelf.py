@@ -56,15 +56,8 @@ class ShelfBenchmark:
 def load_shelf(folder: Path, detections: Path | None = None) -> ShelfBenchmark:
     """Read the benchmark from a folder.
 
-    Parameters
-    ----------
-    detections
-        File of other detections of the same images; ``None`` for the folder's file.
-
-    Raises
-    ------
-    InputError
-        If a file is missing or has wrong contents; lists all problems.
+    ``detections`` is a file of other detections of the same images. Raises ``InputError`` with all files that are
+    missing or have wrong contents.
     """
     problems: list[Problem] = []
     arrays: dict[str, np.ndarray] = {}
@@ -127,12 +120,8 @@ def _of_camera(name: str, number: int, arrays: Mapping[str, np.ndarray]) -> Dete
 def thin(benchmark: ShelfBenchmark, every: int) -> tuple[ShelfBenchmark, ShelfBenchmark]:
     """Keep every n-th image of each camera, the cameras at different phases (Chen et al. 2020, figure 4).
 
-    Returns
-    -------
-    thinned
-        Benchmark of unsynchronised cameras with a lower frame rate; the truth at its output frames.
-    kept
-        Benchmark with the same detections, and with the frame numbers and the truth of all images.
+    Returns a benchmark of unsynchronised cameras with a lower frame rate and the truth at its output frames, and one of
+    the same detections with the frame numbers and the truth of all images.
     """
     num_frames = benchmark.timebase.num_frames
     times, thinned, kept = {}, {}, {}

@@ -16,17 +16,8 @@ def matched_joints(
 ) -> tuple[Float[np.ndarray, "people frames names 3"], Bool[np.ndarray, "people frames names"]]:
     """Positions of joints of the track that is matched to each person by the body, and whether they are measured.
 
-    Parameters
-    ----------
-    joints
-        Joints of the tracks.
-    names
-        Names of the joints to take.
-
-    Returns
-    -------
-        World positions, NaN without a match and for names that ``joints`` lacks; and whether the track's source is
-        ``MEASURED``.
+    World positions are NaN without a match and for names that ``joints`` lacks; a joint is measured if the track's
+    source is ``MEASURED``.
     """
     frames = np.arange(simulation.timebase.num_frames)
     truth_m = simulation.truth_m[:, :, simulation.joints.indices(BODY_JOINTS)]

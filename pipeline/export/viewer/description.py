@@ -1,4 +1,7 @@
-"""``motion.json``: people, joints, cameras and strips; the index of ``motion.bin``."""
+"""``motion.json``: people, joints, cameras and strips; the index of ``motion.bin``.
+
+Times of a camera's frames are few numbers: knots between which times are interpolated.
+"""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,13 +10,13 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.capture.session import Session
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Camera, FrameTimes, Synchronization
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.colors import color_rgb
-from pipeline.export.viewer.clocks import knots
 from pipeline.export.viewer.frames import (
     ABSENT,
     ERROR_STEP_PX,
@@ -29,25 +32,17 @@ from pipeline.quality.views import PersonViews
 from pipeline.skeleton.model import forward_kinematics, skeleton_of
 
 SCHEMA_VERSION = 1
+TOLERANCE_S = 1e-3
+"""Largest difference of an interpolated time; videos of some containers are rounded to 1 ms anyway."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footage:
-    """Frames of a camera, and its video.
+    """Frames of a camera, and its video."""
 
-    Parameters
-    ----------
-    times
-        Times of the frames on the session's clock.
-    video
-        Name of the video file; ``None`` for a session of keypoints.
-    video_times
-        Times of the frames since the start of the video; ``None`` without a video.
-    """
-
-    times: FrameTimes
-    video: str | None = None
-    video_times: FrameTimes | None = None
+    times: FrameTimes  # Times of the frames on the session's clock
+    video: str | None = None  # Name of the video file; ``None`` for a session of keypoints
+    video_times: FrameTimes | None = None  # Times of the frames since the start of the video; ``None`` without a video
 
 
 def footage_of(session: Session) -> Mapping[str, Footage]:
@@ -255,3 +250,23 @@ def _describe_clock(footage: Footage) -> list[list[int | float]]:
     if not len(times_s):
         return []
     return [[frame, *(round(float(time_s), 6) for time_s in times_s[frame])] for frame in knots(times_s)]
+
+
+def knots(times_s: Float[np.ndarray, "frames clocks"]) -> list[int]:
+    """Frames between which the times of all others are interpolated linearly, within ``TOLERANCE_S``.
+
+    A steady camera has two knots. Each pause and each change of the rate adds some (Douglas and Peucker 1973). Times
+    ascend, on one clock or several, at least one frame. Numbers of frames ascend, with the first and the last one.
+    """
+    found = {0, len(times_s) - 1}
+    open_parts = [(0, len(times_s) - 1)]
+    while open_parts:
+        first, last = open_parts.pop()
+        share = (np.arange(first, last + 1) - first)[:, None] / max(1, last - first)
+        straight_s = times_s[first] + share * (times_s[last] - times_s[first])
+        off_s = np.abs(times_s[first : last + 1] - straight_s).max(1)
+        worst = first + int(off_s.argmax())
+        if off_s[worst - first] > TOLERANCE_S:
+            found.add(worst)
+            open_parts += [(first, worst), (worst, last)]
+    return sorted(found)

@@ -41,27 +41,15 @@ _ALIGNMENT = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonFrames:
-    """Content of the records of one person.
+    """Content of the records of one person."""
 
-    Parameters
-    ----------
-    track
-        Joints with final positions.
-    root_m
-        Positions that the others are stored relative to: those of the skeleton's root.
-    skeleton_m
-        Positions of the joints of the animation skeleton.
-    camera_error_px
-        Mean reprojection error of the body's joints in each camera, NaN where a camera sees nothing of the person.
-    identity
-        Confidence in the person's identity in [0, 1].
-    """
-
-    track: Track3D
+    track: Track3D  # Joints with final positions
+    # Positions that the others are stored relative to: those of the skeleton's root
     root_m: Float[np.ndarray, "frames 3"]
-    skeleton_m: Float[np.ndarray, "frames bones 3"]
+    skeleton_m: Float[np.ndarray, "frames bones 3"]  # Positions of the joints of the animation skeleton
+    # Mean reprojection error of the body's joints in each camera, NaN where a camera sees nothing of the person
     camera_error_px: Float[np.ndarray, "frames cameras"]
-    identity: Float[np.ndarray, " frames"]
+    identity: Float[np.ndarray, " frames"]  # Confidence in the person's identity in [0, 1]
 
 
 def record_type(num_joints: int, num_bones: int, num_cameras: int) -> np.dtype[np.void]:
@@ -90,10 +78,7 @@ def position_step_m(person: PersonFrames) -> float:
 def encode_person(person: PersonFrames, dtype: np.dtype[np.void]) -> Iterator[bytes]:
     """Encode the records of a person, block by block.
 
-    Parameters
-    ----------
-    dtype
-        Structure of the records. The person's skeleton may have fewer joints; the others are absent.
+    ``dtype`` is the structure of the records. The person's skeleton may have fewer joints; the others are absent.
     """
     step_m = position_step_m(person)
     num_bones = person.skeleton_m.shape[1]

@@ -41,14 +41,8 @@ def encode_strips(person: PersonFrames, num_frames: int, num_body_joints: int) -
     """Encode a person's strips: bytes of ``COLUMNS``, each a byte a bucket of the take, in base64.
 
     Shares and confidence are quantised by ``share_byte``, errors by ``error_byte``; cameras are counted. Outside of the
-    person's frames everything is 0 and the error unknown.
-
-    Parameters
-    ----------
-    num_frames
-        Number of the take's frames.
-    num_body_joints
-        Number of joints before those of fingers, which the strips leave out.
+    person's frames everything is 0 and the error unknown. Joints of fingers, those after the first ``num_body_joints``,
+    are left out.
     """
     return base64.b64encode(np.stack(_columns(person, num_frames, num_body_joints)).tobytes()).decode("ascii")
 
@@ -68,8 +62,8 @@ def _columns(person: PersonFrames, num_frames: int, num_body_joints: int) -> lis
     source = person.track.source[:, :num_body_joints]
     sizes = np.diff([*rows, len(frames)])
     shares = [
-        spread(share_byte(np.add.reduceat((source == one).mean(1), rows) / sizes))
-        for one in (Source.MEASURED, Source.INTERPOLATED, Source.PREDICTED)
+        spread(share_byte(np.add.reduceat((source == kind).mean(1), rows) / sizes))
+        for kind in (Source.MEASURED, Source.INTERPOLATED, Source.PREDICTED)
     ]
     is_seen = np.isfinite(person.camera_error_px)
     total_px = np.where(is_seen, person.camera_error_px, 0.0).sum(1)

@@ -49,22 +49,13 @@ _NUM_RINGS, _NUM_SPOKES = 9, 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMesh:
-    """Triangle mesh of a skeleton in its rest pose.
+    """Triangle mesh of a skeleton in its rest pose."""
 
-    Parameters
-    ----------
-    vertices, normals
-        Positions and unit normals, in the unit and axes of the skeleton's offsets.
-    joint
-        Index in the skeleton of the joint that moves each vertex.
-    triangles
-        Indices of ``vertices``, counterclockwise from outside.
-    """
-
+    # Positions and unit normals, in the unit and axes of the skeleton's offsets
     vertices: Float[np.ndarray, "vertices 3"]
     normals: Float[np.ndarray, "vertices 3"]
-    joint: Int[np.ndarray, " vertices"]
-    triangles: Int[np.ndarray, "triangles 3"]
+    joint: Int[np.ndarray, " vertices"]  # Index in the skeleton of the joint that moves each vertex
+    triangles: Int[np.ndarray, "triangles 3"]  # Indices of ``vertices``, counterclockwise from outside
 
 
 @cache
@@ -92,13 +83,8 @@ def _egg() -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices
 def body_mesh(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "joints 3"]) -> BodyMesh:
     """Build the mesh with an ellipsoid around each bone.
 
-    Parameters
-    ----------
-    offsets
-        Offsets of all joints from their parents in the rest pose. A skeleton with fingers has palms and fingers in
-        place of plain hands.
-    rest
-        Positions of all joints in the rest pose.
+    Offsets from their parents, and positions, are those of all joints in the rest pose. A skeleton with fingers has
+    palms and fingers in place of plain hands.
     """
     egg, egg_normals, triangles = _egg()
     skeleton = skeleton_of(len(offsets))

@@ -28,18 +28,8 @@ def euler_deg(
 
     Angles are continuous if the rotations are: of all triples for the same rotation, each frame has the triple closest
     to the previous frame. So angles may leave [-180, 180]. In gimbal lock the last angle is kept, and the first angle
-    is computed from it.
-
-    Parameters
-    ----------
-    order
-        Axes of the rotations, such as ``ZXY``.
-    before_deg
-        Angles of the frame before the first frame.
-
-    Returns
-    -------
-        Angles a, b, c in degrees.
+    is computed from it. ``order`` has the axes, such as ``ZXY``; ``before_deg`` are the angles of the frame before the
+    first frame. Angles are in degrees.
     """
     # Rename the axes so that the order is Z X Y. If the renaming is a reflection, all signs change.
     rename = np.zeros((3, 3))

@@ -22,13 +22,7 @@ _PIECE_BYTES = 2**18
 
 
 def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[bytes]:
-    """Write a track's positions as C3D, piece by piece.
-
-    Parameters
-    ----------
-    joints
-        Joint set of the track.
-    """
+    """Write a track's positions as C3D, piece by piece."""
     content = ezc3d.c3d()
     point = content["parameters"]["POINT"]
     point["RATE"]["value"] = [timebase.frame_rate_hz]

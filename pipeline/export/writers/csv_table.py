@@ -17,13 +17,7 @@ from pipeline.joints import JointSet
 
 
 def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[bytes]:
-    """Write a track's positions as CSV (RFC 4180), piece by piece.
-
-    Parameters
-    ----------
-    joints
-        Joint set of the track.
-    """
+    """Write a track's positions as CSV (RFC 4180), piece by piece."""
     names = [f"{name}_{axis}_m" for name in joints.names for axis in "xyz"]
     yield (",".join(["frame", "time_s", *names]) + "\r\n").encode("ascii")
     for rows in frame_blocks(track.num_frames):

@@ -20,15 +20,7 @@ _HEAD_LINES = 6
 
 
 def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str) -> Iterator[bytes]:
-    """Write a track's positions as TRC, piece by piece.
-
-    Parameters
-    ----------
-    joints
-        Joint set of the track.
-    file_name
-        Name of the file, which is part of its header.
-    """
+    """Write a track's positions as TRC, piece by piece. ``file_name`` is part of its header."""
     rate = np.format_float_positional(timebase.frame_rate_hz)
     num_frames, num_joints = track.xyz_m.shape[:2]
     head = (

@@ -41,8 +41,6 @@ def download(
         Path of the file; an incomplete or unchecked file is named ``<target>.part``.
     sha256
         Accepted checksums.
-    max_bytes
-        Largest allowed size.
     on_bytes
         Called after each piece with the bytes so far, and all bytes if known.
 

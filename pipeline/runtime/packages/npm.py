@@ -29,19 +29,9 @@ _ABBREVIATED = "application/vnd.npm.install-v1+json; q=1.0, application/json; q=
 def fetch_npm_package(pinned: PinnedFile, on_bytes: OnBytes = silent, registry_url: str | None = None) -> Path:
     """Find and download a package's archive, unless it is in ``downloads/``; return its path.
 
-    Certificates and the proxy are those of pip's settings.
-
-    Parameters
-    ----------
-    on_bytes
-        Called with the progress of the download.
-    registry_url
-        URL of the registry; npm's setting by default, see ``npm_registry``.
-
-    Raises
-    ------
-    ModelError
-        If the registry is unknown or can't be reached or has no such file, or the download fails; see ``download``.
+    Certificates and the proxy are those of pip's settings. ``registry_url`` is npm's setting by default, see
+    ``npm_registry``. Raises ``ModelError`` if the registry is unknown or can't be reached or has no such file, or the
+    download fails, see ``download``.
     """
     target = downloads() / pinned.filename
     if target.is_file() and sha256_of(target) == pinned.sha256:
@@ -56,12 +46,8 @@ def npm_registry(pinned: PinnedFile) -> str:
     """URL of the registry of a package by npm's settings.
 
     The environment counts before ``.npmrc`` of the user, and a registry of the package's scope before the general one.
-    Without a setting npm is asked, which knows the public registry.
-
-    Raises
-    ------
-    ModelError
-        If there is no setting, and no npm.
+    Without a setting npm is asked, which knows the public registry. Raises ``ModelError`` if there is no setting, and
+    no npm.
     """
     settings = _npmrc() | _environment()
     keys = (f"{pinned.name.partition('/')[0]}:registry", "registry")

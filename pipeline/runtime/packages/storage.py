@@ -44,10 +44,8 @@ def storage_errors() -> Iterator[None]:
 def exclusive(target: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[None]:
     """Lock the creation of ``target`` against other processes; creates the folder of ``target``.
 
-    Raises
-    ------
-    ModelError
-        If another process holds the lock for longer than ``timeout_s``, or the folder can't be written.
+    Raises ``ModelError`` if another process holds the lock for longer than ``timeout_s``, or the folder can't be
+    written.
     """
     with contextlib.ExitStack() as stack:
         with storage_errors():
@@ -67,12 +65,8 @@ def part_of(target: Path) -> Path:
 def write_file(target: Path, content: bytes) -> None:
     """Write a file under its temporary name and rename it, so that a crash leaves no incomplete file.
 
-    The caller holds ``exclusive(target)``, or owns the folder.
-
-    Raises
-    ------
-    ModelError
-        If the disk is full or the folder can't be written.
+    The caller holds ``exclusive(target)``, or owns the folder. Raises ``ModelError`` if the disk is full or the folder
+    can't be written.
     """
     part = part_of(target)
     with storage_errors():

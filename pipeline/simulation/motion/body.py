@@ -79,33 +79,16 @@ def random_proportions(rng: np.random.Generator) -> Proportions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Pose of a body over time.
+    """Pose of a body over time."""
 
-    Parameters
-    ----------
-    hips_m
-        Centre of the hips in the world.
-    yaw_rad
-        Heading of the hips; 0 is along X, positive to the left.
-    lean_rad
-        Lean of the trunk forward.
-    twist_rad
-        Rotation of the shoulders to the left, relative to the hips.
-    gaze_rad
-        Rotation of the head to the left, and its nod, relative to the shoulders.
-    ankles_m
-        Targets of the left and the right ankle in the world.
-    wrists
-        Targets of the left and the right wrist relative to the shoulder, in lengths of the arm, along upright axes
-        (ahead, left, up) with the heading of the shoulders.
-    """
-
-    hips_m: Float[np.ndarray, "times 3"]
-    yaw_rad: Float[np.ndarray, " times"]
-    lean_rad: Float[np.ndarray, " times"]
-    twist_rad: Float[np.ndarray, " times"]
-    gaze_rad: Float[np.ndarray, "times 2"]
-    ankles_m: Float[np.ndarray, "times 2 3"]
+    hips_m: Float[np.ndarray, "times 3"]  # Centre of the hips in the world
+    yaw_rad: Float[np.ndarray, " times"]  # Heading of the hips; 0 is along X, positive to the left
+    lean_rad: Float[np.ndarray, " times"]  # Lean of the trunk forward
+    twist_rad: Float[np.ndarray, " times"]  # Rotation of the shoulders to the left, relative to the hips
+    gaze_rad: Float[np.ndarray, "times 2"]  # Rotation of the head to the left, and its nod, relative to the shoulders
+    ankles_m: Float[np.ndarray, "times 2 3"]  # Targets of the left and the right ankle in the world
+    # Targets of the left and the right wrist relative to the shoulder, in lengths of the arm, along upright axes
+    # (ahead, left, up) with the heading of the shoulders
     wrists: Float[np.ndarray, "times 2 3"]
 
 
@@ -132,9 +115,7 @@ def reach(
 ) -> tuple[Float[np.ndarray, "*batch 3"], Float[np.ndarray, "*batch 3"]]:
     """Inverse kinematics of two segments from an origin to a target, bent towards a pole.
 
-    Returns
-    -------
-        World positions of the middle joint and of the end; for a target out of reach the end is in its direction.
+    Returns world positions of the middle joint and of the end; for a target out of reach the end is in its direction.
     """
     towards = target_m - origin_m
     length_m = upper_m + lower_m

@@ -26,29 +26,15 @@ Way = Float[np.ndarray, "times 2"]
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """People who act at random.
+    """People who act at random."""
 
-    Parameters
-    ----------
-    num_people
-        Number of people.
-    area_m
-        Size of their area around the origin: width along X and depth along Y.
-    gap_m
-        Least distance between two people, from centre to centre.
-    walking
-        Share of walks among the cues.
-    gestures
-        Gestures of the other cues.
-    doors_m
-        Places at which people enter and leave; without doors all people are present all the time.
-    """
-
-    num_people: int
-    area_m: tuple[float, float]
-    gap_m: float = 0.8
-    walking: float = 0.6
+    num_people: int  # Number of people
+    area_m: tuple[float, float]  # Size of their area around the origin: width along X and depth along Y
+    gap_m: float = 0.8  # Least distance between two people, from centre to centre
+    walking: float = 0.6  # Share of walks among the cues
+    # Gestures of the other cues
     gestures: tuple[Gesture, ...] = (Gesture.IDLE, Gesture.TALK, Gesture.WAVE, Gesture.POINT)
+    # Places at which people enter and leave; without doors all people are present all the time
     doors_m: tuple[tuple[float, float], ...] = ()
 
 

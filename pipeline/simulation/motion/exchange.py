@@ -19,21 +19,11 @@ _NEAR = 1.1
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """People who stand in a group, one in the middle and the others around, and exchange places with neighbours.
+    """People who stand in a group, one in the middle and the others around, and exchange places with neighbours."""
 
-    Parameters
-    ----------
-    num_people
-        Number of people, two to seven.
-    gap_m
-        Distance of neighbours from centre to centre.
-    num_pairs
-        Largest number of pairs who exchange places at a time.
-    """
-
-    num_people: int
-    gap_m: float
-    num_pairs: int = 2
+    num_people: int  # Number of people, two to seven
+    gap_m: float  # Distance of neighbours from centre to centre
+    num_pairs: int = 2  # Largest number of pairs who exchange places at a time
 
 
 def exchange(cast: Exchange, duration_s: float, rng: np.random.Generator) -> tuple[Role, ...]:
@@ -45,8 +35,8 @@ def exchange(cast: Exchange, duration_s: float, rng: np.random.Generator) -> tup
     stances = [Stance(start.start_m, start.facing_rad, 0.0) for start in starts]
     ready_s = np.zeros(cast.num_people)
     while ready_s.max() < duration_s:
-        for one, other in _pairs(places_m, cast, rng):
-            for place, target in ((one, other), (other, one)):
+        for first, second in _pairs(places_m, cast, rng):
+            for place, target in ((first, second), (second, first)):
                 way_m = places_m[target] - places_m[place]
                 heading_rad = float(np.arctan2(way_m[1], way_m[0])) + _AVOIDING_RAD
                 walk = Walk(_point(places_m[target]), float(rng.uniform(*_SPEED_M_S)))
@@ -56,7 +46,7 @@ def exchange(cast: Exchange, duration_s: float, rng: np.random.Generator) -> tup
                     for route in follow(cue, stances[person]):
                         stances[person] = route.end
                         ready_s[person] += len(route.steps) / GRID_HZ
-            holder[[one, other]] = holder[[other, one]]
+            holder[[first, second]] = holder[[second, first]]
         end_s = ready_s.max() + rng.uniform(*_PAUSE_S)
         for person in range(cast.num_people):
             pause = Stay(float(end_s - ready_s[person]), _GESTURES[rng.integers(len(_GESTURES))])
@@ -77,7 +67,7 @@ def _places(cast: Exchange) -> Float[np.ndarray, "places 2"]:
 def _pairs(places_m: Float[np.ndarray, "places 2"], cast: Exchange, rng: np.random.Generator) -> list[tuple[int, int]]:
     """Draw disjoint pairs of neighbouring places."""
     apart_m = np.linalg.norm(places_m[:, None] - places_m, axis=-1)
-    near = [(int(one), int(other)) for one, other in np.argwhere(apart_m < _NEAR * cast.gap_m) if one < other]
+    near = [(int(first), int(second)) for first, second in np.argwhere(apart_m < _NEAR * cast.gap_m) if first < second]
     pairs: list[tuple[int, int]] = []
     for number in rng.permutation(len(near)).tolist():
         if len(pairs) < cast.num_pairs and not set(near[number]) & {place for pair in pairs for place in pair}:

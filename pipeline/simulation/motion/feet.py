@@ -30,22 +30,13 @@ _SIDES = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True)
 class FootShape:
-    """Size of a person's feet.
+    """Size of a person's feet."""
 
-    Parameters
-    ----------
-    heel_m, toe_m
-        Distance of the heel behind the ankle, and of the tip of the big toe before it, on the level sole.
-    inward_m
-        Distance of the big toe from the foot's axis to the body's middle.
-    outward_rad
-        Angle of the feet outwards from the heading of the body.
-    """
-
+    # Distance of the heel behind the ankle, and of the tip of the big toe before it, on the level sole
     heel_m: float
     toe_m: float
-    inward_m: float
-    outward_rad: float
+    inward_m: float  # Distance of the big toe from the foot's axis to the body's middle
+    outward_rad: float  # Angle of the feet outwards from the heading of the body
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,10 +68,7 @@ def roll(
 ) -> tuple[Feet, Float[np.ndarray, "times 2 3"]]:
     """Orientation of rolling feet, and positions of their ankles.
 
-    Parameters
-    ----------
-    hop_m
-        Height of the lower end of both feet above the floor in a jump.
+    ``hop_m`` is the height of the lower end of both feet above the floor in a jump.
     """
     speed_m_s = np.linalg.norm(np.gradient(route.xy_m, axis=0), axis=-1) * GRID_HZ
     share = smoothstep(speed_m_s / _ROLLING_M_S)

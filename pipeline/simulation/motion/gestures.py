@@ -20,26 +20,13 @@ _LEFT = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """Gesture over time, from rest to rest.
+    """Gesture over time, from rest to rest."""
 
-    Parameters
-    ----------
-    wrists
-        Wrist targets.
-    arms
-        Weight of each arm's target, from 0 to 1.
-    drop
-        Drop of the hips, in lengths of the leg.
-    hop_m
-        Height of the feet above the floor.
-    lean_rad, twist_rad
-        Lean of the trunk forward, and its rotation to the left.
-    """
-
-    wrists: Float[np.ndarray, "times 2 3"]
-    arms: Float[np.ndarray, "times 2"]
-    drop: Float[np.ndarray, " times"]
-    hop_m: Float[np.ndarray, " times"]
+    wrists: Float[np.ndarray, "times 2 3"]  # Wrist targets
+    arms: Float[np.ndarray, "times 2"]  # Weight of each arm's target, from 0 to 1
+    drop: Float[np.ndarray, " times"]  # Drop of the hips, in lengths of the leg
+    hop_m: Float[np.ndarray, " times"]  # Height of the feet above the floor
+    # Lean of the trunk forward, and its rotation to the left
     lean_rad: Float[np.ndarray, " times"]
     twist_rad: Float[np.ndarray, " times"]
 
@@ -49,14 +36,7 @@ def overlay(
 ) -> Overlay:
     """Compute a gesture over time.
 
-    Parameters
-    ----------
-    time_s
-        Time since the start of the gesture, which ends at the last entry.
-    hand
-        Wrist target at which right hands meet.
-    rng
-        Source of individual variation.
+    ``time_s`` is since its start, and the last entry its end; right hands meet at ``hand``, a target of the wrist.
     """
     zero = np.zeros_like(time_s)
     blend = smoothstep(time_s / BLEND_S) * smoothstep((time_s[-1] - time_s) / BLEND_S)

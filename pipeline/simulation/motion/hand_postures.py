@@ -75,14 +75,7 @@ def finger_motion(
 ) -> Float[np.ndarray, "times 2 19"]:
     """Angles of both hands on the grid of ``GRID_HZ``, within their limits.
 
-    Parameters
-    ----------
-    cues, cue_rows
-        Cues of a role, and the rows of each.
-    num_rows
-        Number of rows; later cues are cut off.
-    rng
-        Source of postures, durations and individual variation.
+    ``cue_rows`` are the rows of each cue; cues later than ``num_rows`` are cut off.
     """
     angles_rad = np.tile(REST, (num_rows, 2, 1))
     for cue, rows in zip(cues, cue_rows, strict=True):

@@ -55,18 +55,10 @@ _SIDES = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hands:
-    """Size and motion of a person's hands.
+    """Size and motion of a person's hands."""
 
-    Parameters
-    ----------
-    scale
-        Size relative to the mean hand of adults.
-    angles_rad
-        ``ANGLES`` of the left and of the right hand.
-    """
-
-    scale: float
-    angles_rad: Float[np.ndarray, "times 2 19"]
+    scale: float  # Size relative to the mean hand of adults
+    angles_rad: Float[np.ndarray, "times 2 19"]  # ``ANGLES`` of the left and of the right hand
 
 
 def random_scale(body: Proportions, rng: np.random.Generator) -> float:

@@ -47,22 +47,13 @@ class Stance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """Route of a person on the grid of ``GRID_HZ``.
+    """Route of a person on the grid of ``GRID_HZ``."""
 
-    Parameters
-    ----------
-    xy_m, yaw_rad
-        Position and heading of the hips.
-    steps
-        Number of steps so far.
-    present
-        Whether the person is present.
-    """
-
+    # Position and heading of the hips
     xy_m: Float[np.ndarray, "times 2"]
     yaw_rad: Float[np.ndarray, " times"]
-    steps: Float[np.ndarray, " times"]
-    present: Bool[np.ndarray, " times"]
+    steps: Float[np.ndarray, " times"]  # Number of steps so far
+    present: Bool[np.ndarray, " times"]  # Whether the person is present
 
     @property
     def end(self) -> Stance:
@@ -100,9 +91,7 @@ def follow(cue: Cue, start: Stance) -> tuple[Route, ...]:
 def lay_out(role: Role, duration_s: float) -> tuple[Route, Float[np.ndarray, " rests"], list[slice]]:
     """Lay out the route of a whole role, from time 0 on.
 
-    Returns
-    -------
-        Smoothed route, numbers of steps at which the person comes to rest, and rows of each cue.
+    Returns the smoothed route, numbers of steps at which the person comes to rest, and rows of each cue.
     """
     num_rows = round(duration_s * GRID_HZ) + 1
     stance = Stance(role.start_m, role.facing_rad, 0.0)
@@ -130,26 +119,13 @@ def lay_out(role: Role, duration_s: float) -> tuple[Route, Float[np.ndarray, " r
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
-    """Steps of one foot.
+    """Steps of one foot."""
 
-    Parameters
-    ----------
-    share
-        Share of the stride since the foot landed, from 0 to 1.
-    stance
-        Share of the stride for which the foot stands.
-    run
-        Share of running in the gait, from 0 (walking) to 1 (running).
-    xy_m
-        Position of the level foot's ankle on the floor.
-    yaw_rad
-        Heading of the body at the footprint, blended from one footprint to the next while the foot swings.
-    """
-
-    share: Float[np.ndarray, " times"]
-    stance: Float[np.ndarray, " times"]
-    run: Float[np.ndarray, " times"]
-    xy_m: Float[np.ndarray, "times 2"]
+    share: Float[np.ndarray, " times"]  # Share of the stride since the foot landed, from 0 to 1
+    stance: Float[np.ndarray, " times"]  # Share of the stride for which the foot stands
+    run: Float[np.ndarray, " times"]  # Share of running in the gait, from 0 (walking) to 1 (running)
+    xy_m: Float[np.ndarray, "times 2"]  # Position of the level foot's ankle on the floor
+    # Heading of the body at the footprint, blended from one footprint to the next while the foot swings
     yaw_rad: Float[np.ndarray, " times"]
 
 

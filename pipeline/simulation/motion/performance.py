@@ -23,19 +23,13 @@ _PAIRS = [COCO_17.indices((f"left_{joint}", f"right_{joint}")) for joint in ("sh
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Person:
-    """Body and motion of a person on the grid of ``GRID_HZ``, from time 0 on.
+    """Body and motion of a person on the grid of ``GRID_HZ``, from time 0 on."""
 
-    Parameters
-    ----------
-    body, pose, present
-        Body, its pose, and whether the person is present.
-    feet, hands
-        Orientation of the feet, and motion of the hands; ``None`` if their joints are not simulated.
-    """
-
+    # Body, its pose, and whether the person is present
     body: Proportions
     pose: Pose
     present: Bool[np.ndarray, " times"]
+    # Orientation of the feet, and motion of the hands; ``None`` if their joints are not simulated
     feet: Feet | None = None
     hands: Hands | None = None
 

@@ -10,7 +10,7 @@ from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
 from pipeline.data.detections import Detections
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.simulation.views.faults import NO_FAULTS, Confusion, Faults, confuse, ghosts
+from pipeline.simulation.views.faults import NO_FAULTS, Confusion, Faults, confuse, false_positives
 from pipeline.simulation.views.noise import heavy_tailed, lasting_events, lasting_noise
 from pipeline.simulation.views.occlusion import Box, hidden_by_bodies, hidden_by_boxes
 
@@ -32,36 +32,18 @@ _DUPLICATE_MISSING = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """Accuracy of a simulated detector.
+    """Accuracy of a simulated detector."""
 
-    Parameters
-    ----------
-    noise_m
-        Standard deviation of the average joint in metres at the person's distance: a fixed share of the body's size in
-        the image. Half of the variance lasts for ``noise_memory_s``; half is drawn for every frame with heavy tails.
-    noise_px
-        Standard deviation in pixels, independent of the body's size, added to ``noise_m``.
-    tail
-        Degrees of freedom of the heavy-tailed half (Student's t), above 2.
-    noise_memory_s
-        Correlation time of the lasting half.
-    hidden_noise
-        Factor of the noise of hidden joints.
-    hidden_missing
-        Share of hidden joints that are not found.
-    faults
-        Rates of further faults.
-    smallest_palm_px
-        Length of a palm in the image, if it were seen from the front, below which a hand is not found.
-    """
-
+    # Standard deviation of the average joint in metres at the person's distance: a fixed share of the body's size in
+    # the image. Half of the variance lasts for ``noise_memory_s``; half is drawn for every frame with heavy tails.
     noise_m: float = 0.012
-    noise_px: float = 0.0
-    tail: float = 4.0
-    noise_memory_s: float = 0.2
-    hidden_noise: float = 4.0
-    hidden_missing: float = 0.5
-    faults: Faults = field(default_factory=Faults)
+    noise_px: float = 0.0  # Standard deviation in pixels, independent of the body's size, added to ``noise_m``
+    tail: float = 4.0  # Degrees of freedom of the heavy-tailed half (Student's t), above 2
+    noise_memory_s: float = 0.2  # Correlation time of the lasting half
+    hidden_noise: float = 4.0  # Factor of the noise of hidden joints
+    hidden_missing: float = 0.5  # Share of hidden joints that are not found
+    faults: Faults = field(default_factory=Faults)  # Rates of further faults
+    # Length of a palm in the image, if it were seen from the front, below which a hand is not found
     smallest_palm_px: float = 15.0
 
 
@@ -145,7 +127,7 @@ def find_bodies(
     twice = confusion.found & (rng.random(confusion.found.shape) < faults.duplicate)
     copies = _mark(view, confusion, twice, detector, noise_frames, rng)
     copies = _keep(copies, rng.random(copies.score.shape) >= _DUPLICATE_MISSING, _DUPLICATE_SCORE)
-    frame, keypoints_px, score = ghosts(camera.size_px, people_m.shape[1], faults, memory_frames, rng)
+    frame, keypoints_px, score = false_positives(camera.size_px, people_m.shape[1], faults, memory_frames, rng)
     return Found(confusion, bodies, copies, Bodies(frame, keypoints_px, score, np.full(len(frame), NOBODY)))
 
 
@@ -187,12 +169,8 @@ def see_joints(
 ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
     """Draw the detected positions and scores of joints; the score is 0 for missed joints and outside of the image.
 
-    Parameters
-    ----------
-    who, which
-        Person and joint behind each detected joint; see ``faults``.
-    noise_frames
-        Correlation time of the lasting half of the noise, in frames.
+    ``who`` and ``which`` are the person and the joint behind each detected joint, see ``faults``; ``noise_frames`` is
+    the correlation time of the lasting half of the noise, in frames.
     """
     source = who, np.arange(who.shape[1])[:, None], which
     hidden, px_per_m = view.hidden[source], view.px_per_m[source]
@@ -213,12 +191,8 @@ def noisy(
 ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
     """Draw the errors of found joints in pixels, and their scores.
 
-    Parameters
-    ----------
-    sigma_px
-        Standard deviation of visible joints.
-    noise_frames
-        Correlation time of the lasting half of the noise, in frames.
+    ``sigma_px`` is that of visible joints; ``noise_frames`` is the correlation time of the lasting half of the noise,
+    in frames.
     """
     sigma_px = sigma_px * np.where(hidden, detector.hidden_noise, 1.0)
     # Time is the last axis of lasting noise.

@@ -37,15 +37,7 @@ def detect_extremities(
     """Detect people with feet, or with feet and hands, in all frames of one camera.
 
     Feet and hands are drawn from a stream of their own. Rows and body joints are those of ``detector.detect``.
-
-    Parameters
-    ----------
-    joints
-        Joints of ``people_m``: ``BODY_FEET`` or ``WHOLE_BODY``. For the other arguments see ``detector.detect``.
-
-    Returns
-    -------
-        See ``detector.detect``.
+    ``joints`` are those of ``people_m``, ``BODY_FEET`` or ``WHOLE_BODY``; all else is as of ``detector.detect``.
     """
     (own,) = rng.spawn(1)
     found = find_bodies(camera, period_s, people_m[:, :, :_NUM_BODY], boxes, detector, rng)

@@ -26,35 +26,20 @@ _NOT_NEAR = -1
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Rates of a detector's faults, as fractions of 1.
+    """Rates of a detector's faults, as fractions of 1."""
 
-    Parameters
-    ----------
-    miss_joint, miss_body
-        Share of visible joints and of visible bodies that are not found. A body with fewer than four visible joints is
-        never found.
-    swap
-        Share of bodies whose left and right arms, legs or both are swapped.
-    mix
-        Share of bodies near another body in the image that take an arm or a leg from it. In half of the cases the other
-        body is not found.
-    duplicate
-        Share of bodies that are found twice.
-    false_positives
-        Mean number of false bodies in a frame, at most 3.
-    memory_s
-        Correlation time of misses, confusions and false positives, which last over several frames.
-    miss_hand, swap_hands
-        Share of visible hands that are not found, and of bodies whose left and right fingers are exchanged.
-    """
-
+    # Share of visible joints and of visible bodies that are not found. A body with fewer than four visible joints is
+    # never found.
     miss_joint: float = 0.02
     miss_body: float = 0.03
-    swap: float = 0.02
+    swap: float = 0.02  # Share of bodies whose left and right arms, legs or both are swapped
+    # Share of bodies near another body in the image that take an arm or a leg from it. In half of the cases the other
+    # body is not found.
     mix: float = 0.05
-    duplicate: float = 0.01
-    false_positives: float = 0.02
-    memory_s: float = 0.1
+    duplicate: float = 0.01  # Share of bodies that are found twice
+    false_positives: float = 0.02  # Mean number of false bodies in a frame, at most 3
+    memory_s: float = 0.1  # Correlation time of misses, confusions and false positives, which last over several frames
+    # Share of visible hands that are not found, and of bodies whose left and right fingers are exchanged
     miss_hand: float = 0.1
     swap_hands: float = 0.02
 
@@ -89,14 +74,8 @@ def confuse(
 ) -> Confusion:
     """Draw misses, swaps and mixtures.
 
-    Parameters
-    ----------
-    points_px
-        True joints in pixels, NaN for people who are absent or behind the camera.
-    seen
-        Whether joints are in the image and not hidden.
-    memory_frames
-        ``Faults.memory_s`` in frames.
+    True joints are in pixels, NaN for people who are absent or behind the camera, and ``seen`` if they are in the image
+    and not hidden. ``memory_frames`` is ``Faults.memory_s`` in frames.
     """
     num_people, num_frames, num_joints = seen.shape
     bodies = (num_people, num_frames)
@@ -140,14 +119,12 @@ def neighbours(
     return np.where(distance_px.min(1) < trunk_px, closest, _NOT_NEAR)
 
 
-def ghosts(
+def false_positives(
     size_px: tuple[int, int], num_frames: int, faults: Faults, memory_frames: float, rng: np.random.Generator
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints"]]:
     """Draw false positives: objects that are detected as a body over several frames.
 
-    Returns
-    -------
-        Frames, joints in pixels (NaN where missing), and scores (0 where missing).
+    Returns frames, joints in pixels (NaN where missing), and scores (0 where missing).
     """
     shape = (_NUM_GHOSTS, num_frames)
     there = lasting_events(rng, shape, faults.false_positives / _NUM_GHOSTS, memory_frames)

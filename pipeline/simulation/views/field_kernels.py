@@ -12,14 +12,8 @@ from pipeline.runtime.jit import kernel
 def draw_peaks(joint, cells, amplitude, sigma, maps):
     """Draw a Gaussian for each point; overlapping Gaussians give their maximum, as in OpenPose's training.
 
-    Parameters
-    ----------
-    joint, cells, amplitude
-        Joint, position (x, y) in cells, and height of each peak: (n,), (n, 2), (n,).
-    sigma
-        Standard deviation in cells.
-    maps
-        Heatmaps (joints, height, width), changed in place.
+    Joint, position (x, y) in cells, and height of each peak are (n,), (n, 2), (n,); ``sigma`` is in cells. The heatmaps
+    ``maps`` (joints, height, width) are changed in place.
     """
     height, width = maps.shape[1], maps.shape[2]
     reach = 4.0 * sigma

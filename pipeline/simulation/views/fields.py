@@ -58,25 +58,14 @@ _IN_COCO_17 = COCO_17.indices(tuple(COCO_18.names[j] for j in _BESIDE_NECK))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sketch:
-    """Content of one camera's maps.
+    """Content of one camera's maps."""
 
-    Parameters
-    ----------
-    camera
-        Camera of the maps.
-    points_px, amplitude
-        Position of each joint of ``COCO_18`` with noise, and its strength, 0 for a missing joint.
-    confused
-        Whether the joint also appears on the other side.
-    seed
-        Seed of the noise of single frames.
-    """
-
-    camera: Camera
+    camera: Camera  # Camera of the maps
+    # Position of each joint of ``COCO_18`` with noise, and its strength, 0 for a missing joint
     points_px: Float[np.ndarray, "people frames joints 2"]
     amplitude: Float[np.ndarray, "people frames joints"]
-    confused: Bool[np.ndarray, "people frames joints"]
-    seed: int
+    confused: Bool[np.ndarray, "people frames joints"]  # Whether the joint also appears on the other side
+    seed: int  # Seed of the noise of single frames
 
 
 def sketch(
@@ -123,16 +112,7 @@ def render(
 ) -> dict[str, PafFields]:
     """Draw the maps of all cameras for a range of time, and read peaks and fields from them.
 
-    Parameters
-    ----------
-    times
-        Frame times by camera name.
-    span_s
-        Range ``[t0, t1)``.
-
-    Returns
-    -------
-        Peaks and fields by camera name.
+    Frame times, peaks and fields are by camera name; the range is ``[t0, t1)``.
     """
     rendered = {}
     for content in sketches:

@@ -11,12 +11,8 @@ def lasting_noise(
 ) -> Float[np.ndarray, "*batch frames"]:
     """Gaussian noise of unit variance along the last axis: a stationary autoregressive process of first order.
 
-    Parameters
-    ----------
-    shape
-        Shape of the result; frames are the last axis.
-    memory_frames
-        Number of frames in which the correlation falls to 1 / e; 0 for independent frames.
+    Frames are the last axis of ``shape``. In ``memory_frames`` the correlation falls to 1 / e; 0 for independent
+    frames.
     """
     white = rng.standard_normal(shape)
     if memory_frames <= 0 or shape[-1] == 0:

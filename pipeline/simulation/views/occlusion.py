@@ -53,10 +53,7 @@ def hidden_by_boxes(
 def hidden_by_bodies(in_cam_m: Float[np.ndarray, "people frames joints 3"]) -> Bool[np.ndarray, "people frames joints"]:
     """Mark joints of ``COCO_17`` behind another person's body, or an arm behind the person's trunk.
 
-    Parameters
-    ----------
-    in_cam_m
-        Joints in camera coordinates, NaN for absent people.
+    Joints are in camera coordinates, NaN for absent people.
     """
     return points_hidden_by_bodies(in_cam_m, in_cam_m, _FREE_JOINTS)
 
@@ -68,12 +65,8 @@ def points_hidden_by_bodies(
 ) -> Bool[np.ndarray, "people frames points"]:
     """Mark points of a person behind another person's body, or a free point behind the person's trunk.
 
-    Parameters
-    ----------
-    points_m, in_cam_m
-        Points, and joints of ``COCO_17``, in camera coordinates; NaN for absent people.
-    free
-        Numbers of the points that the person's own trunk can hide.
+    Points, and joints of ``COCO_17``, are in camera coordinates, NaN for absent people. The person's own trunk can hide
+    the points of the numbers ``free``.
     """
     num_people = len(in_cam_m)
     hidden = np.zeros(points_m.shape[:3], dtype=bool)

@@ -30,18 +30,11 @@ _MIN_CONFIDENCE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _Standing:
-    """Height of a standing point of the foot above its floor.
+    """Height of a standing point of the foot above its floor."""
 
-    Parameters
-    ----------
-    usual_m
-        Height of the point on a standing foot; the person's own level is measured from here.
-    likely_m, steep_m
-        Height at which a stance has the likelihood 0.5, and the width of the transition. An ankle may rise while the
-        ball of the foot stands; a heel or a toe may not.
-    """
-
-    usual_m: float
+    usual_m: float  # Height of the point on a standing foot; the person's own level is measured from here
+    # Height at which a stance has the likelihood 0.5, and the width of the transition. An ankle may rise while the ball
+    # of the foot stands; a heel or a toe may not.
     likely_m: float
     steep_m: float
 

@@ -36,14 +36,8 @@ def estimate_floor(
     """Fit a plane to the lowest resting feet of all people; ``None`` if no foot is known.
 
     If no foot ever rests, the plane is fitted to the lowest positions of all feet. The fit is robust by iterative
-    reweighting (Geman and McClure). A weak prior keeps the plane level.
-
-    Parameters
-    ----------
-    ankles_m
-        Positions of the left and right ankle of each person.
-    known
-        Frames in which an ankle was located.
+    reweighting (Geman and McClure). A weak prior keeps the plane level. The ankles are the left and the right one of
+    each person; ``known`` are the frames in which they were located.
     """
     resting = [_resting_m(ankles, seen, frame_rate_hz) for ankles, seen in zip(ankles_m, known, strict=True)]
     points_m = np.concatenate([np.zeros((0, 3)), *resting])

@@ -22,11 +22,7 @@ def held_positions_m(
     """Horizontal positions at which ankles are held so that feet stand still.
 
     The height is free, because a standing foot may lift its heel. A foot moves to and from its held position over 0.2
-    s, so that it does not jump.
-
-    Returns
-    -------
-        Positions in metres; NaN in frames and along axes in which an ankle is free.
+    s, so that it does not jump. Returns positions in metres; NaN in frames and along axes in which an ankle is free.
     """
     places_m = np.empty_like(ankles_m)
     for foot, side in enumerate(SIDES):
@@ -42,17 +38,9 @@ def held_parts_m(
 ) -> Float[np.ndarray, "frames 2 2 3"]:
     """Horizontal positions at which heels and toes are held, each during its own contacts.
 
-    The places of heel and toe, if both are held, keep the distance that they have in the frame. Otherwise a
-    place that is too near or too far by millimetres would tilt the foot.
-
-    Parameters
-    ----------
-    parts_m
-        Positions by foot (left, right) and part (heel, toe).
-
-    Returns
-    -------
-        Positions in metres; NaN in frames and along axes in which a part is free.
+    The places of heel and toe, if both are held, keep the distance that they have in the frame. Otherwise a place that
+    is too near or too far by millimetres would tilt the foot. Positions are by foot (left, right) and part (heel, toe).
+    Those of the result are in metres, NaN in frames and along axes in which a part is free.
     """
     places_m = np.empty_like(parts_m)
     for foot, side in enumerate(SIDES):

@@ -29,19 +29,13 @@ _KNOWN_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FootPoints:
-    """Points of both feet (left, right) in a person's motion, and the frames in which they were located.
+    """Points of both feet (left, right) in a person's motion, and the frames in which they were located."""
 
-    Parameters
-    ----------
-    ankles_m, ankles_known
-        Ankles.
-    parts_m, parts_known
-        Heel and toe of each foot. All frames are unknown for a foot whose parts were not known often enough: it stands
-        as a whole.
-    """
-
+    # Ankles
     ankles_m: Float[np.ndarray, "frames 2 3"]
     ankles_known: Bool[np.ndarray, "frames 2"]
+    # Heel and toe of each foot. All frames are unknown for a foot whose parts were not known often enough: it stands as
+    # a whole.
     parts_m: Float[np.ndarray, "frames 2 2 3"]
     parts_known: Bool[np.ndarray, "frames 2 2"]
 
@@ -115,14 +109,8 @@ def hold_feet(
 ) -> SkeletonMotion:
     """Hold standing feet in place; level them if neither toes nor heels are known.
 
-    Parameters
-    ----------
-    motion
-        Motion of the fit, which is changed in place.
-    points
-        Points of the feet before they are held.
-    contacts
-        Contacts of the feet; the result has them with their slide after they were held.
+    The fit's motion is changed in place. ``points`` are those of the feet before they are held; the result has the
+    contacts with their slide afterwards.
     """
     places_m = _places_m(points, contacts, motion.frame_rate_hz)
     if any(np.isfinite(place_m).any() for place_m in places_m.values()):

@@ -50,21 +50,11 @@ class Evidence(Protocol):
 
 @dataclass(slots=True, eq=False)
 class Bodies:
-    """Pose of a person in each frame of a window; changed by the fit.
+    """Pose of a person in each frame of a window; changed by the fit."""
 
-    Parameters
-    ----------
-    root_m
-        World position of the root.
-    local
-        Rotation matrix of each joint to its parent.
-    angle_rad
-        Angle of each hinge, by degree of freedom; 0 for other rotations.
-    """
-
-    root_m: Float[np.ndarray, "frames 3"]
-    local: Float[np.ndarray, "frames joints 3 3"]
-    angle_rad: Float[np.ndarray, "frames freedoms"]
+    root_m: Float[np.ndarray, "frames 3"]  # World position of the root
+    local: Float[np.ndarray, "frames joints 3 3"]  # Rotation matrix of each joint to its parent
+    angle_rad: Float[np.ndarray, "frames freedoms"]  # Angle of each hinge, by degree of freedom; 0 for other rotations
 
     def quat_xyzw(self) -> Float[np.ndarray, "frames joints 4"]:
         """Rotations of all joints to their parents as quaternions (x, y, z, w), continuous in time."""
@@ -158,14 +148,7 @@ def refine(
 ) -> None:
     """Refine bodies by Gauss-Newton steps, in place.
 
-    Parameters
-    ----------
-    evidence
-        Evidence for the positions of landmarks.
-    usual_m
-        Usual second differences of landmarks in metres; infinite for landmarks without this term.
-    num_steps
-        Number of Gauss-Newton steps.
+    ``usual_m`` are the usual second differences of landmarks in metres; infinite for landmarks without this term.
     """
     for _ in range(num_steps):
         # One thread: in such a narrow band, several threads would mostly wait, and could round differently.

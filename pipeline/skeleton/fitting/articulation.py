@@ -23,44 +23,23 @@ NUM_ROOT = 3
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """Degree of freedom: a rotation about an axis that is fixed in a joint.
+    """Degree of freedom: a rotation about an axis that is fixed in a joint."""
 
-    Parameters
-    ----------
-    joints
-        Names of one or two joints; two joints rotate by the same angle.
-    axis
-        Unit vector in the frame of the joint.
-    usual_rad
-        Standard deviation of the prior for the rest pose; infinite without a prior.
-    limits_rad
-        Smallest and largest angle of a hinge; ``None`` for other rotations.
-    rest_rad
-        Angle of a hinge in the prior; other rotations rest at 0.
-    """
-
-    joints: tuple[str, ...]
-    axis: tuple[float, float, float]
-    usual_rad: float = np.inf
-    limits_rad: tuple[float, float] | None = None
-    rest_rad: float = 0.0
+    joints: tuple[str, ...]  # Names of one or two joints; two joints rotate by the same angle
+    axis: tuple[float, float, float]  # Unit vector in the frame of the joint
+    usual_rad: float = np.inf  # Standard deviation of the prior for the rest pose; infinite without a prior
+    limits_rad: tuple[float, float] | None = None  # Smallest and largest angle of a hinge; ``None`` for other rotations
+    rest_rad: float = 0.0  # Angle of a hinge in the prior; other rotations rest at 0
 
 
 @dataclass(frozen=True, slots=True)
 class Twist:
-    """Twist of a ball joint about the bone to its child, which is not observable for a straight limb.
+    """Twist of a ball joint about the bone to its child, which is not observable for a straight limb."""
 
-    Parameters
-    ----------
-    joint, child
-        Names of the ball joint and of the bone's end.
-    limits_rad
-        Smallest and largest twist from the rest pose.
-    """
-
+    # Names of the ball joint and of the bone's end
     joint: str
     child: str
-    limits_rad: tuple[float, float]
+    limits_rad: tuple[float, float]  # Smallest and largest twist from the rest pose
 
 
 def _ball(*joints: str, usual_rad: float = np.inf) -> tuple[Freedom, ...]:
@@ -115,63 +94,33 @@ _BY_LANDMARK = {joint.landmarks[0]: joint.name for joint in SKELETON if len(join
 
 
 class Carried(NamedTuple):
-    """Landmark on a joint.
+    """Landmark on a joint."""
 
-    Parameters
-    ----------
-    landmark
-        Index of the landmark in the joint set of the detector.
-    joint
-        Number of the joint that carries it.
-    offset_m
-        Offset in the frame of the joint.
-    beside
-        True if the landmark may be off the joint's centre, so that the joint's own rotation moves it.
-    """
-
-    landmark: int
-    joint: int
-    offset_m: Float[np.ndarray, " 3"]
-    beside: bool
+    landmark: int  # Index of the landmark in the joint set of the detector
+    joint: int  # Number of the joint that carries it
+    offset_m: Float[np.ndarray, " 3"]  # Offset in the frame of the joint
+    beside: bool  # True if the landmark may be off the joint's centre, so that the joint's own rotation moves it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Articulation:
-    """A person's skeleton, or a part of it, as arrays for ``articulation_kernels``.
+    """A person's skeleton, or a part of it, as arrays for ``articulation_kernels``."""
 
-    Parameters
-    ----------
-    freedoms
-        All rotations; the position of the root comes before them.
-    twists
-        Ball joints whose twist has a prior of its own.
-    parent
-        Number of each joint's parent, -1 for the root.
-    offset_m
-        Offset of each joint from its parent, in the frame of the parent.
-    landmark
-        Indices of the carried landmarks in the joint set of the detector.
-    landmark_joint, landmark_offset_m
-        Joint that carries each landmark, and offset in the frame of the joint.
-    freedom_joint, freedom_axis
-        Joints that each degree of freedom rotates (-1 for none), and the axis.
-    lowest_rad, highest_rad
-        Limits of hinges; infinite for other rotations.
-    moved_by, num_moved_by
-        Degrees of freedom that move each landmark, ascending and padded with -1, and their number.
-    """
-
-    freedoms: tuple[Freedom, ...]
-    twists: tuple[Twist, ...]
-    parent: Int[np.ndarray, " joints"]
-    offset_m: Float[np.ndarray, "joints 3"]
-    landmark: Int[np.ndarray, " landmarks"]
+    freedoms: tuple[Freedom, ...]  # All rotations; the position of the root comes before them
+    twists: tuple[Twist, ...]  # Ball joints whose twist has a prior of its own
+    parent: Int[np.ndarray, " joints"]  # Number of each joint's parent, -1 for the root
+    offset_m: Float[np.ndarray, "joints 3"]  # Offset of each joint from its parent, in the frame of the parent
+    landmark: Int[np.ndarray, " landmarks"]  # Indices of the carried landmarks in the joint set of the detector
+    # Joint that carries each landmark, and offset in the frame of the joint
     landmark_joint: Int[np.ndarray, " landmarks"]
     landmark_offset_m: Float[np.ndarray, "landmarks 3"]
+    # Joints that each degree of freedom rotates (-1 for none), and the axis
     freedom_joint: Int[np.ndarray, "freedoms 2"]
     freedom_axis: Float[np.ndarray, "freedoms 3"]
+    # Limits of hinges; infinite for other rotations
     lowest_rad: Float[np.ndarray, " freedoms"]
     highest_rad: Float[np.ndarray, " freedoms"]
+    # Degrees of freedom that move each landmark, ascending and padded with -1, and their number
     moved_by: Int[np.ndarray, "landmarks most"]
     num_moved_by: Int[np.ndarray, " landmarks"]
 
@@ -233,17 +182,13 @@ def build(
 ) -> Articulation:
     """Build the arrays of any tree of joints.
 
-    Parameters
-    ----------
-    index
-        Number of each joint that the degrees of freedom name.
-    parent, offset_m
-        See ``Articulation``.
+    ``index`` is the number of each joint that the degrees of freedom name; ``parent`` and ``offset_m`` are as of
+    ``Articulation``.
     """
     freedom_joint = np.full((NUM_ROOT + len(freedoms), 2), -1)
     for number, freedom in enumerate(freedoms, NUM_ROOT):
         freedom_joint[number, : len(freedom.joints)] = [index[name] for name in freedom.joints]
-    moved_by = [_moved_by(one.joint, one.beside, parent, freedom_joint) for one in landmarks]
+    moved_by = [_moved_by(landmark.joint, landmark.beside, parent, freedom_joint) for landmark in landmarks]
     most = max(map(len, moved_by), default=0)
     limits = [freedom.limits_rad or (-np.inf, np.inf) for freedom in freedoms]
     return Articulation(
@@ -251,9 +196,9 @@ def build(
         twists=twists,
         parent=parent,
         offset_m=offset_m,
-        landmark=np.array([one.landmark for one in landmarks], dtype=int),
-        landmark_joint=np.array([one.joint for one in landmarks], dtype=int),
-        landmark_offset_m=np.array([one.offset_m for one in landmarks]).reshape(-1, 3),
+        landmark=np.array([landmark.landmark for landmark in landmarks], dtype=int),
+        landmark_joint=np.array([landmark.joint for landmark in landmarks], dtype=int),
+        landmark_offset_m=np.array([landmark.offset_m for landmark in landmarks]).reshape(-1, 3),
         freedom_joint=freedom_joint,
         freedom_axis=np.array([*np.zeros((NUM_ROOT, 3)), *(freedom.axis for freedom in freedoms)]),
         lowest_rad=np.array([*[-np.inf] * NUM_ROOT, *(lowest for lowest, _ in limits)]),

@@ -86,12 +86,6 @@ class SkeletonFit:
     ----------
     track
         Joint positions, NaN in gaps.
-    joints
-        Joint set of the track.
-    timebase
-        Output frames of the session.
-    name
-        Name of the motion.
     rays_of
         Returns the rays in a window of frames, which the fit follows. ``None``: the fit follows the positions.
     offsets
@@ -177,12 +171,8 @@ class SkeletonFit:
     def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]], on_share: OnShare = ignore) -> None:
         """Refine the motion with landmarks held at given positions.
 
-        The motion is changed in place, because two motions of a long session would need too much memory.
-
-        Parameters
-        ----------
-        places_m
-            World positions (metres) by landmark; NaN in frames and along axes in which the landmark is free.
+        The motion is changed in place, because two motions of a long session would need too much memory. Positions
+        (metres, in the world) are by landmark, NaN in frames and along axes in which it is free.
         """
 
         def start(rows: slice) -> Bodies:
@@ -270,18 +260,8 @@ def fit_to_rays(
 ) -> SkeletonFit:
     """Prepare the fit of a person to the rays of all views.
 
-    Parameters
-    ----------
-    track
-        Joints located by association.
-    seen
-        Observations of the track.
-    joints
-        Joint set of the track.
-    name
-        Name of the motion.
-    offsets
-        Offsets of the detector's marks from the joints' centres; unused for a person without hips and shoulders.
+    ``track`` is located by association. ``offsets`` of the detector's marks from the joints' centres are unused for a
+    person without hips and shoulders.
     """
     xyz_m = fit_positions(track, seen, cameras, timebase, joints, on_share)
     measured = track.source == Source.MEASURED

@@ -73,16 +73,7 @@ def fit_positions(
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Fit the positions of a person's joints.
 
-    Parameters
-    ----------
-    track
-        Located joints.
-    seen
-        Observations of the track.
-
-    Returns
-    -------
-        World positions (metres) in all frames, gaps included; NaN in all frames for joints that were never located.
+    World positions (metres) are those of all frames, gaps included; NaN in all for joints that were never located.
     """
     limbs = _limbs(track, track.source == Source.MEASURED, joints)
     usual_m = usual_step_m(joints, timebase)
@@ -99,18 +90,18 @@ def _limbs(
 ) -> list[list[tuple[int, float]]]:
     """Limbs of each joint, as other end and the person's median length in metres, left and right pooled."""
     pooled: dict[str, list[np.ndarray]] = {}
-    ends = [(joints.index(one), joints.index(other)) for one, other in LIMBS if {one, other} <= set(joints.names)]
-    for one, other in ends:
-        both = measured[:, one] & measured[:, other]
-        lengths_m = np.linalg.norm(track.xyz_m[both, one] - track.xyz_m[both, other], axis=-1)
-        pooled.setdefault(joints.names[other].rpartition("_")[2], []).append(lengths_m)
+    ends = [(joints.index(upper), joints.index(lower)) for upper, lower in LIMBS if {upper, lower} <= set(joints.names)]
+    for upper, lower in ends:
+        both = measured[:, upper] & measured[:, lower]
+        lengths_m = np.linalg.norm(track.xyz_m[both, upper] - track.xyz_m[both, lower], axis=-1)
+        pooled.setdefault(joints.names[lower].rpartition("_")[2], []).append(lengths_m)
     hanging: list[list[tuple[int, float]]] = [[] for _ in joints.names]
-    for one, other in ends:
-        lengths_m = np.concatenate(pooled[joints.names[other].rpartition("_")[2]])
+    for upper, lower in ends:
+        lengths_m = np.concatenate(pooled[joints.names[lower].rpartition("_")[2]])
         if len(lengths_m):
             length_m = float(np.median(lengths_m))
-            hanging[one].append((other, length_m))
-            hanging[other].append((one, length_m))
+            hanging[upper].append((lower, length_m))
+            hanging[lower].append((upper, length_m))
     return hanging
 
 
@@ -178,10 +169,10 @@ def _solve(
     if num_frames > 2:
         second_m = before_m[2:] - 2 * before_m[1:-1] + before_m[:-2]
         tie = tie_weight(second_m, usual_m)
-        for one in range(3):
-            for other in range(one, 3):
-                tied = slice(other, num_frames - 2 + other)
-                banded[8 - 3 * (other - one), tied] += (_DIFFERENCE[one] * _DIFFERENCE[other] * tie)[:, None]
+        for row in range(3):
+            for column in range(row, 3):
+                tied = slice(column, num_frames - 2 + column)
+                banded[8 - 3 * (column - row), tied] += (_DIFFERENCE[row] * _DIFFERENCE[column] * tie)[:, None]
     solved: np.ndarray = solveh_banded(
         banded.reshape(9, -1), (right + _INERTIA * before_m).ravel(), overwrite_ab=True, check_finite=False
     )

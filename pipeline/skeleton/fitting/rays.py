@@ -29,12 +29,8 @@ class Rays:
     """Energy of joint positions. A view with score s contributes ``s^3 / sigma^2 GM(d; c)``.
 
     d is the distance of the joint to the ray, and GM the function of Geman and McClure. GM hardly increases beyond c,
-    so a single wrong view has little influence.
-
-    Parameters
-    ----------
-    points_px, score
-        Observations in distorted pixels of the full image, NaN with score 0 where there is none.
+    so a single wrong view has little influence. Observations are in distorted pixels of the full image, NaN with score
+    0 where there is none.
     """
 
     def __init__(
@@ -58,12 +54,7 @@ class Rays:
     ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3"]]:
         """Matrix and right side of the normal equations of a joint, reweighted at its current position.
 
-        Parameters
-        ----------
-        xyz_m
-            Current position of the joint.
-        scale_m
-            Scale c of the function of Geman and McClure.
+        ``scale_m`` is c of the function of Geman and McClure.
         """
         robust = self._weight[:, :, joint] * (scale_m**2 / (self._off_m2(joint, xyz_m) + scale_m**2)) ** 2
         return self._summed(joint, robust)
@@ -97,8 +88,10 @@ class Rays:
     def _fit_exchanged(
         self, xyz_m: Float[np.ndarray, "frames joints 3"], left: list[int], right: list[int], scale_m2: float
     ) -> Bool[np.ndarray, "frames cameras"]:
-        def cost(of: list[int], seen_as: list[int]) -> Float[np.ndarray, "frames cameras"]:
-            off_m2 = np.stack([self._off_m2(ray, xyz_m[:, joint]) for joint, ray in zip(of, seen_as, strict=True)], -1)
+        def cost(fitted: list[int], seen_as: list[int]) -> Float[np.ndarray, "frames cameras"]:
+            off_m2 = np.stack(
+                [self._off_m2(ray, xyz_m[:, joint]) for joint, ray in zip(fitted, seen_as, strict=True)], -1
+            )
             lost = self._weight[:, :, seen_as] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m2)
             return np.asarray(np.nan_to_num(lost).sum(-1))
 

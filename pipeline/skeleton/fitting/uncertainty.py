@@ -39,13 +39,7 @@ class Precise(Protocol):
 def uncertainty_m(
     bodies: Bodies, skeleton: Articulation, evidence: Precise, frame_rate_hz: float
 ) -> Float[np.ndarray, "frames landmarks"]:
-    """Standard deviation of each landmark's position in metres: root mean square over the three axes.
-
-    Parameters
-    ----------
-    bodies
-        Fitted poses in a window of frames.
-    """
+    """Standard deviation of each landmark's position in metres: root mean square over the three axes."""
     posed = Posed(bodies, skeleton)
     precision = convolve1d(evidence.precision(posed.landmark_m), _weights(frame_rate_hz), axis=0, mode="constant")
     num_frames, num_freedoms = len(bodies.root_m), skeleton.num_freedoms

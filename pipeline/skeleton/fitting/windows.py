@@ -22,10 +22,7 @@ def windows(num_frames: int, overlap: int = _OVERLAP_FRAMES, on_share: OnShare =
 class Blend:
     """Join the values of overlapping windows, blended linearly in the overlaps.
 
-    Parameters
-    ----------
-    result
-        Array for the values of all frames; written in place.
+    ``result``, the values of all frames, is written in place.
     """
 
     def __init__(self, result: Float[np.ndarray, "frames *values"]) -> None:

@@ -61,21 +61,12 @@ _THUMB = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finger:
-    """Finger of one side at rest.
+    """Finger of one side at rest."""
 
-    Parameters
-    ----------
-    joints
-        Numbers of its joints in ``WHOLE_SKELETON`` from the palm, the end last.
-    directions
-        Rest directions of the bones to these joints.
-    spread_axis, bend_axes
-        Axes of the spread of the base, and of the bends of its three joints. A positive spread moves the finger to the
-        thumb's side, a positive bend to the palm.
-    """
-
-    joints: tuple[int, ...]
-    directions: Float[np.ndarray, "4 3"]
+    joints: tuple[int, ...]  # Numbers of its joints in ``WHOLE_SKELETON`` from the palm, the end last
+    directions: Float[np.ndarray, "4 3"]  # Rest directions of the bones to these joints
+    # Axes of the spread of the base, and of the bends of its three joints. A positive spread moves the finger to the
+    # thumb's side, a positive bend to the palm.
     spread_axis: Float[np.ndarray, " 3"]
     bend_axes: Float[np.ndarray, "3 3"]
 
@@ -114,12 +105,8 @@ def articulate_hand(side: Side, bone_length_m: Float[np.ndarray, " joints"]) -> 
     """Build the arrays of a hand.
 
     The joints are the forearm, the wrist at the same place, and four joints a finger, the first two of which share a
-    place. The landmarks are the wrist and the 20 joints of ``finger_joints``, in this order.
-
-    Parameters
-    ----------
-    bone_length_m
-        Length of each bone of ``WHOLE_SKELETON``.
+    place. The landmarks are the wrist and the 20 joints of ``finger_joints``, in this order. ``bone_length_m`` has the
+    bones of ``WHOLE_SKELETON``.
     """
     index = {"forearm": 0, "wrist": WRIST_JOINT}
     parent, offset_m = [-1, 0], [np.zeros(3), np.zeros(3)]
@@ -154,14 +141,8 @@ def local_rotations(
 ) -> Float[np.ndarray, "frames joints 3 3"]:
     """Rotations of all joints of ``articulate_hand`` to their parents.
 
-    Parameters
-    ----------
-    forearm
-        Orientation of the forearm in the world.
-    wrist
-        Rotation of the hand to the forearm.
-    angle_rad
-        Angles of all hinges.
+    ``forearm`` is its orientation in the world, ``wrist`` the rotation of the hand to it, ``angle_rad`` the angles of
+    all hinges.
     """
     axes = np.concatenate([[finger.spread_axis, *finger.bend_axes] for finger in fingers_of(side).values()])
     turned = Rotation.from_rotvec((angle_rad[..., None] * axes).reshape(-1, 3)).as_matrix()

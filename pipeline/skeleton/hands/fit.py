@@ -40,38 +40,22 @@ _USUAL_M_S2 = 14.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandViews:
-    """Located joints and observations of a hand.
+    """Located joints and observations of a hand."""
 
-    Parameters
-    ----------
-    fingers_m
-        Located joints of the fingers, NaN where unknown.
-    points_px, score
-        Observations of these joints in distorted pixels of the full image.
-    is_seen
-        Frames in which the hand was seen well.
-    """
-
-    fingers_m: Float[np.ndarray, "frames joints 3"]
+    fingers_m: Float[np.ndarray, "frames joints 3"]  # Located joints of the fingers, NaN where unknown
+    # Observations of these joints in distorted pixels of the full image
     points_px: Float[np.ndarray, "frames cameras joints 2"]
     score: Float[np.ndarray, "frames cameras joints"]
-    is_seen: Bool[np.ndarray, " frames"]
+    is_seen: Bool[np.ndarray, " frames"]  # Frames in which the hand was seen well
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedHand:
-    """Fit of a hand.
+    """Fit of a hand."""
 
-    Parameters
-    ----------
-    pose
-        Rotation of the wrist, and angles of all hinges.
-    uncertainty_m
-        Standard deviation of the joints of the fingers in metres; ``None`` without rays, and where the hand was never
-        seen.
-    """
-
-    pose: HandPose
+    pose: HandPose  # Rotation of the wrist, and angles of all hinges
+    # Standard deviation of the joints of the fingers in metres; ``None`` without rays, and where the hand was never
+    # seen
     uncertainty_m: Float[np.ndarray, "frames joints"] | None
 
 
@@ -116,16 +100,8 @@ def fit_hand(
 ) -> FittedHand:
     """Fit a hand on a fitted body.
 
-    Parameters
-    ----------
-    body
-        Motion of the body.
-    bone_length_m
-        Length of each bone of ``WHOLE_SKELETON``.
-    views
-        Observations of the hand.
-    cameras
-        Cameras whose rays the fit follows; ``None``: it follows the located positions.
+    Lengths are of the bones of ``WHOLE_SKELETON``. The fit follows the rays of ``cameras``; ``None``: the located
+    positions.
     """
     num_frames = len(body.root_m)
     skeleton = articulate_hand(side, bone_length_m)

@@ -31,12 +31,7 @@ def whole_lengths_m(
 
     A bone's length is the median over the frames of both hands, less the part that is due to noise, drawn to adult
     proportions at the size of the person's hand. Adult proportions at the size of the forearm remain where nothing was
-    measured.
-
-    Parameters
-    ----------
-    is_seen
-        Frames in which each hand was seen well.
+    measured. ``is_seen`` are the frames in which each hand was seen well.
     """
     forearm = INDEX["LeftHand"]
     stature_m = body_length_m[forearm] / SKELETON[forearm].stature_share

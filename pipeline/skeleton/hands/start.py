@@ -24,18 +24,10 @@ _KNUCKLES = (5, 9, 13, 17)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandPose:
-    """Pose of a hand in each frame.
+    """Pose of a hand in each frame."""
 
-    Parameters
-    ----------
-    forearm_from_hand
-        Rotation of the hand to the forearm.
-    angle_rad
-        Angles of the hinges of all fingers.
-    """
-
-    forearm_from_hand: Rotation
-    angle_rad: Float[np.ndarray, "frames hinges"]
+    forearm_from_hand: Rotation  # Rotation of the hand to the forearm
+    angle_rad: Float[np.ndarray, "frames hinges"]  # Angles of the hinges of all fingers
 
 
 def seen_well(
@@ -46,12 +38,7 @@ def seen_well(
 ) -> Bool[np.ndarray, " frames"]:
     """Frames in which two cameras or more saw enough of a hand.
 
-    Parameters
-    ----------
-    wrist_m
-        Position of the wrist.
-    fingers_m, measured
-        Located joints of the fingers, and where two cameras saw them.
+    ``fingers_m`` are located joints, ``measured`` where two cameras saw them.
     """
     knuckles = np.array(_KNUCKLES) - 1
     enough = (measured.sum(1) >= _FEWEST_JOINTS) & (measured[:, knuckles].sum(1) >= _FEWEST_KNUCKLES)
@@ -76,14 +63,8 @@ def start_of(
     """Pose of a hand by its located landmarks, each frame by itself.
 
     Unknown values pass evenly between known frames. Far from frames in which the hand was seen, it is in the natural
-    pose; it passes to it smoothly.
-
-    Parameters
-    ----------
-    points_m
-        World positions of the wrist and of all joints of the fingers, NaN where unknown.
-    is_seen
-        Frames in which the hand was seen well.
+    pose; it passes to it smoothly. Landmarks are world positions of the wrist and of all joints of the fingers, NaN
+    where unknown; ``is_seen`` are the frames in which the hand was seen well.
     """
     share = _share_at_rest(is_seen, frame_rate_hz)
     if not is_seen.any():

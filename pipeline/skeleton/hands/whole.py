@@ -24,17 +24,10 @@ from pipeline.skeleton.rotations import continuous_quat_xyzw
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedHands:
-    """Both hands of a person, fitted on the body.
+    """Both hands of a person, fitted on the body."""
 
-    Parameters
-    ----------
-    bone_length_m
-        Length of each bone of ``WHOLE_SKELETON``.
-    views, fitted
-        Observations and fit of each hand.
-    """
-
-    bone_length_m: Float[np.ndarray, " whole"]
+    bone_length_m: Float[np.ndarray, " whole"]  # Length of each bone of ``WHOLE_SKELETON``
+    # Observations and fit of each hand
     views: Mapping[Side, HandViews]
     fitted: Mapping[Side, FittedHand]
 
@@ -69,14 +62,7 @@ def views_of_hands(
 ) -> Mapping[Side, HandViews]:
     """Observations of a person's left and right hand.
 
-    Parameters
-    ----------
-    track
-        Joints of the person, fingers included: located, or smoothed.
-    seen
-        Observations of the track.
-    joints
-        Joint set of the track.
+    Joints of ``track``, fingers included, are located or smoothed.
     """
     return {side: _views_of(side, track, seen, joints, frame_rate_hz) for side in SIDES}
 
@@ -95,18 +81,7 @@ def fit_hands(
 ) -> FittedHands:
     """Fit both hands of a person.
 
-    Parameters
-    ----------
-    body
-        Motion of the person's body.
-    track
-        Joints of the person, for the lengths of bones.
-    views
-        Observations of both hands.
-    joints
-        Joint set of the track.
-    cameras
-        Cameras whose rays the fit follows; ``None``: it follows the positions.
+    ``track`` serves for the lengths of bones. The fit follows the rays of ``cameras``; ``None``: the positions.
     """
     is_seen = {side: view.is_seen for side, view in views.items()}
     lengths_m = whole_lengths_m(body.bone_length_m, track, joints, is_seen)
@@ -147,10 +122,7 @@ def with_hands(body: SkeletonMotion, hands: FittedHands) -> SkeletonMotion:
 def with_fingers(body: Track3D, fingers: Track3D, joints: JointSet) -> Track3D:
     """Joints of a body and of its fingers in the order of a joint set.
 
-    Parameters
-    ----------
-    body, fingers
-        Joints without and with a finger's name, each in the order of the set.
+    Those without and those with a finger's name are each in the order of the set.
     """
     on_fingers = np.array([name in FINGER_JOINTS for name in joints.names])
 
@@ -186,18 +158,8 @@ def follow_hands(
     """Track of the fingers as the fit has them, in the order of the joint set.
 
     Fingers have a position wherever the wrist has one. They are measured where the hand was seen well and the joint was
-    located, and predicted elsewhere.
-
-    Parameters
-    ----------
-    final
-        Final joints of the person's body.
-    body
-        Motion of the body, without hands.
-    located, seen
-        Located fingers, and their observations.
-    joints
-        Joint set of ``located``.
+    located, and predicted elsewhere. ``final`` are the joints of the body, ``body`` is its motion without hands;
+    ``joints`` is the set of the ``located`` fingers.
     """
     names = [name for name in joints.names if name in FINGER_JOINTS]
     fingers, of_fingers = selected(located, seen, joints, names)

@@ -22,34 +22,21 @@ _TOLERANCE_S = 0.03
 
 @dataclass(frozen=True, slots=True)
 class SoundOffsets:
-    """Offsets of cameras' own times, which begin at their first frames, from sound.
+    """Offsets of cameras' own times, which begin at their first frames, from sound."""
 
-    Parameters
-    ----------
-    offset_s
-        By camera, relative to the first of them: ``session time = offset_s + own time`` in the middle of the take; none
-        if no two cameras agree.
-    sigma_s
-        Standard deviation by camera, with that of the unknown way of the sound.
-    reasons
-        Why a camera has no offset, by camera.
-    """
-
+    # By camera, relative to the first of them: ``session time = offset_s + own time`` in the middle of the take; none
+    # if no two cameras agree
     offset_s: Mapping[str, float] = field(default_factory=dict)
+    # Standard deviation by camera, with that of the unknown way of the sound
     sigma_s: Mapping[str, float] = field(default_factory=dict)
-    reasons: Mapping[str, str] = field(default_factory=dict)
+    reasons: Mapping[str, str] = field(default_factory=dict)  # Why a camera has no offset, by camera
 
 
 def sound_offsets(cameras: Sequence[Camera], sounds: Mapping[str, Float32[np.ndarray, " ms"] | str]) -> SoundOffsets:
     """Offsets of cameras whose sounds agree.
 
     The best pairs span a tree (Kruskal 1956); the other pairs must agree with it. Cameras that no pair links to the
-    largest group have no offset.
-
-    Parameters
-    ----------
-    sounds
-        Energy of each millisecond by camera, or why there is none.
+    largest group have no offset. ``sounds`` are the energy of each millisecond by camera, or why there is none.
     """
     reasons = {name: sound for name, sound in sounds.items() if isinstance(sound, str)}
     strengths = {}

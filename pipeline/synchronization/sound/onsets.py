@@ -25,32 +25,20 @@ _MIN_SIGMA_S = 0.0005
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """Lag between two cameras: ``time in the first = time in the second + lag_s + drift * (that - middle_s)``.
+    """Lag between two cameras: ``time in the first = time in the second + lag_s + drift * (that - middle_s)``."""
 
-    Parameters
-    ----------
-    lag_s, drift
-        Lag at ``middle_s``, a time of the second camera, and its change.
-    sigma_s
-        Standard deviation, from how much parts of the take disagree.
-    score
-        Standard deviations by which the lag fits better than others.
-    """
-
+    # Lag at ``middle_s``, a time of the second camera, and its change
     lag_s: float
     drift: float
     middle_s: float
-    sigma_s: float
-    score: float
+    sigma_s: float  # Standard deviation, from how much parts of the take disagree
+    score: float  # Standard deviations by which the lag fits better than others
 
 
 def onset_strength(energy: Float[np.ndarray, " ms"]) -> Float[np.ndarray, " ms"] | None:
     """Strength of onsets in each millisecond, decades of energy; ``None`` if there are few, as in silence.
 
-    Parameters
-    ----------
-    energy
-        Energy of each millisecond.
+    ``energy`` is that of each millisecond.
     """
     energy = np.asarray(energy, np.float64)
     if len(energy) < _MIN_SHARED_MS or not energy.max(initial=0.0) > 0:

@@ -17,10 +17,7 @@ from pipeline.runtime.jit import inlined, kernel, prefetch_row
 def clear_unfound(seen_px, score):
     """Set the scores of joints that were not found to 0, in place.
 
-    Parameters
-    ----------
-    seen_px, score
-        Arrays (detections, joints, 2) and (detections, joints); pixels are NaN where a joint was not found.
+    The arrays are (detections, joints, 2) and (detections, joints); pixels are NaN where a joint was not found.
     """
     for row in range(score.shape[0]):
         for k in range(score.shape[1]):

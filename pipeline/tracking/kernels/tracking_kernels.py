@@ -242,9 +242,7 @@ def _fit_velocity(target, sums, window_s):
 def _expect(target, sums, time_s, center_m, limits):
     """Predict joints by linear motion (eq. 5), and their offsets, distances and decay for eq. 4 in a camera.
 
-    Returns
-    -------
-        Least ``decay_3d`` of a located joint.
+    Returns the least ``decay_3d`` of a located joint.
     """
     if not target.is_fitted and time_s > target.moved_s:
         _fit_velocity(target, sums, limits.velocity_window_s)
@@ -371,9 +369,7 @@ def prepare(targets, frames, first, num_detections, world_ray_from_image):
 def find_pairs(targets, camera, time_s, num_detections, rig, limits, room):
     """Predict the targets and list the pairs of target and detection that may have a positive affinity.
 
-    Returns
-    -------
-        Number of pairs in ``room.pair_target`` and ``room.pair_detection``.
+    Returns the number of pairs in ``room.pair_target`` and ``room.pair_detection``.
     """
     gap_s, decay_2d, scale_2d, num_pairs = np.nan, 0.0, 0.0, 0
     bound_rays(targets.bodies, num_detections, rig.image_from_world[camera], room.fences)
@@ -458,9 +454,8 @@ def _match(targets, camera, num_detections, num_pairs, limits, room):
 def track(start, frames, rig, limits, targets, pool, outcome, room):
     """Match frames to targets from frame ``start`` on.
 
-    Returns
-    -------
-        Number of the first frame after which detections in the pool may start a target; the number of frames if none.
+    Returns the number of the first frame after which detections in the pool may start a target; the number of frames if
+    none.
     """
     match, free = room.match, room.free
     for event in range(start, len(frames.time_s)):

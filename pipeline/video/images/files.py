@@ -45,13 +45,7 @@ def is_sequence(path: Path) -> bool:
 
 @contextmanager
 def open_images(path: Path) -> Iterator[ImageFiles]:
-    """Open a sequence of images.
-
-    Raises
-    ------
-    UnusableError
-        If there are no images, or the archive is refused.
-    """
+    """Open a sequence of images. Raises ``UnusableError`` if there are no images, or the archive is refused."""
     if path.is_dir():
         yield _Folder(path)
         return
@@ -73,8 +67,8 @@ def folder_sha256(folder: Path) -> str:
 
 
 def _images_in(folder: Path) -> dict[str, Path]:
-    files = (one for one in folder.iterdir() if one.suffix.lower() in ENDINGS and not one.name.startswith("."))
-    return {one.name: one for one in files if one.is_file()}
+    files = (path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and not path.name.startswith("."))
+    return {path.name: path for path in files if path.is_file()}
 
 
 class _Folder:

@@ -20,17 +20,8 @@ _DECODERS = {b"\xff\xd8\xff": "mjpeg", b"\x89PNG\r\n\x1a\n": "png", b"BM": "bmp"
 def decode_images(path: Path, is_wanted: Callable[[int], bool]) -> Iterator[VideoFrame]:
     """Decode images in order, with the numbers of their frames as timestamps.
 
-    Images that can't be decoded are skipped, and their frames are missing.
-
-    Parameters
-    ----------
-    is_wanted
-        Whether the image of a frame is to be decoded, by its number.
-
-    Raises
-    ------
-    UnusableError
-        See ``open_images``.
+    Images that can't be decoded are skipped, and their frames are missing. ``is_wanted`` tells whether the image of a
+    frame is to be decoded, by its number. Raises ``UnusableError``, see ``open_images``.
     """
     with open_images(path) as images:
         for frame in images.frames:

@@ -20,12 +20,8 @@ _NUM_DECODED = 8
 def probe_images(path: Path) -> VideoInfo:
     """Examine a sequence: its first images and the last one are decoded.
 
-    The times of the frames are their numbers until ``at_rate`` places them.
-
-    Raises
-    ------
-    UnusableError
-        If there are no images that can be decoded, or images of several sizes.
+    The times of the frames are their numbers until ``at_rate`` places them. Raises ``UnusableError`` if there are no
+    images that can be decoded, or images of several sizes.
     """
     with open_images(path) as images:
         pts = np.array(images.frames, np.int64)
@@ -51,7 +47,7 @@ def probe_images(path: Path) -> VideoInfo:
 def at_rate(images: VideoInfo, frame_rate_hz: float) -> VideoInfo:
     """Place the frames of a sequence at a frame rate; numbers that are left out are dropped frames."""
     time_s = images.pts / float(without_rounding(frame_rate_hz))
-    warnings = (replace(one, file=images.path.name) for one in uneven_times(time_s))
+    warnings = (replace(warning, file=images.path.name) for warning in uneven_times(time_s))
     return replace(images, time_s=time_s, frame_rate_hz=frame_rate_hz, warnings=(*images.warnings, *warnings))
 
 

@@ -11,26 +11,15 @@ _EIGHT_BITS = frozenset({"yuv420p", "yuvj420p"})
 
 
 class VideoFormat(NamedTuple):
-    """Format of a video file, in FFmpeg's names.
+    """Format of a video file, in FFmpeg's names."""
 
-    Parameters
-    ----------
-    container
-        Name of the demuxer, such as "mov,mp4,m4a,3gp,3g2,mj2".
-    brand
-        Major brand of an MP4 or QuickTime file, or document type of a Matroska file ("webm"); else empty.
-    codec, profile, pixel_format
-        Of the video stream; the profile may be unknown.
-    size_px
-        Width and height of the stored pictures.
-    """
-
-    container: str
-    brand: str
+    container: str  # Name of the demuxer, such as "mov,mp4,m4a,3gp,3g2,mj2"
+    brand: str  # Major brand of an MP4 or QuickTime file, or document type of a Matroska file ("webm"); else empty
+    # Of the video stream; the profile may be unknown
     codec: str
     profile: str | None
     pixel_format: str | None
-    size_px: tuple[int, int]
+    size_px: tuple[int, int]  # Width and height of the stored pictures
 
 
 def browser_media_type(video: VideoFormat) -> str | None:

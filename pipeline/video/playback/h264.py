@@ -43,16 +43,8 @@ def add_stream(
 ) -> VideoStream:
     """Add a video stream whose encoder uses one thread.
 
-    Parameters
-    ----------
-    size_px
-        Width and height, even numbers.
-    ticks
-        Times of the frames, ascending.
-    keyframe_frames
-        Number of frames from a keyframe to the next one.
-    crf
-        Constant rate factor of x264: a higher one is worse and smaller.
+    Width and height are even, and times of the frames ascend; ``keyframe_frames`` are from a keyframe to the next one.
+    A higher constant rate factor ``crf`` of x264 is worse and smaller.
     """
     span = max(1, ticks[-1] - ticks[0])
     rate_hz = Fraction(max(1, len(ticks) - 1) * TICKS_A_SECOND, span).limit_denominator(1001)

@@ -33,34 +33,19 @@ _TURNS = {90: "transpose=cclock", 180: "hflip,vflip", 270: "transpose=clock"}
 
 
 class ProxyRequest(NamedTuple):
-    """A video, and the proxy to be made of it.
+    """A video, and the proxy to be made of it."""
 
-    Parameters
-    ----------
-    path, target
-        Paths of the video and of the proxy.
-    width, height
-        Size of the proxy's pictures before rotation, even numbers.
-    rotation_deg
-        Counterclockwise turn of the pictures for display.
-    pts
-        Timestamps of the frames in the video, ascending.
-    ticks
-        Times of these frames in the proxy, in ticks of ``TICKS_A_SECOND``, ascending.
-    keyframe_frames
-        Number of frames from a keyframe to the next one.
-    max_cpu_s, max_bytes
-        Limits on the computing time and on the size of the proxy.
-    """
-
+    # Paths of the video and of the proxy
     path: str
     target: str
+    # Size of the proxy's pictures before rotation, even numbers
     width: int
     height: int
-    rotation_deg: int
-    pts: Sequence[int]
-    ticks: Sequence[int]
-    keyframe_frames: int
+    rotation_deg: int  # Counterclockwise turn of the pictures for display
+    pts: Sequence[int]  # Timestamps of the frames in the video, ascending
+    ticks: Sequence[int]  # Times of these frames in the proxy, in ticks of ``TICKS_A_SECOND``, ascending
+    keyframe_frames: int  # Number of frames from a keyframe to the next one
+    # Limits on the computing time and on the size of the proxy
     max_cpu_s: int
     max_bytes: int
 

@@ -47,8 +47,6 @@ def make_proxy_in_child(
     ----------
     time_s
         Times of the video's frames, ascending; in the proxy the first is 0.
-    target
-        Path of the proxy.
     on_frame
         Called after each frame; an exception from it ends the child.
 

@@ -31,12 +31,8 @@ _FIRST_YEAR = 1980
 def read_timecode(path: Path, metadata: Mapping[str, str], frame_rate: Fraction | None) -> Timecode | None:
     """Read the timecode of the first frame; ``None`` if there is none, or a malformed one.
 
-    Parameters
-    ----------
-    metadata
-        Entries of the container and of its streams.
-    frame_rate
-        Frames a second of the video, where the container does not state those of its timecode.
+    ``metadata`` are entries of the container and of its streams; ``frame_rate`` counts where the container does not
+    state that of its timecode.
     """
     text = metadata.get("timecode") or metadata.get("TIMECODE")
     if not text or (rate := timecode_rate(path) or frame_rate) is None:

@@ -21,21 +21,11 @@ REPAIR_TIMES = "Export it again at a constant frame rate."
 
 
 class Packets(NamedTuple):
-    """Frames of a stream in stored order.
+    """Frames of a stream in stored order."""
 
-    Parameters
-    ----------
-    pts
-        Timestamps of all frames to show, in ticks of the stream's time base.
-    keyframe_pts
-        Timestamps of the keyframes, ascending.
-    num_read
-        Number of packets, also of those of frames that are not shown.
-    """
-
-    pts: Int[np.ndarray, " frames"]
-    keyframe_pts: Int[np.ndarray, " keyframes"]
-    num_read: int
+    pts: Int[np.ndarray, " frames"]  # Timestamps of all frames to show, in ticks of the stream's time base
+    keyframe_pts: Int[np.ndarray, " keyframes"]  # Timestamps of the keyframes, ascending
+    num_read: int  # Number of packets, also of those of frames that are not shown
 
 
 def read_packets(container: InputContainer, stream: VideoStream) -> Packets:

@@ -25,10 +25,7 @@ _HINT = "The times of the frames are right; for fast motion, record again with a
 def uneven_times(time_s: Float[np.ndarray, " frames"]) -> list[Problem]:
     """Warn of gaps between frames, of frames too close to each other, or of a rate that varies.
 
-    Parameters
-    ----------
-    time_s
-        Times of the frames since the first one, ascending.
+    Times are since the first frame, ascending.
     """
     intervals_s = np.diff(time_s)
     if len(intervals_s) < 2:
@@ -52,11 +49,11 @@ def uneven_times(time_s: Float[np.ndarray, " frames"]) -> list[Problem]:
     return warnings
 
 
-def _frames(number: int, one: str, several: str) -> str:
-    return f"1 frame {one}" if number == 1 else f"{number} frames {several}"
+def _frames(number: int, singular: str, plural: str) -> str:
+    return f"1 frame {singular}" if number == 1 else f"{number} frames {plural}"
 
 
 def _places(time_s: Float[np.ndarray, " places"]) -> str:
-    shown: Sequence[str] = [f"{one:.2f}" for one in time_s[:_SHOWN_TIMES]]
+    shown: Sequence[str] = [f"{frame_s:.2f}" for frame_s in time_s[:_SHOWN_TIMES]]
     more = len(time_s) - len(shown)
     return f"at {', '.join(shown)} s" + (f" and {more} more times" if more else "")

@@ -32,16 +32,12 @@ _GAP_SAMPLES = 80
 def energy_of(path: Path, first_pts: int) -> Float32[np.ndarray, " ms"] | str:
     """Energy of each millisecond of the first audio track from the first frame on, or why there is none.
 
-    Differences of samples are squared, so that clicks and claps count for more than hum and wind.
-
-    Parameters
-    ----------
-    first_pts
-        Timestamp of the first frame of the first video track.
+    Differences of samples are squared, so that clicks and claps count for more than hum and wind. ``first_pts`` is the
+    timestamp of the first frame of the first video track.
     """
     with open_container(path) as container:
         video = first_video(container)
-        streams = [one for one in container.streams.audio if one.codec_context is not None]
+        streams = [stream for stream in container.streams.audio if stream.codec_context is not None]
         if not streams or video is None or video.time_base is None:
             return "The video has no sound."
         stream = streams[0]
@@ -58,8 +54,8 @@ def energy_of(path: Path, first_pts: int) -> Float32[np.ndarray, " ms"] | str:
             except DECODE_ERRORS:
                 continue
             for frame in frames:
-                for one in resampler.resample(frame) if isinstance(frame, AudioFrame) else ():
-                    if not found.add(one, start_s):
+                for piece in resampler.resample(frame) if isinstance(frame, AudioFrame) else ():
+                    if not found.add(piece, start_s):
                         return found.values
         return found.values
 

@@ -20,12 +20,8 @@ _BASE_CPU_S, _CPU_S_A_SECOND = 60, 0.05
 def listen_in_child(video: VideoInfo) -> Float32[np.ndarray, " ms"] | str:
     """Energy of each millisecond of a video's sound from its first frame on, or why there is none.
 
-    A file that makes FFmpeg crash, hang or exhaust memory ends only its child, and has no sound then.
-
-    Raises
-    ------
-    ChildError
-        If the child fails for a reason other than its file.
+    A file that makes FFmpeg crash, hang or exhaust memory ends only its child, and has no sound then. Raises
+    ``ChildError`` if the child fails for a reason other than its file.
     """
     if not len(video.pts) or video.path.is_dir() or video.path.suffix.lower() == ".zip":
         return "Images have no sound."

@@ -14,12 +14,12 @@ import pytest
 from api.settings import Settings
 from pipeline.calibration.board.spec import parse_board
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.simulation.boards import BoardPainter, board_poses
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 from pipeline.simulation.scenes import Scene, Simulation, record
 from tests.api.conftest import Live, problem_of, running
+from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses
 from tests.pipeline.media import write_pictures
 from worker.execution import run_chunk
 from worker.runner import Runner

@@ -255,8 +255,8 @@ def test_keys_are_made_listed_and_revoked(tmp_path: Path) -> None:
     assert (first["name"], first["revoked_at"] is None) == ("portal", False)
     assert (second["name"], second["tenant"], second["scopes"]) == ("monitoring", "default", ["admin"])
     assert "mc_" not in listed.stdout
-    deeds = json.loads(runner.invoke(app, ["audit", "--tenant", "studio", "--json", *data]).stdout)["deeds"]
-    assert [(deed["act"], deed["subject"]) for deed in deeds] == [
+    events = json.loads(runner.invoke(app, ["audit", "--tenant", "studio", "--json", *data]).stdout)["events"]
+    assert [(event["act"], event["subject"]) for event in events] == [
         ("key-revoked", key["id"]),
         ("key-created", key["id"]),
     ]
@@ -273,8 +273,8 @@ def test_webhook_secrets_are_made_and_what_is_left_is_listed(tmp_path: Path) -> 
     assert runner.invoke(app, ["webhooks", "list", *data]).exit_code == 0
     refused = runner.invoke(app, ["webhooks", "rotate", "--tenant", "x" * 65, *data])
     assert (refused.exit_code, "1 to 64" in refused.stderr) == (2, True)
-    deeds = json.loads(runner.invoke(app, ["audit", "--tenant", "studio", "--json", *data]).stdout)["deeds"]
-    assert [deed["act"] for deed in deeds] == ["webhook-secret-made"]
+    events = json.loads(runner.invoke(app, ["audit", "--tenant", "studio", "--json", *data]).stdout)["events"]
+    assert [event["act"] for event in events] == ["webhook-secret-made"]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from api.settings import Settings
-from pipeline.video.playback.choices import PROXY_KIND
+from pipeline.job_choices import PROXY_KIND
 from tests.api.conftest import Live, problem_of, running
 from tests.s3 import running_s3
 from worker.jobs.files.artifacts import result_key

@@ -1,6 +1,6 @@
 import numpy as np
 
-from pipeline.evaluation.single_view import track_boxes
+from pipeline.evaluation.datasets.shelf_tracking import track_boxes
 
 LEFT, RIGHT = [0.0, 0.0, 10.0, 20.0], [50.0, 0.0, 60.0, 20.0]
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Observations, People, Track3D
-from pipeline.hands.ownership import owners
+from pipeline.hands.attach import owners
 from pipeline.tracking.observations import NOBODY, Bodies
 
 NUM_JOINTS = 17

@@ -11,7 +11,6 @@ from pipeline.identity.clothes import (
     ColourDistances,
     Contrast,
     learn_contrast,
-    log_likelihood_ratio,
     log_likelihood_ratios,
     mean_clothes,
 )
@@ -49,6 +48,10 @@ def learnt(shirts: Sequence[int], num_pieces: int = 4, seed: int = 1) -> tuple[l
     halves = [(seen(one, rng, num_each=10), seen(one, rng, num_each=10)) for _ in range(num_pieces) for one in shirts]
     time = np.repeat(np.arange(num_pieces), len(shirts))
     return pieces, learn_contrast(pieces, halves, (time[:, None] == time) & ~np.eye(len(time), dtype=bool))
+
+
+def log_likelihood_ratio(first: Clothes, second: Clothes, contrast: Contrast) -> float:
+    return float(log_likelihood_ratios([first, second], contrast)[0, 1])
 
 
 def test_the_mean_counts_only_detections_with_the_part() -> None:

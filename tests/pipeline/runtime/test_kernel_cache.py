@@ -41,7 +41,7 @@ def test_the_program_waits_for_another_one_that_compiles_and_then_has_nothing_to
     environment = os.environ | {"MULTICAP_HOME": str(tmp_path)}
     find = "from pipeline.runtime.kernel_cache import cache_folder; print(cache_folder())"
     found = subprocess.run([sys.executable, "-c", find], env=environment, capture_output=True, text=True, check=True)
-    command = [sys.executable, "-m", "pipeline.runtime.warm_up", "--progress"]
+    command = [sys.executable, "-m", "pipeline.warm_up", "--progress"]
     with exclusive(Path(found.stdout.strip())):
         waiting = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
         assert waiting.stdout is not None

@@ -8,8 +8,8 @@ import pytest
 
 from pipeline.errors import InputError
 from pipeline.geometry.camera import project
-from pipeline.simulation.clocks import Clock, frame_times
 from pipeline.simulation.motion.director import Cast
+from pipeline.simulation.rigs import Clock, frame_times
 from pipeline.simulation.scenes import JOINT_SETS, SCENES, Joints, Simulation, known_joints, record, simulate
 from pipeline.simulation.views.detector import NOBODY, PERFECT
 

@@ -43,14 +43,7 @@ class Copied:
 class ArchiveWriter:
     """Writes an archive.
 
-    Parameters
-    ----------
-    file
-        File to write to.
-    time_s
-        Time of all members.
-    on_bytes
-        Called with the number of bytes after each step.
+    All members have the time ``time_s``; ``on_bytes`` is called with the number of bytes after each step.
     """
 
     def __init__(self, file: BinaryIO, time_s: int, on_bytes: OnBytes) -> None:
@@ -104,17 +97,8 @@ class Member:
 class ArchiveReader:
     """Reads an archive.
 
-    Parameters
-    ----------
-    file
-        File to read.
-    on_bytes
-        Called with the number of bytes after each step.
-
-    Attributes
-    ----------
-    damaged
-        Names of members whose checksums are wrong; complete after the last member.
+    ``on_bytes`` is called with the number of bytes after each step. ``damaged`` are names of members whose checksums
+    are wrong; complete after the last member.
     """
 
     def __init__(self, file: BinaryIO, on_bytes: OnBytes) -> None:
@@ -127,10 +111,7 @@ class ArchiveReader:
     def members(self) -> Iterator[Member]:
         """Read all members but the checksums.
 
-        Raises
-        ------
-        BackupError
-            If the archive ends too early, or was not written by ``ArchiveWriter``.
+        Raises ``BackupError`` if the archive ends too early, or was not written by ``ArchiveWriter``.
         """
         while True:
             name, num_bytes = self._read_header()

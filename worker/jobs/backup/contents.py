@@ -67,19 +67,11 @@ FILE_PROBLEMS = TypeAdapter(tuple[FileProblem, ...])
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """A file that a row names, with its digest if the row has one.
+    """A file that a row names, with its digest if the row has one."""
 
-    Parameters
-    ----------
-    path
-        Below the data folder.
-    needed
-        Whether a session, a job or a result is lost without it.
-    """
-
-    path: str
+    path: str  # Below the data folder
     sha256: str | None
-    needed: bool
+    needed: bool  # Whether a session, a job or a result is lost without it
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,15 +116,8 @@ def count_rows(connection: Connection) -> RowCounts:
 def files_of_rows(connection: Connection, with_artifacts: bool) -> dict[str, StoredFile]:
     """Files that the rows of a database name, by path.
 
-    Parameters
-    ----------
-    with_artifacts
-        Whether artifacts are in the data folder; else only uploads are.
-
-    Raises
-    ------
-    ValueError
-        A row names a file by a malformed key.
+    ``with_artifacts``: artifacts are in the data folder; else only uploads are. Raises ``ValueError`` if a row names a
+    file by a malformed key.
     """
     found = list(_uploads(connection))
     if with_artifacts:

@@ -152,10 +152,7 @@ class _Contents:
 def verify_backup(archive: Path, on_progress: OnProgress) -> Report:
     """Read and check a backup as ``restore_backup`` does; the report lists problems as ``faults``.
 
-    Raises
-    ------
-    BackupError
-        The archive can't be read to its end.
+    Raises ``BackupError`` if the archive can't be read to its end.
     """
     with _opened(archive) as file, tempfile.TemporaryDirectory(prefix="multicap-verify-") as folder:
         database = Path(folder) / DATABASE

@@ -41,12 +41,7 @@ _BUSY_S = 30.0
 def take_snapshot(database_url: str, target: Path) -> str:
     """Copy a database in use, as it is at one moment, into a new SQLite file; returns the revision of its schema.
 
-    Raises
-    ------
-    BackupUsageError
-        The database has no tables of Multicap.
-    NewerDatabase
-    DamagedDatabase
+    Raises ``BackupUsageError`` if the database has no tables of Multicap, ``NewerDatabase`` or ``DamagedDatabase``.
     """
     new_private_file(target)
     source = sqlite_path(database_url)
@@ -121,12 +116,8 @@ def remove_database(path: Path) -> None:
 def prepare(path: Path) -> None:
     """Check the database of a backup and bring its schema up to date.
 
-    Raises
-    ------
-    DamagedDatabase
-    BackupError
-        A row refers to a missing one, or the database has triggers or views.
-    NewerDatabase
+    Raises ``DamagedDatabase``, ``NewerDatabase``, or ``BackupError`` if a row refers to a missing one, or the database
+    has triggers or views.
     """
     with contextlib.closing(_connect(path)) as database:
         database.execute("PRAGMA trusted_schema = OFF")
@@ -185,8 +176,10 @@ def copy_rows(source: Connection, target: Connection) -> None:
     """Copy all rows, and the last ids that were used, between databases of the newest schema."""
     for table in metadata.sorted_tables:
         # Times are copied as numbers.
-        columns = [type_coerce(one, Double) if isinstance(one.type, UtcTimestamp) else one for one in table.columns]
-        query = select(*(column.label(one.name) for column, one in zip(columns, table.columns, strict=True)))
+        columns = [
+            type_coerce(column, Double) if isinstance(column.type, UtcTimestamp) else column for column in table.columns
+        ]
+        query = select(*(column.label(stored.name) for column, stored in zip(columns, table.columns, strict=True)))
         found = source.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE})
         for rows in found.mappings().partitions():
             target.execute(insert(table), [dict(row) for row in rows])

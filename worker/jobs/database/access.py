@@ -16,24 +16,12 @@ _COMMAND_LINE = Actor()
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """Access to the rows of one tenant, or of all tenants.
+    """Access to the rows of one tenant, or of all tenants."""
 
-    Parameters
-    ----------
-    transactions
-        Database, or one open transaction that all repositories share.
-    tenant
-        Tenant whose rows can be reached; ``None``: all tenants.
-    quotas
-        Limits of the tenant.
-    actor
-        Key and request that are written to the audit.
-    """
-
-    transactions: Transactions
-    tenant: str | None = None
-    quotas: Quotas = NO_QUOTAS
-    actor: Actor = _COMMAND_LINE
+    transactions: Transactions  # Database, or one open transaction that all repositories share
+    tenant: str | None = None  # Tenant whose rows can be reached; ``None``: all tenants
+    quotas: Quotas = NO_QUOTAS  # Limits of the tenant
+    actor: Actor = _COMMAND_LINE  # Key and request that are written to the audit
 
     @property
     def owner(self) -> str:

@@ -134,12 +134,7 @@ class Database:
     """One database, SQLite or PostgreSQL; may be shared by threads and carried across a fork.
 
     Once SQLite has found its file damaged, every transaction raises ``DamagedDatabase``: writing to such a file makes
-    the damage worse.
-
-    Parameters
-    ----------
-    url
-        SQLAlchemy URL. A SQLite file is made if it is missing; its folder is not.
+    the damage worse. ``url`` is SQLAlchemy's. A SQLite file is made if it is missing; its folder is not.
     """
 
     def __init__(self, url: str) -> None:
@@ -206,11 +201,8 @@ class Database:
     def migrate(self) -> None:
         """Bring the schema up to date; several processes may try at once.
 
-        Raises
-        ------
-        DamagedDatabase
-        NewerDatabase
-            If this version does not know the schema; the database stays as it is.
+        Raises ``DamagedDatabase``, or ``NewerDatabase`` if this version does not know the schema; the database stays as
+        it is.
         """
         self.require_whole()
         with self.writing() as connection:

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 from sqlalchemy import ColumnElement, Connection, delete, insert, select
 
-from pipeline.visual_choices import VISUAL_KINDS
+from pipeline.job_choices import VISUAL_KINDS
 from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.tables import results
 from worker.jobs.model.jobs import Result

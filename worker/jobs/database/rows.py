@@ -7,14 +7,12 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
 
-from pipeline.calibration_choices import CalibrationChoices, KnownPoint
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
 from pipeline.edits import PeopleEdit, PersonSpan, edit_of
 from pipeline.findings import Finding
+from pipeline.job_choices import CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
 from pipeline.stages.stage import DETECT
-from pipeline.video.playback.choices import ProxyChoices
-from pipeline.visual_choices import VisualChoices
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model.calibrations import Calibration
@@ -157,8 +155,8 @@ def making_of(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
     if kind == "visuals":
         return VisualChoices()
     points = tuple(
-        KnownPoint(one["name"], tuple(one["xyz_m"]), tuple(tuple(view) for view in one["seen_px"]))
-        for one in choices.get("known_points", ())
+        KnownPoint(point["name"], tuple(point["xyz_m"]), tuple(tuple(view) for view in point["seen_px"]))
+        for point in choices.get("known_points", ())
     )
     statures_m = tuple(choices.get("stature_m", ()))
     return CalibrationChoices(**{**choices, "stature_m": statures_m, "known_points": points})

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from sqlalchemy import Connection, Row, delete, insert, select, update
 
-from pipeline.visual_choices import VISUAL_KINDS
+from pipeline.job_choices import VISUAL_KINDS
 from worker.jobs.database.connection import now
 from worker.jobs.database.listed_results import drop_results
 from worker.jobs.database.removal_notes import remove_later

@@ -29,7 +29,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol
 
-from pipeline.visual_choices import VISUAL_KINDS
+from pipeline.job_choices import VISUAL_KINDS
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.checksums import VerifiedFile, found, no_check, require_file
 from worker.jobs.files.disk import is_disk_full, sync
@@ -152,10 +152,7 @@ class ArtifactStore(Protocol):
 def read_artifact(artifacts: ArtifactStore, key: str, sha256: str | None) -> bytes:
     """Read a file that fits into memory; ``sha256`` is its digest, ``None`` if it is unknown.
 
-    Raises
-    ------
-    NotFound
-    DamagedArtifact
+    Raises ``NotFound`` or ``DamagedArtifact``.
     """
     with artifacts.open(key) as file:
         content = file.read()
@@ -183,13 +180,7 @@ def require_prefix(prefix: str) -> None:
 
 
 class LocalArtifacts:
-    """Artifacts as files in a folder, on one file system.
-
-    Parameters
-    ----------
-    root
-        Path of the folder, which is made if it is missing.
-    """
+    """Artifacts as files in a folder, on one file system. The folder is made if it is missing."""
 
     def __init__(self, root: Path) -> None:
         self._root = root

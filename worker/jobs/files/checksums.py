@@ -47,13 +47,7 @@ class FileVersion(NamedTuple):
 
 
 class Verified:
-    """Versions of files with their digests; the oldest are forgotten first.
-
-    Parameters
-    ----------
-    max_remembered
-        Number of versions.
-    """
+    """Versions of files with their digests; the oldest are forgotten first. ``max_remembered`` is their number."""
 
     def __init__(self, max_remembered: int = _MAX_REMEMBERED) -> None:
         self._max_remembered = max_remembered
@@ -97,10 +91,7 @@ def version_of(descriptor: int) -> FileVersion:
 def sha256_of(file: Readable, check: Callable[[], None] = no_check) -> str:
     """SHA-256 of the rest of a file, in hexadecimal.
 
-    Parameters
-    ----------
-    check
-        Called after every MiB; an exception from it ends the reading.
+    ``check`` is called after every MiB; an exception from it ends the reading.
     """
     digest = hashlib.sha256()
     buffer = memoryview(bytearray(_BLOCK_BYTES))
@@ -171,17 +162,7 @@ def _sha256_of_descriptor(descriptor: int, check: Callable[[], None]) -> str:
 class VerifiedFile(io.FileIO):
     """A file that is compared with its digest when it is opened, and again whenever it changes while it is read.
 
-    Parameters
-    ----------
-    path
-        The file.
-    key, sha256
-        As of ``require_sha256``.
-
-    Raises
-    ------
-    DamagedArtifact
-        From ``readinto`` too.
+    ``key`` and ``sha256`` are as of ``require_sha256``. Raises ``DamagedArtifact``, from ``readinto`` too.
     """
 
     def __init__(self, path: Path, key: str, sha256: str) -> None:

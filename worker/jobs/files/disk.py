@@ -51,12 +51,8 @@ def is_disk_full(error: BaseException) -> bool:
 class DiskSpace:
     """Free space on the file system of a folder.
 
-    Parameters
-    ----------
-    folder
-        Data folder; made when it is needed.
-    headroom_bytes
-        Bytes that are kept free; ``None``: 5 % of the file system, at most 256 MiB.
+    The data folder is made when it is needed. ``headroom_bytes`` are kept free; ``None``: 5 % of the file system, at
+    most 256 MiB.
     """
 
     def __init__(self, folder: Path, headroom_bytes: int | None = None) -> None:
@@ -107,10 +103,7 @@ class DiskSpace:
     def using_reserve(self, act: Callable[[], _Result]) -> _Result:
         """Run something that must work on a full disk, such as a deletion; release the reserve if it is needed.
 
-        Parameters
-        ----------
-        act
-            Run a second time if the disk is full.
+        ``act`` is run a second time if the disk is full.
         """
         try:
             return act()

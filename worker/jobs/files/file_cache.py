@@ -21,16 +21,8 @@ class FileCache:
     """Folder of copies.
 
     A copy in use is never removed. Other copies are removed when room is needed, the one that was used longest ago
-    first, and when they were not used for ``keep_s``: deleted files of the store must not stay here.
-
-    Parameters
-    ----------
-    folder
-        Made when it is needed.
-    max_bytes
-        Maximum size of all copies; copies in use at the same time may exceed it.
-    keep_s
-        Time that an unused copy is kept.
+    first, and when they were not used for ``keep_s``: deleted files of the store must not stay here. The folder is made
+    when it is needed. ``max_bytes`` is the maximum size of all copies; copies in use at the same time may exceed it.
     """
 
     def __init__(self, folder: Path, max_bytes: int, keep_s: float) -> None:
@@ -42,14 +34,8 @@ class FileCache:
     def copy(self, key: str, num_bytes: int, fetch: Callable[[Path], None]) -> Iterator[Path]:
         """Path at which a file can be read, inside the block only.
 
-        Parameters
-        ----------
-        key
-            Key of the file, whose content never changes.
-        num_bytes
-            Size of the file.
-        fetch
-            Writes the file to a path; called by one process at a time, if there is no copy yet.
+        The file's content under ``key`` never changes, and ``num_bytes`` is its size. ``fetch`` writes it to a path;
+        one process at a time calls it, if there is no copy yet.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._path(key)
@@ -85,7 +71,7 @@ class FileCache:
             part.unlink(missing_ok=True)
 
     def _make_room(self, num_bytes: int) -> None:
-        copies = sorted(self._found(_COPY), key=lambda one: _used_s(*one))
+        copies = sorted(self._found(_COPY), key=lambda copy: _used_s(*copy))
         too_many = sum(info.st_size for _, info in copies) + num_bytes - self._max_bytes
         for path, info in copies:
             if too_many <= 0:

@@ -21,9 +21,7 @@ def write_interim(artifacts: ArtifactStore, claim: Claim, content: bytes) -> Non
 def read_interim(artifacts: ArtifactStore, claim: Claim, output_key: str) -> bytes | None:
     """Read the interim output of a chunk of the claim's job by the key of the chunk's output.
 
-    Returns
-    -------
-        The output; ``None`` if it is missing or damaged.
+    ``None`` if it is missing or damaged.
     """
     try:
         stored = read_artifact(artifacts, interim_key(claim.job_id, claim.job_attempt, output_key), None)

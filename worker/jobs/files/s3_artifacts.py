@@ -47,19 +47,8 @@ class S3Artifacts:
     """Artifacts as objects of a bucket.
 
     Keys and address come from the environment: ``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``, ``AWS_REGION``,
-    ``AWS_ENDPOINT_URL``.
-
-    Parameters
-    ----------
-    url
-        ``s3://bucket``, or ``s3://bucket/prefix``.
-    cache
-        Copies of files that have to be on this machine's disk.
-
-    Raises
-    ------
-    ValueError
-        The URL is not of this form.
+    ``AWS_ENDPOINT_URL``. ``url`` is ``s3://bucket``, or ``s3://bucket/prefix``; else ``ValueError`` is raised.
+    ``cache`` has copies of files that have to be on this machine's disk.
     """
 
     def __init__(self, url: str, cache: FileCache) -> None:
@@ -142,7 +131,7 @@ class S3Artifacts:
         require_prefix(prefix)
         with _reached(self._store, prefix):
             for some in obstore.list(self._store, prefix.removesuffix("/"), chunk_size=1000):
-                obstore.delete(self._store, [one["path"] for one in some])
+                obstore.delete(self._store, [listed["path"] for listed in some])
 
     def signed_url(self, key: str, lifetime_s: float) -> str | None:
         """Address at which the object can be downloaded for a while without a key."""

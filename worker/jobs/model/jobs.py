@@ -4,12 +4,10 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Literal
 
-from pipeline.calibration_choices import CalibrationChoices
 from pipeline.config import ReconstructionConfig
 from pipeline.edits import PeopleEdit, PersonSpan
 from pipeline.findings import Finding
-from pipeline.video.playback.choices import ProxyChoices
-from pipeline.visual_choices import VisualChoices
+from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from worker.jobs.model.states import RETRYABLE, ChunkState, JobState
 from worker.jobs.spec import JobSpec
 

@@ -72,7 +72,7 @@ class Capture:
     num_jobs, newest_job
         Number of reconstructions, and the newest one; ``None`` without any.
     proxies
-        Names of the proxies that are made; see ``pipeline.video.playback.choices.proxy_name``.
+        Names of the proxies that are made; see ``pipeline.job_choices.proxy_name``.
     proxies_job
         Job that makes proxies; ``None``: no job had to.
     """

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, delete, insert, select, update
 from uuid_utils import uuid7
 
-from pipeline.calibration_choices import CalibrationChoices
+from pipeline.job_choices import CalibrationChoices
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import remove_later
@@ -31,14 +31,7 @@ class Calibrations:
     def add(self, name: str, source: Mapping[str, Any], files: Mapping[str, str]) -> Calibration:
         """Add a calibration that was sent as a file.
 
-        Parameters
-        ----------
-        source, files
-            As of ``worker.jobs.model.calibrations.Calibration``.
-
-        Raises
-        ------
-        QuotaExceeded
+        ``source`` and ``files`` are as of ``worker.jobs.model.calibrations.Calibration``. Raises ``QuotaExceeded``.
         """
         return self._insert(str(uuid7()), name, "file", source, files)
 
@@ -76,13 +69,8 @@ class Calibrations:
     def delete(self, calibration_id: str) -> None:
         """Delete a calibration, the job that made it, and the session that was sent for it alone.
 
-        Sessions that use the calibration keep a copy.
-
-        Raises
-        ------
-        NotFound
-        Conflict
-            The calibration is being made, or another job works on the session.
+        Sessions that use the calibration keep a copy. Raises ``NotFound``, or ``Conflict`` if the calibration is being
+        made, or another job works on the session.
         """
         with self._access.writing() as connection:
             row = self._row(connection, calibration_id)

@@ -103,10 +103,7 @@ class IdempotencyKeys:
     def answer(self, claim: KeyClaim, answer: Mapping[str, Any]) -> None:
         """Store the answer of a claimed key, in the transaction of the work that it reports.
 
-        Raises
-        ------
-        Conflict
-            The claim ran out, and another request may have done the work.
+        Raises ``Conflict`` if the claim ran out, and another request may have done the work.
         """
         with self._access.writing() as connection:
             claimed = update(idempotency_keys).where(self._claimed(claim))

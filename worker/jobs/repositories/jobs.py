@@ -103,12 +103,7 @@ class Jobs:
     ) -> list[Job]:
         """Jobs, the newest first: all of them, or those in a state or of a session.
 
-        Parameters
-        ----------
-        after
-            Last id of the page before.
-        kind
-            Only jobs of the kind; ``None``: all but those of ``SIDE_KINDS``.
+        ``after`` is the last id of the page before. Without a ``kind`` all count but those of ``SIDE_KINDS``.
         """
         query = select_jobs().where(self._access.may_reach(jobs)).order_by(jobs.c.id.desc()).limit(limit)
         if state is not None:
@@ -139,11 +134,7 @@ class Jobs:
     def cancel(self, job_id: str) -> Job:
         """Cancel a job: at once, or as soon as its running chunks are given back. Canceling twice is no error.
 
-        Raises
-        ------
-        NotFound
-        Conflict
-            The job is finished.
+        Raises ``NotFound``, or ``Conflict`` if the job is finished.
         """
         with self._access.writing() as connection:
             job = job_row(connection, self._access, job_id, lock=True)
@@ -158,14 +149,8 @@ class Jobs:
     def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> Job:
         """Queue a failed or canceled job again, as its next attempt. The caller publishes that there is work.
 
-        Workers reuse outputs that are stored already. ``trace`` as in ``add``.
-
-        Raises
-        ------
-        NotFound
-        Conflict
-            The job has neither failed nor been canceled.
-        QuotaExceeded
+        Workers reuse outputs that are stored already. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``,
+        or ``Conflict`` if the job has neither failed nor been canceled.
         """
         with self._access.writing() as connection:
             self._access.require_room(connection, unfinished_jobs=1)
@@ -194,23 +179,9 @@ class Jobs:
 
         Chunks that are done under the same keys stay done. An attempt that has not ended is given up: its running
         chunks lose their leases. The files of the last revision that has succeeded stay until the next one does. The
-        caller publishes that there is work.
-
-        Parameters
-        ----------
-        stages
-            Plan of the job with these edits.
-        revision
-            Revision that the edits were made for; ``None``: any.
-        trace
-            As in ``add``.
-
-        Raises
-        ------
-        NotFound
-        Conflict
-            The job is expired, has found nobody yet, or has another revision.
-        QuotaExceeded
+        caller publishes that there is work. ``stages`` are the plan with these edits, ``revision`` is the one that they
+        were made for; ``None``: any. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``, or ``Conflict``
+        if the job is expired, has found nobody yet, or has another revision.
         """
         with self._access.writing() as connection:
             state = job_row(connection, self._access, job_id).state
@@ -245,11 +216,7 @@ class Jobs:
     def delete(self, job_id: str) -> None:
         """Delete a job, and note its results for removal; outputs of its stages stay with the session.
 
-        Raises
-        ------
-        NotFound
-        Conflict
-            The job is unfinished.
+        Raises ``NotFound``, or ``Conflict`` if the job is unfinished.
         """
         with self._access.writing() as connection:
             job = job_row(connection, self._access, job_id, lock=True)

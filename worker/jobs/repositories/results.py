@@ -25,13 +25,8 @@ class Results:
     def all_of_job(self, job_id: str) -> list[Result]:
         """Results of a job, by name.
 
-        Raises
-        ------
-        NotFound
-        NotFinished
-            No revision of the job has succeeded yet.
-        NoResults
-            The job failed or was canceled before a revision had succeeded.
+        Raises ``NotFound``, ``NotFinished`` if no revision of the job has succeeded yet, or ``NoResults`` if it failed
+        or was canceled before.
         """
         query = select(results).where(results.c.job_id == job_id).order_by(results.c.name)
         with self._access.reading() as connection:
@@ -48,10 +43,7 @@ class Results:
     def listed(self, job_id: str, name: str) -> Result | None:
         """Result of a job by name, in whatever state the job is; ``None`` if there is none of this name.
 
-        Raises
-        ------
-        NotFound
-            There is no such job.
+        Raises ``NotFound`` if there is no such job.
         """
         query = select(results).where(results.c.job_id == job_id, results.c.name == name)
         with self._access.reading() as connection:

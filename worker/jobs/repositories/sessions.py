@@ -110,14 +110,8 @@ class Sessions:
     ) -> list[Capture]:
         """Sessions that are captures, the newest first.
 
-        Parameters
-        ----------
-        after
-            Last id of the page before.
-        name
-            Only sessions whose names contain the text. Case and compatible forms of characters do not count.
-        state
-            Only sessions whose newest job is in the state.
+        ``after`` is the last id of the page before. Names contain ``name``; case and compatible forms of characters do
+        not count. The newest job of each is in ``state``.
         """
         is_listed = (self._access.may_reach(sessions), sessions.c.purpose == "capture")
         query = _select_captures().where(*is_listed).order_by(sessions.c.id.desc()).limit(limit)
@@ -152,11 +146,7 @@ class Sessions:
     def delete(self, session_id: str) -> None:
         """Delete a session and its jobs, and note their files for removal.
 
-        Raises
-        ------
-        NotFound
-        Conflict
-            A job of the session is unfinished.
+        Raises ``NotFound``, or ``Conflict`` if a job of the session is unfinished.
         """
         with self._access.writing() as connection:
             tenant = lock_session(connection, self._access, session_id)

@@ -85,12 +85,8 @@ class Uploads:
     def use(self, upload_ids: Collection[str]) -> None:
         """Delete uploads whose files a session of the same transaction takes.
 
-        Call it before the session is added, so that no byte counts twice for the quota.
-
-        Raises
-        ------
-        Conflict
-            One of the uploads is unknown.
+        Call it before the session is added, so that no byte counts twice for the quota. Raises ``Conflict`` if one of
+        the uploads is unknown.
         """
         if not upload_ids:
             return

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from sqlalchemy import insert, select, update
 from uuid_utils import uuid7
 
-from pipeline.visual_choices import VisualChoices
+from pipeline.job_choices import VisualChoices
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.rows import jobs_of, select_jobs

@@ -70,12 +70,8 @@ class Webhooks:
     ) -> list[Delivery]:
         """Take messages that are due; they are due again after ``lease_s`` unless their outcome is recorded.
 
-        Parameters
-        ----------
-        limit_a_tenant
-            Messages of one tenant that may be on their way at once; ``None``: no limit.
-        busy
-            Messages on their way already, by tenant. Tenants with few of them come first.
+        ``limit_a_tenant`` messages of a tenant may be on their way at once; ``None``: no limit. Tenants with few
+        ``busy`` ones, those on their way already, come first.
         """
         under_way = case(busy, value=deliveries.c.tenant, else_=0) if busy else literal(0)
         order = (deliveries.c.due_at, deliveries.c.id)

@@ -82,7 +82,10 @@ def command(
 
 def _in_videos(session: CaptureSession, board: Board, progress: Progress) -> Iterator[BoardViews]:
     times_s = [times.time_s for times in session.times.values()]
-    span_s = min(float(one[0]) for one in times_s), max(float(one[-1]) for one in times_s)
+    span_s = (
+        min(float(frame_times[0]) for frame_times in times_s),
+        max(float(frame_times[-1]) for frame_times in times_s),
+    )
     interval_s = 1.0 / session.timebase.frame_rate_hz
     for camera, video in zip(session.cameras, session.videos, strict=True):
         own_s = session.times[camera.name].time_s
@@ -102,10 +105,10 @@ def _named(intrinsics: Path, views: list[BoardViews]) -> dict[str, Camera]:
     cameras = {camera.name: camera for camera in read_calibration(intrinsics)}
     problems = [
         Problem(
-            "camera_unknown", "The calibration has no camera of this name.", file=intrinsics.name, camera=one.camera
+            "camera_unknown", "The calibration has no camera of this name.", file=intrinsics.name, camera=view.camera
         )
-        for one in views
-        if one.camera not in cameras
+        for view in views
+        if view.camera not in cameras
     ]
     if problems:
         raise InputError(problems)

@@ -1,21 +1,22 @@
 """`multicap calibrate people`: cameras from people who walk about."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any
 
 import typer
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import StageBars, reporting, warn
-from api.cli.options import DEFAULTS, DetectorOption, KeypointsOption, ProfileOption, TimestampsOption, known
+from api.cli.options import KeypointsOption, TimestampsOption, checked, with_choices
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
-from pipeline.calibration_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.config import ReconstructionConfig
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
+from pipeline.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.progress import Progress
 from pipeline.stages.local import detect_people
 from pipeline.stages.stage import CALIBRATE
@@ -23,7 +24,9 @@ from pipeline.stages.stage import CALIBRATE
 _PERCENT = 100
 
 
+@with_choices("profile", "detector")
 def command(
+    *,
     stature_m: Annotated[
         list[float],
         typer.Option(
@@ -45,8 +48,7 @@ def command(
         ),
     ] = None,
     world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
-    profile: ProfileOption = DEFAULTS.profile,
-    detector: DetectorOption = DEFAULTS.detector,
+    chosen: Mapping[str, Any],
     report: Annotated[Path | None, typer.Option(help="Folder for the report.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
@@ -55,7 +57,7 @@ def command(
         require_ending(out)
         known_points = read_known_points(world_points) if world_points is not None else ()
         _check_sources(videos, keypoints, timestamps, intrinsics, stature_m)
-        config = ReconstructionConfig(detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)))
+        config = ReconstructionConfig.of(checked(chosen))
         session: CaptureSession | KeypointSession
         if keypoints is not None and intrinsics is not None:
             session = open_keypoints(keypoints, intrinsics, timestamps)

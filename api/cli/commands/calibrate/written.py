@@ -23,10 +23,7 @@ def require_ending(out: Path) -> None:
 def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:
     """Write a calibration, and its report with its pictures if a folder is given.
 
-    Raises
-    ------
-    PipelineError
-        If a file can't be written.
+    Raises ``PipelineError`` if a file can't be written.
     """
     files = {out: ENCODERS[out.suffix.lower()](made.cameras)}
     if report is not None:

@@ -23,10 +23,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 def read(file: Path, units: str) -> CameraFile:
     """Read a calibration in a unit as it was typed.
 
-    Raises
-    ------
-    InputError
-        If there is no such unit, or with all problems of the file.
+    Raises ``InputError`` if there is no such unit, or with all problems of the file.
     """
     if units not in UNITS_M:
         raise InputError([Problem("calibration_units", f"--units must be one of {', '.join(UNITS_M)}.")])

@@ -1,27 +1,19 @@
 """`multicap calibration check`: what is wrong or doubtful about a calibration, alone and with people."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any
 
 import typer
 
 from api.cli.commands.calibration.cameras import FileArgument, JsonOption, UnitsOption, camera_documents, read
 from api.cli.console import EXIT_BAD_INPUT, StageBars, emit, reporting, show_findings, warn
-from api.cli.options import (
-    DEFAULTS,
-    DetectorOption,
-    KeypointsOption,
-    ProfileOption,
-    TimestampsOption,
-    known,
-    known_units,
-)
+from api.cli.options import KeypointsOption, TimestampsOption, checked, known_units, with_choices
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session
-from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding, documents, from_problem, has_error
@@ -30,7 +22,9 @@ from pipeline.quality.report import quality_report
 from pipeline.stages.local import reconstruct
 
 
+@with_choices("profile", "detector")
 def command(
+    *,
     file: FileArgument,
     videos: Annotated[
         Path | None, typer.Option(help="Folder with one video of each camera: people in them are checked too.")
@@ -38,16 +32,13 @@ def command(
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     units: UnitsOption = "m",
-    profile: ProfileOption = DEFAULTS.profile,
-    detector: DetectorOption = DEFAULTS.detector,
+    chosen: Mapping[str, Any],
     as_json: JsonOption = False,
 ) -> None:
     """Check a calibration: lenses, places, unit, up axis and common views; with videos or keypoints also people."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         _check_sources(videos, keypoints, timestamps)
-        config = ReconstructionConfig(
-            detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)), smoothing="none"
-        )
+        config = replace(ReconstructionConfig.of(checked(chosen)), smoothing="none")
         unit = known_units(units)
         cameras: Sequence[Camera] = ()
         try:

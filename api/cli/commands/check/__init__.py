@@ -1,9 +1,10 @@
 """`multicap check`: what is wrong or doubtful about a session, before it is reconstructed."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any
 
 import typer
 
@@ -11,22 +12,12 @@ from api.cli.commands.calibration.cameras import JsonOption, UnitsOption
 from api.cli.commands.reconstruct import check_sources, parameters
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
 from api.cli.console import EXIT_BAD_INPUT, StageBars, console, emit, reporting, show_findings
-from api.cli.options import (
-    DEFAULTS,
-    DetectorOption,
-    KeypointRateOption,
-    KeypointsOption,
-    ProfileOption,
-    SyncOption,
-    TimestampsOption,
-    known,
-    known_units,
-)
+from api.cli.options import KeypointRateOption, KeypointsOption, TimestampsOption, checked, known_units, with_choices
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.capture.pictures import look_at_pictures
+from pipeline.capture.pictures.look import look_at_pictures
 from pipeline.capture.session import CaptureSession, Recording, Session, open_session
-from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.config import ReconstructionConfig
 from pipeline.errors import InputError
 from pipeline.findings import Finding, documents, from_problem, has_error
 from pipeline.preflight.instants import check_at_instants
@@ -38,6 +29,7 @@ from pipeline.stages.stage import CHECK
 from pipeline.synchronization.session import clock_findings, on_measured_clocks
 
 
+@with_choices("profile", "detector", "sync")
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file, see docs/formats.md.")],
@@ -52,9 +44,7 @@ def command(
     timestamps: TimestampsOption = None,
     frame_rate: KeypointRateOption = None,
     units: UnitsOption = "m",
-    profile: ProfileOption = DEFAULTS.profile,
-    detector: DetectorOption = DEFAULTS.detector,
-    sync: SyncOption = DEFAULTS.sync,
+    chosen: Mapping[str, Any],
     thumbnails: Annotated[
         Path | None,
         typer.Option(help="Folder for small copies of the pictures that are looked at.", show_default=False),
@@ -68,10 +58,8 @@ def command(
     with reporting(as_json):
         offsets = parameters(offset or [], "cam_2=0.48")
         check_sources(videos, keypoints, timestamps, offsets)
-        config = ReconstructionConfig(
-            detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)), smoothing="none"
-        )
-        is_measured = known(CHOICES["sync"], sync) == "auto"
+        choices = checked(chosen)
+        config = replace(ReconstructionConfig.of(choices), smoothing="none", sync="declared")
         unit = known_units(units)
         try:
             session: Session
@@ -86,7 +74,7 @@ def command(
         else:
             of_pictures = _look(session, thumbnails) if isinstance(session, CaptureSession) else []
             with StageBars(visible=not as_json) as bars:
-                people = (_on_measured_clocks if is_measured else _as_declared)(session, config, bars.update)
+                people = (_on_measured_clocks if choices.sync == "auto" else _as_declared)(session, config, bars.update)
             findings = [
                 *session.findings,
                 *_once([*of_pictures, *join_findings(check_cameras(session.cameras), people)]),
@@ -126,12 +114,12 @@ def _look(session: CaptureSession, thumbnails: Path | None) -> Sequence[Finding]
     if thumbnails is not None:
         thumbnails.mkdir(parents=True, exist_ok=True)
         for camera, of_camera in zip(session.cameras, looked.thumbnails, strict=True):
-            for number, one in enumerate(of_camera):
-                (thumbnails / f"{camera.name}-{number}.jpg").write_bytes(one.content)
+            for number, thumbnail in enumerate(of_camera):
+                (thumbnails / f"{camera.name}-{number}.jpg").write_bytes(thumbnail.content)
     return looked.findings
 
 
 def _once(findings: Sequence[Finding]) -> list[Finding]:
     """Findings without those that repeat the code and the camera of an earlier one."""
-    first = {(one.code, one.camera): one for one in reversed(findings)}
-    return [one for one in findings if first[one.code, one.camera] is one]
+    first = {(finding.code, finding.camera): finding for finding in reversed(findings)}
+    return [finding for finding in findings if first[finding.code, finding.camera] is finding]

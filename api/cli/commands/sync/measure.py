@@ -3,33 +3,26 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
 from api.cli.console import EXIT_FAILED, StageBars, emit, print_table, reporting, warn
-from api.cli.options import (
-    DEFAULTS,
-    DetectorOption,
-    KeypointRateOption,
-    KeypointsOption,
-    ProfileOption,
-    TimestampsOption,
-    known,
-    known_units,
-)
+from api.cli.options import KeypointRateOption, KeypointsOption, TimestampsOption, checked, known_units, with_choices
 from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session
-from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Synchronization
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.synchronization.document import sound_document, sync_document
 from pipeline.synchronization.report import error_pictures
 
 
+@with_choices("profile", "detector")
 def command(
+    *,
     calibration: Annotated[Path, typer.Option(help="Calibration file of the cameras.")],
     videos: Annotated[Path | None, typer.Option(help="Folder with one video of each camera.")] = None,
     keypoints: KeypointsOption = None,
@@ -41,8 +34,7 @@ def command(
             metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."
         ),
     ] = "m",
-    profile: ProfileOption = DEFAULTS.profile,
-    detector: DetectorOption = DEFAULTS.detector,
+    chosen: Mapping[str, Any],
     report: Annotated[
         Path | None, typer.Option(help="Folder for sync.json, and a plot of each camera's error over its offset.")
     ] = None,
@@ -55,7 +47,7 @@ def command(
     """
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         _check_sources(videos, keypoints, timestamps, frame_rate)
-        config = ReconstructionConfig(detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)))
+        config = ReconstructionConfig.of(checked(chosen))
         session: Session
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
@@ -112,8 +104,8 @@ def _show(document: Mapping[str, Any]) -> None:
             for camera, offset in document["offsets_s"].items()
         ),
     )
-    for one in (*document["refusals"], *document["warnings"]):
-        where = f"{one['camera']}: " if one["camera"] else ""
-        warn(f"{where}{one['message']} {one['hint'] or ''}".rstrip())
+    for problem in (*document["refusals"], *document["warnings"]):
+        where = f"{problem['camera']}: " if problem["camera"] else ""
+        warn(f"{where}{problem['message']} {problem['hint'] or ''}".rstrip())
     if not document["certain"]:
         typer.echo("The offsets are not certain.")

@@ -159,7 +159,7 @@ export class Editing extends EventTarget {
     const given = this.#waiting.splice(0);
     for (const { settle } of given) settle();
     this.notice = null;
-    const words = given.map((one) => one.words).join("; ");
+    const words = given.map((edit) => edit.words).join("; ");
     this.conflict = { words, changes: given.filter(({ change }) => change(this.people.edits) !== null) };
     announce(`Somebody else has changed the edits meanwhile. Not done: ${words}.`);
   }

@@ -43,9 +43,9 @@ export function framesOf({ pieces }) {
 }
 
 // Frames in which two people are there: how many, the first and the last one.
-export function sharedFrames(one, other) {
+export function sharedFrames(person, other) {
   let [num, first, last] = [0, Infinity, -Infinity];
-  for (const piece of one.pieces) {
+  for (const piece of person.pieces) {
     for (const theirs of other.pieces) {
       const [start, stop] = [Math.max(piece.start_frame, theirs.start_frame), Math.min(piece.stop_frame, theirs.stop_frame)];
       if (start >= stop) continue;

@@ -85,7 +85,7 @@ function partsOf({ pieces }, before, after, people) {
   const parts = [];
   for (const piece of pieces) {
     for (const { id, pieces: theirs } of before.people) {
-      const source = people.findIndex((one) => one.id === id);
+      const source = people.findIndex((person) => person.id === id);
       if (source < 0) continue;
       for (const other of theirs) {
         const start = Math.max(piece.start_frame, other.start_frame, first);

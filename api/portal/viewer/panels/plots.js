@@ -132,8 +132,8 @@ export class Plots {
       width: this.#place.clientWidth, height: HEIGHT_PX,
       scales: { x: { time: false }, y: { range: (_, low, high) => [Math.min(0, low ?? 0), Math.max(1, (high ?? 1) * 1.08)] } },
       axes: [{ ...axis, values: (_, all) => all.map((frame) => (Number.isInteger(frame) ? String(frame) : "")) }, { ...axis, label: `${label} (${unit})`, labelSize: 22, size: 46, labelFont: axis.font }],
-      series: [{ label: "frame" }, ...series.map((one, number) => ({
-        label: one.label, stroke: TINTS[number % TINTS.length], width: 1.5, dash: number >= TINTS.length ? [4, 3] : [], points: { show: false },
+      series: [{ label: "frame" }, ...series.map((line, number) => ({
+        label: line.label, stroke: TINTS[number % TINTS.length], width: 1.5, dash: number >= TINTS.length ? [4, 3] : [], points: { show: false },
         value: (_, value) => (value === null ? "–" : `${value.toFixed(unit === "°" ? 0 : 1)} ${unit}`),
       }))],
       cursor: { y: false, drag: { x: false, y: false }, bind: { mousemove: () => null, mouseleave: () => null } },

@@ -80,10 +80,10 @@ export class Wall {
 
   #enlarge(tile) {
     this.#enlarged = this.#enlarged === tile ? null : tile;
-    for (const one of this.tiles) {
-      const isLarge = one === this.#enlarged;
-      one.element.classList.toggle("look-large", isLarge);
-      one.element.querySelector(".look-icon").setAttribute("aria-pressed", String(isLarge));
+    for (const other of this.tiles) {
+      const isLarge = other === this.#enlarged;
+      other.element.classList.toggle("look-large", isLarge);
+      other.element.querySelector(".look-icon").setAttribute("aria-pressed", String(isLarge));
     }
     this.element.classList.toggle("look-has-large", this.#enlarged !== null);
     this.#arrange();

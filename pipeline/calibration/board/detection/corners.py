@@ -47,18 +47,8 @@ def align_corners(
 ) -> Float[np.ndarray, "corners 2"]:
     """Align the corners that a detector found, and find those that it missed.
 
-    Parameters
-    ----------
-    gray
-        Picture.
-    corners_px
-        Pixels by number of the corner, NaN where none was found.
-    edge_px
-        Width of the edges between squares.
-
-    Returns
-    -------
-        Pixels by number of the corner; NaN where the picture does not look like the board.
+    Pixels are by number of the corner, NaN where none was found, and in the result where the picture does not look like
+    the board. ``edge_px`` is the width of the edges between squares.
     """
     picture = gray.astype(np.float32)
     # The width of a step that is blurred by a Gaussian, contrast over slope, is sqrt(2 pi) standard deviations.

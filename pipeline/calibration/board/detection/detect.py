@@ -17,20 +17,11 @@ _MIN_CORNERS = 6
 
 
 class DetectedBoard(NamedTuple):
-    """Board in a picture.
+    """Board in a picture."""
 
-    Parameters
-    ----------
-    corners_px
-        Pixels by number of the corner; NaN where a corner was not found.
-    sharpness_px
-        Mean width of the edges between squares.
-    is_mirrored
-        Whether the board was only found in the mirrored picture; the corners then are of no use.
-    """
-
-    corners_px: Float[np.ndarray, "corners 2"]
-    sharpness_px: float
+    corners_px: Float[np.ndarray, "corners 2"]  # Pixels by number of the corner; NaN where a corner was not found
+    sharpness_px: float  # Mean width of the edges between squares
+    # Whether the board was only found in the mirrored picture; the corners then are of no use
     is_mirrored: bool = False
 
 

@@ -40,9 +40,7 @@ def number_corners(
 ) -> Float[np.ndarray, "corners 2"] | None:
     """Number the corners of a grid on a ChArUco board.
 
-    Returns
-    -------
-        Pixels by number of the corner, NaN where none was found; ``None`` if the markers do not tell the numbers.
+    Pixels are by number of the corner, NaN where none was found; ``None`` if the markers do not tell the numbers.
     """
     has_corner = grid.is_found
     is_cell = has_corner[:-1, :-1] & has_corner[1:, :-1] & has_corner[:-1, 1:] & has_corner[1:, 1:]

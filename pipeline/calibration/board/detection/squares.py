@@ -53,18 +53,11 @@ class _Saddles(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SquareGrid:
-    """Corners between squares on a grid of which neither the origin nor the direction is known.
+    """Corners between squares on a grid of which neither the origin nor the direction is known."""
 
-    Parameters
-    ----------
-    corners_px
-        Pixels by row and column, NaN where no corner was found. Columns run to the right of rows, seen from in front.
-    picture_from_grid
-        Homography from columns and rows to pixels.
-    """
-
+    # Pixels by row and column, NaN where no corner was found. Columns run to the right of rows, seen from in front.
     corners_px: Float[np.ndarray, "rows columns 2"]
-    picture_from_grid: Float[np.ndarray, "3 3"]
+    picture_from_grid: Float[np.ndarray, "3 3"]  # Homography from columns and rows to pixels
 
     @property
     def is_found(self) -> Bool[np.ndarray, "rows columns"]:

@@ -37,12 +37,8 @@ def read(content: bytes, file: str) -> CameraFile:
 def read_members(members: Mapping[str, bytes], file: str) -> CameraFile:
     """Read pickles by the names of their cameras.
 
-    Raises
-    ------
-    InputError
-        With all problems of all cameras.
-    UnreadableError
-        If a pickle has anything but plain values and arrays, or not the keys of these formats.
+    Raises ``InputError`` with all problems of all cameras; ``UnreadableError`` if a pickle has anything but plain
+    values and arrays, or not the keys of these formats.
     """
     documents = {name: read_values(members[name]) for name in list(members)[: MAX_CAMERAS + 1]}
     if not all(isinstance(document, dict) for document in documents.values()):

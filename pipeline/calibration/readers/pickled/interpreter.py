@@ -66,10 +66,7 @@ class _Array:
 def read_values(content: bytes) -> Any:
     """Read the value of a pickle: dicts, lists, tuples, texts, numbers; arrays become nested lists.
 
-    Raises
-    ------
-    UnreadableError
-        For damaged pickles, for all other operations and names, and for more than a megabyte.
+    Raises ``UnreadableError`` for damaged pickles, for all other operations and names, and for more than a megabyte.
     """
     if len(content) > _MAX_BYTES:
         raise UnreadableError

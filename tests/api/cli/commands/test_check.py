@@ -12,12 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.capture.pictures import NUM_PICTURES
+from pipeline.capture.pictures.look import NUM_PICTURES
 from pipeline.simulation.motion.script import Gesture
 from pipeline.simulation.scenes import find_scene, record
+from tests.pipeline.capture.pictures.rooms import walk
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_pictures
-from tests.pipeline.preflight.pictures.rooms import walk
 from tests.pipeline.simulations import write_simulation
 from tests.pipeline.synchronization.conftest import alone
 

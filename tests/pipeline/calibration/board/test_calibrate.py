@@ -10,15 +10,15 @@ from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.detection.detect import find_board, is_exchanged
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.calibration.board.views import BoardViews, choose_views
-from pipeline.calibration_choices import KnownPoint
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3
-from pipeline.simulation.boards import BoardPainter, board_poses
+from pipeline.job_choices import KnownPoint
 from pipeline.stages.codec import decode, encode
 from tests.pipeline.calibration.board.conftest import ring, views_of
+from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses
 
 CHARUCO = parse_board("charuco:7x5:0.1:0.075:DICT_4X4_50")
 AMBIGUOUS = parse_board("chessboard:7x5:0.1")

@@ -13,8 +13,8 @@ from api.cli.commands.calibrate import board as command
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.registry import read_calibration
 from pipeline.geometry.camera import center_in_world
-from pipeline.simulation.boards import BoardPainter, board_poses
 from tests.pipeline.calibration.board.conftest import ring
+from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses
 from tests.pipeline.media import write_pictures
 
 PEERS = Path(__file__).parents[4] / ".venv-peers"

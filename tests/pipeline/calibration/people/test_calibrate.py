@@ -7,11 +7,11 @@ import pytest
 
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration.sizes import guessed_camera
-from pipeline.calibration_choices import KnownPoint
 from pipeline.data.cameras import FrameTimes
 from pipeline.errors import InputError
 from pipeline.evaluation.camera_errors import camera_errors
 from pipeline.geometry.camera import center_in_world, project
+from pipeline.job_choices import KnownPoint
 from pipeline.simulation.scenes import Simulation
 from tests.pipeline.calibration.people.conftest import bare, room, without
 

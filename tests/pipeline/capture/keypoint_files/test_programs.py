@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.capture.keypoint_files import people
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
-from pipeline.capture.keypoint_files.names import joint_of
+from pipeline.capture.keypoint_files.points import joint_of
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.errors import Problem
 from pipeline.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY

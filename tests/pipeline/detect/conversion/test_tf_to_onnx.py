@@ -4,8 +4,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from pipeline.detect.conversion.tf_graph import _graph_class, read_graph
-from pipeline.detect.conversion.tf_to_onnx import convert
+from pipeline.detect.conversion.tf_to_onnx import _graph_class, convert, read_graph
 from pipeline.errors import ModelError
 
 RNG = np.random.default_rng(7)

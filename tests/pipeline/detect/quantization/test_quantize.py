@@ -9,11 +9,11 @@ from onnx import TensorProto, helper, numpy_helper
 
 from pipeline.detect import models
 from pipeline.detect.entries import entry_of
-from pipeline.detect.quantization.calibration import measure_ranges
 from pipeline.detect.quantization.movenet_ranges import RANGES
 from pipeline.detect.quantization.quantize import end, quantize
 from pipeline.detect.session import open_network
 from pipeline.errors import ModelError
+from tests.pipeline.detect.quantization.measured_ranges import measure_ranges
 
 RANDOM = np.random.default_rng(3)
 IMAGES = [RANDOM.uniform(0.0, 1.0, (1, 3, 12, 16)).astype(np.float32) for _ in range(4)]

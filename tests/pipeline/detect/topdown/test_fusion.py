@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from pipeline.detect.topdown.blazepose import LANDMARK
-from pipeline.detect.topdown.fusion import fuse
-from pipeline.detect.topdown.joint_maps import (
+from pipeline.detect.topdown.fusion import (
     COMMON_OFFSETS,
     LANDMARK_OFFSETS,
     NOT_SHARED,
     SHARED_JOINTS,
     SHARED_LANDMARKS,
     common_marks_px,
+    fuse,
     landmark_offsets_px,
 )
 from pipeline.detect.topdown.regions import Region

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.detect.topdown.heatmaps import read_near
+from pipeline.detect.topdown.blazepose import read_near
 
 
 def heatmap(x: float, y: float, peak: float = 0.9, sigma: float = 1.0, size: int = 64) -> np.ndarray:

@@ -7,7 +7,7 @@ from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.session import Network
 from pipeline.detect.topdown.blazepose import body_region
 from pipeline.detect.topdown.detector import TopDown
-from pipeline.detect.topdown.joint_maps import common_marks_px
+from pipeline.detect.topdown.fusion import common_marks_px
 from pipeline.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointSet, finger_joints
 from tests.pipeline.detect.topdown.people import landmarks_px, pose_of, standing_px
 

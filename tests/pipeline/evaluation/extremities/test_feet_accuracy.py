@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.data.people import Source, Track3D
-from pipeline.evaluation.extremities.angles import heading_error_deg, pitch_deg
-from pipeline.evaluation.extremities.feet import score_heels_and_toes
+from pipeline.evaluation.extremities.feet import heading_error_deg, pitch_deg, score_heels_and_toes
 from pipeline.joints import COCO_17
 from pipeline.simulation.scenes import SCENES, Simulation, record
 

@@ -7,8 +7,7 @@ import pytest
 
 from pipeline.data.animation import Side
 from pipeline.data.people import Source, Track3D
-from pipeline.evaluation.extremities.bends import bends_deg, count_backward_bends
-from pipeline.evaluation.extremities.hands import score_hands
+from pipeline.evaluation.extremities.hands import bends_deg, count_backward_bends, score_hands
 from pipeline.joints import COCO_17, WHOLE_BODY, finger_joints
 from pipeline.simulation.motion.hands import ANGLES, DIP_SHARE, Hands, fingers
 from pipeline.simulation.scenes import SCENES, record

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
-from pipeline.evaluation.extremities.headings import score_foot_directions
+from pipeline.evaluation.extremities.feet import score_foot_directions
 from pipeline.skeleton.model import INDEX, SKELETON, joint_pose
 
 NUM_FRAMES = 40

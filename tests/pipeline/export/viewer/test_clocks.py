@@ -1,6 +1,6 @@
 import numpy as np
 
-from pipeline.export.viewer.clocks import TOLERANCE_S, knots
+from pipeline.export.viewer.description import TOLERANCE_S, knots
 
 
 def test_a_steady_camera_has_two_knots() -> None:

@@ -10,7 +10,6 @@ from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.geometry.triangulation import triangulate_robust
-from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.tracking import reference
 from pipeline.tracking.affinity import epipolar_affinity
@@ -22,6 +21,7 @@ from pipeline.tracking.kernels.state import make_workspace
 from pipeline.tracking.observations import gather, undistorted
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.tracking.tracker import Tracker, make_frames, make_rig
+from pipeline.warm_up import warm_up
 
 
 @pytest.mark.parametrize(("scene", "seed"), [("noisy", 3), ("unsynchronised", 1), ("comings-and-goings", 2)])

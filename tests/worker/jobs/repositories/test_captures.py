@@ -2,8 +2,7 @@
 
 import pytest
 
-from pipeline.calibration_choices import CalibrationChoices
-from pipeline.video.playback.choices import PROXY_KIND, ProxyChoices
+from pipeline.job_choices import PROXY_KIND, CalibrationChoices, ProxyChoices
 from tests.worker.jobs.conftest import CODE, PREFLIGHT, UNITS, Bench, stages
 from worker.jobs.errors import Conflict
 from worker.jobs.model.jobs import NewestJob, Result, kind_of

@@ -32,10 +32,7 @@ class Keys:
     ) -> tuple[Key, str]:
         """Make a key; returns it with its secret, which can't be read again.
 
-        Parameters
-        ----------
-        lifetime_s
-            Time until it expires; ``None``: it is valid until it is revoked.
+        It expires after ``lifetime_s``; ``None``: it is valid until it is revoked.
         """
         key_id, secret = str(uuid7()), _PREFIX + secrets.token_urlsafe(_SECRET_BYTES)
         with self._transactions.writing() as connection:
@@ -71,9 +68,7 @@ class Keys:
     def revoke(self, key_id: str) -> Key:
         """Revoke a key for good, with the browser sessions that it opened; revoking twice is no error.
 
-        Raises
-        ------
-        NotFound
+        Raises ``NotFound``.
         """
         with self._transactions.writing() as connection:
             row = connection.execute(select(keys).where(keys.c.id == key_id).with_for_update()).one_or_none()

@@ -37,12 +37,7 @@ class Links:
     def add(self, job_id: str, scope: LinkScope, name: str | None, lifetime_s: float) -> tuple[Link, str]:
         """Make a link; returns it with its secret, which can't be read again.
 
-        Raises
-        ------
-        NotFound
-            There is no such job.
-        Conflict
-            The job has ``MAX_LINKS`` already.
+        Raises ``NotFound`` if there is no such job, ``Conflict`` if it has ``MAX_LINKS`` already.
         """
         link_id, secret = str(uuid7()), _PREFIX + secrets.token_urlsafe(_SECRET_BYTES)
         with self._access.writing() as connection:

@@ -22,18 +22,16 @@ def next_job(connection: Connection, codes: Collection[str] | None = None) -> st
     A tenant's edits of people go before its other jobs: their files take a second, and somebody waits for them.
 
     Tenants with equal numbers are ordered at random, so that a long queue of one tenant does not delay the others. A
-    tenant that has its share of the workers waits, see ``has_share``.
-
-    Parameters
-    ----------
-    codes
-        Digests of code: only its chunks count; ``None``: all chunks.
+    tenant that has its share of the workers waits, see ``has_share``. Only chunks of ``codes``, digests of code, count;
+    ``None``: all.
     """
     tenants = sorted({tenant for state in AT_WORK for tenant in _tenants_in(connection, state)})
     num_running = _num_running(connection)
     most = _largest_share(connection)
     random.shuffle(tenants)
-    tenants = sorted((one for one in tenants if num_running[one] < most), key=lambda tenant: num_running[tenant])
+    tenants = sorted(
+        (tenant for tenant in tenants if num_running[tenant] < most), key=lambda tenant: num_running[tenant]
+    )
     oldest = (_oldest_with_work(connection, tenant, codes) for tenant in tenants)
     return next((job_id for job_id in oldest if job_id is not None), None)
 

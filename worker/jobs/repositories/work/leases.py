@@ -52,12 +52,8 @@ class Leases:
 
         Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
         ``worker.jobs.repositories.work.fair_share``. The jobs of a tenant are worked on in the order of their creation,
-        but edits of people before all other work.
-
-        Parameters
-        ----------
-        codes
-            Digests of the worker's code: only chunks that were planned for it are taken. ``None``: any chunk.
+        but edits of people before all other work. Only chunks that were planned for ``codes``, digests of the worker's
+        code, are taken; ``None``: any.
         """
         while True:
             with self._transactions.reading() as connection:
@@ -149,9 +145,7 @@ class Leases:
     ) -> bool:
         """Record the output of a chunk with its pieces, and what it has of its job: files, warnings, people, ...
 
-        Returns
-        -------
-            Whether the next stage became ready.
+        Returns whether the next stage became ready.
         """
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
@@ -195,9 +189,7 @@ class Leases:
     def give_back(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
         """Give a chunk back because of an outage: it costs no try, and the job waits for ``problem``.
 
-        Returns
-        -------
-            Whether the chunk became ready.
+        Returns whether the chunk became ready.
         """
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
@@ -215,16 +207,8 @@ class Leases:
     def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
         """Give a chunk back until chunks of an earlier stage, whose outputs are damaged, have run again.
 
-        A chunk of the earlier stage that has had ``MAX_ATTEMPTS`` tries ends the job.
-
-        Parameters
-        ----------
-        stage, damaged
-            Name of the earlier stage, and indices of its chunks.
-
-        Returns
-        -------
-            Whether a chunk became ready.
+        A chunk of the earlier stage that has had ``MAX_ATTEMPTS`` tries ends the job. ``damaged`` are the indices of
+        the chunks of the earlier ``stage``. Returns whether a chunk became ready.
         """
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
@@ -250,14 +234,9 @@ class Leases:
         """Take chunks back whose leases have ended; return whether any chunk is ready now.
 
         A chunk that is taken back is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is
-        being canceled ends when its last running chunk is taken back.
-
-        Parameters
-        ----------
-        lease_s
-            Time of a lease. Longer leases are shortened: they were made before the clock was put back.
-        takes
-            Whether chunks are taken back; else their workers may still renew the leases.
+        being canceled ends when its last running chunk is taken back. Leases longer than ``lease_s`` are shortened:
+        they were made before the clock was put back. Unless ``takes``, chunks are not taken back: their workers may
+        still renew the leases.
         """
         with self._transactions.writing() as connection:
             connection.execute(

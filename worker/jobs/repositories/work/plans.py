@@ -41,9 +41,7 @@ class Plans:
     def replace(self, job_id: str, stages: Sequence[StagePlan]) -> bool:
         """Replace the plan of an unfinished job without running chunks; outputs of equal keys are used again.
 
-        Returns
-        -------
-            Whether it was replaced.
+        Returns whether it was replaced.
         """
         with self._transactions.writing() as connection:
             job = lock_job(connection, job_id)

@@ -7,8 +7,8 @@ import pytest
 from pipeline.calibration.board.detection.corners import align_corners
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.geometry.camera import project
-from pipeline.simulation.boards import BoardPainter, board_poses
 from tests.pipeline.calibration.board.conftest import ring
+from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses
 
 CAMERA = ring(4)[0]
 EDGE_PX = 1.9

@@ -11,8 +11,8 @@ from pipeline.calibration.board.detection.numbering import number_corners
 from pipeline.calibration.board.detection.squares import find_grids
 from pipeline.calibration.board.spec import parse_board
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.simulation.boards import BoardPainter, board_poses
 from tests.pipeline.calibration.board.conftest import ring
+from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses
 
 BOARD = parse_board("charuco:7x5:0.12:0.09:DICT_4X4_50")
 CAMERA = ring(4)[0]

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.preflight.pictures.check import CameraPictures
-from pipeline.preflight.pictures.figures import figures_of
+from pipeline.capture.pictures.check import CameraPictures
+from pipeline.capture.pictures.figures import figures_of
 
 
 def room(seed: int, size_px: tuple[int, int] = (320, 180)) -> np.ndarray:

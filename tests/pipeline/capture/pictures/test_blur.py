@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.preflight.pictures.blur import blur_px
-from tests.pipeline.preflight.pictures.rooms import room
+from pipeline.capture.pictures.figures import blur_px
+from tests.pipeline.capture.pictures.rooms import room
 
 GREY = cv2.cvtColor(room(0, (960, 540)), cv2.COLOR_RGB2GRAY)
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.capture.pictures.figures import PictureFigures, largest_change
 from pipeline.findings import Finding
-from pipeline.preflight.pictures.figures import PictureFigures, largest_change
 
 # In a picture with so many dark pixels even what is bright is dark.
 _DARK_SHARE = 0.98
@@ -28,21 +28,11 @@ PICTURES = "pictures"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraPictures:
-    """Figures of some pictures of a camera.
+    """Figures of some pictures of a camera."""
 
-    Parameters
-    ----------
-    camera
-        Name of the camera.
-    time_s
-        Times of the pictures on the session's clock, ascending.
-    figures
-        Figures of each picture.
-    """
-
-    camera: str
-    time_s: Float[np.ndarray, " pictures"]
-    figures: tuple[PictureFigures, ...]
+    camera: str  # Name of the camera
+    time_s: Float[np.ndarray, " pictures"]  # Times of the pictures on the session's clock, ascending
+    figures: tuple[PictureFigures, ...]  # Figures of each picture
 
     @property
     def middle(self) -> int:
@@ -53,14 +43,7 @@ class CameraPictures:
 def check_pictures(cameras: Sequence[CameraPictures]) -> list[Finding]:
     """Check the pictures of each camera.
 
-    Parameters
-    ----------
-    cameras
-        Pictures by camera; cameras without pictures are left out.
-
-    Returns
-    -------
-        Findings whose evidence ``pictures`` has numbers of pictures of the camera.
+    Cameras without pictures are left out. The evidence ``pictures`` of a finding has numbers of pictures of the camera.
     """
     findings: list[Finding] = []
     for camera in cameras:

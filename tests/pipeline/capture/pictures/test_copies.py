@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.preflight.pictures.copies import same_video, similar_views
-from tests.pipeline.preflight.pictures.rooms import pictures_of, room, walk
+from pipeline.capture.pictures.copies import same_video, similar_views
+from tests.pipeline.capture.pictures.rooms import pictures_of, room, walk
 
 
 def encoded_again(image: np.ndarray, seed: int) -> np.ndarray:

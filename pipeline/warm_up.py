@@ -1,4 +1,4 @@
-"""Program ``python -m pipeline.runtime.warm_up``: compile all kernels, so that no request waits for it.
+"""Program ``python -m pipeline.warm_up``: compile all kernels, so that no request waits for it.
 
 The program does nothing if all kernels are compiled. With ``--progress`` it writes a JSON object with ``done`` and
 ``total`` to stdout after each compiled function.
@@ -36,7 +36,7 @@ _RATE_HZ = 25.0
 # Functions of Multicap that the warm-up compiles, each counted for every size of joint set that it is called with.
 NUM_COMPILED = 175
 # Multicap's functions are in packages under this one: `pipeline.`, or `multicap.pipeline.` in the wheel.
-_OWN_MODULES = f"{__package__}".removesuffix("runtime")
+_OWN_MODULES = f"{__package__}."
 
 
 def warm_up() -> None:
@@ -117,9 +117,7 @@ class _Counter(event.Listener):
 
 def main() -> None:
     """Compile all kernels that are not compiled; wait if another process compiles them."""
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.runtime.warm_up", description="Compile the numeric kernels."
-    )
+    parser = argparse.ArgumentParser(prog="python -m pipeline.warm_up", description="Compile the numeric kernels.")
     parser.add_argument("--progress", action="store_true", help="Write the progress as a JSON object a line.")
     tell = _tell if parser.parse_args().progress else lambda _: None
     folder = cache_folder()

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from pipeline.capture.pictures.check import CameraPictures, check_pictures
+from pipeline.capture.pictures.copies import MIN_INSTANTS, same_video, similar_views
+from pipeline.capture.pictures.figures import PictureFigures, figures_of, reduced
 from pipeline.capture.session import CaptureSession
 from pipeline.errors import ChildError, InputError
 from pipeline.findings import Finding, from_problem
-from pipeline.preflight.pictures.check import CameraPictures, check_pictures
-from pipeline.preflight.pictures.copies import MIN_INSTANTS, same_video, similar_views
-from pipeline.preflight.pictures.figures import PictureFigures, figures_of, reduced
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import reading_s
@@ -39,32 +39,18 @@ _JPEG_QUALITY = 80
 
 @dataclass(frozen=True, slots=True)
 class Thumbnail:
-    """Small copy of a picture.
+    """Small copy of a picture."""
 
-    Parameters
-    ----------
-    time_s
-        Time of the picture on the session's clock.
-    content
-        JPEG whose longer side is at most 320 pixels.
-    """
-
-    time_s: float
-    content: bytes
+    time_s: float  # Time of the picture on the session's clock
+    content: bytes  # JPEG whose longer side is at most 320 pixels
 
 
 @dataclass(frozen=True, slots=True)
 class PicturesCheck:
-    """Findings about pictures, whose evidence ``pictures`` has numbers of thumbnails of the camera.
-
-    Parameters
-    ----------
-    thumbnails
-        Thumbnails of each camera of the session, ascending in time.
-    """
+    """Findings about pictures, whose evidence ``pictures`` has numbers of thumbnails of the camera."""
 
     findings: tuple[Finding, ...]
-    thumbnails: tuple[tuple[Thumbnail, ...], ...]
+    thumbnails: tuple[tuple[Thumbnail, ...], ...]  # Thumbnails of each camera of the session, ascending in time
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +67,9 @@ class _Looked:
 def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> PicturesCheck:
     """Check a few pictures of each camera of a session.
 
-    A video that can't be decoded within the limits gives a finding.
-
-    Parameters
-    ----------
-    budget_s
-        Time after which no further picture is looked at. A finding says of how many cameras pictures were left out,
-        for lack of time or because their decoder was ended from outside.
+    A video that can't be decoded within the limits gives a finding. After ``budget_s`` no further picture is looked at.
+    A finding says of how many cameras pictures were left out, for lack of time or because their decoder was ended from
+    outside.
     """
     deadline_s = time.monotonic() + budget_s
     names = [camera.name for camera in session.cameras]
@@ -98,22 +80,22 @@ def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> Pic
     with ThreadPoolExecutor(_DECODERS_AT_ONCE) as pool:
         try:
             looked = list(pool.map(look, names, session.videos))
-            seen = [one.pictures for one in looked]
+            seen = [camera.pictures for camera in looked]
             alike = similar_views(seen) if time.monotonic() < deadline_s else []
             copies = list(pool.map(lambda pair: _compare(session, looked, pair[0], pair[1], deadline_s), alike))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    findings = [finding for one in looked for finding in one.problems]
+    findings = [finding for camera in looked for finding in camera.problems]
     findings += [*check_pictures(seen), *(copy for copy in copies if copy is not None)]
-    if num_left := sum(one.is_left_out for one in looked):
+    if num_left := sum(camera.is_left_out for camera in looked):
         message = (
             f"The service was busy: it had no time or memory to look at all pictures of {num_left} of {len(looked)} "
             "cameras. This says nothing about the videos."
         )
         hint = "Send the session again when the service is less busy to have all pictures looked at."
         findings.append(Finding("pictures_left_out", message, None, "info", hint, {"num_cameras": num_left}))
-    return PicturesCheck(tuple(findings), tuple(one.thumbnails for one in looked))
+    return PicturesCheck(tuple(findings), tuple(camera.thumbnails for camera in looked))
 
 
 def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: float) -> _Looked:

@@ -108,7 +108,7 @@ class BoardPainter:
 
 
 def _fine_rays(camera: Camera) -> Float[np.ndarray, "rows columns 3"]:
-    """Rays of the pixels of a finer picture; they change slowly, and are interpolated between the picture's own pixels."""
+    """Rays of the pixels of a finer picture, interpolated between the picture's own pixels: they change slowly."""
     width, height = camera.size_px
     grid = np.stack(np.meshgrid(np.arange(-1.0, width + 1), np.arange(-1.0, height + 1)), axis=-1)
     ideal_px = undistort_px(camera, grid.reshape(-1, 2)).reshape(height + 2, width + 2, 2)

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.capture.pictures.check import PICTURES, STILL, CameraPictures, is_dark
+from pipeline.capture.pictures.figures import DETAIL_MIN, PictureFigures, correlation, detail, largest_change
 from pipeline.findings import Finding
-from pipeline.preflight.pictures.check import PICTURES, STILL, CameraPictures, is_dark
-from pipeline.preflight.pictures.figures import DETAIL_MIN, PictureFigures, correlation, detail, largest_change
 
 # Correlation of the detail of two views: that of a camera with itself at other times is 0.7 to 1, since people cover
 # parts of it; that of two cameras is 0 up to chance, unless the place is symmetric.
@@ -46,16 +46,8 @@ def same_video(
 ) -> Finding | None:
     """Compare the changes of two cameras with similar views.
 
-    Parameters
-    ----------
-    first, later
-        The cameras.
-    of_first, of_later
-        Figures of their pictures at the same times since the starts of their files, at least three.
-
-    Returns
-    -------
-        Finding about ``later``; ``None`` if the cameras see other motion.
+    ``of_first`` and ``of_later`` are figures of their pictures at the same times since the starts of their files, at
+    least three. Returns a finding about ``later``; ``None`` if the cameras see other motion.
     """
     if len(of_first) < MIN_INSTANTS or of_first[0].cells.shape != of_later[0].cells.shape:
         return None

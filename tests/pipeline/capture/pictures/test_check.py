@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.capture.pictures.check import check_pictures
 from pipeline.findings import Finding
-from pipeline.preflight.pictures.check import check_pictures
-from tests.pipeline.preflight.pictures.rooms import pictures_of, room, walk
+from tests.pipeline.capture.pictures.rooms import pictures_of, room, walk
 
 WALKS = {name: walk(seed, 6) for seed, name in enumerate(("left", "right"))}
 

@@ -6,7 +6,7 @@ import numba
 from numba.core import event
 
 from pipeline.geometry.kernels import triangulate_all
-from pipeline.runtime.warm_up import _counted
+from pipeline.warm_up import _counted
 
 
 def end_compilation(function: object) -> None:

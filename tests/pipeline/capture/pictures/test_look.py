@@ -9,16 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.capture import pictures as looking
-from pipeline.capture.pictures import NUM_PICTURES, frames_to_look_at, look_at_pictures
+from pipeline.capture.pictures import look as looking
+from pipeline.capture.pictures.look import NUM_PICTURES, frames_to_look_at, look_at_pictures
 from pipeline.capture.session import Recording, open_session
 from pipeline.errors import ChildError
 from pipeline.findings import Finding
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
+from tests.pipeline.capture.pictures.rooms import walk
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_pictures, write_video
-from tests.pipeline.preflight.pictures.rooms import walk
 
 SIZE_PX = (320, 180)
 NAMES = ["left", "right"]

@@ -1,0 +1,67 @@
+"""What jobs make beside reconstructions: calibrations, proxies, visuals. Standard library only."""
+
+from dataclasses import dataclass
+
+BOARD_FRAMES = 600
+"""Largest number of frames of a camera in which a board is looked for."""
+
+MIN_STATURE_M, MAX_STATURE_M = 0.5, 2.6
+"""Limits of the stature of a person who calibrates cameras."""
+MAX_STATURES = 20
+"""Largest number of people whose statures are given."""
+
+MAX_KNOWN_POINTS, MAX_POINT_M = 200, 10_000.0
+"""Largest number of points with known coordinates, and largest coordinate."""
+
+PROXY_KIND = "proxy"
+"""Kind of the result files that are proxies."""
+
+OVERLAY_KIND, REPORT_KIND = "overlay", "report"
+VISUAL_KINDS = frozenset({OVERLAY_KIND, REPORT_KIND})
+"""Kinds of the result files that are made to be looked at, and take minutes."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPoint:
+    """Point whose coordinates in the world are known."""
+
+    name: str  # Name of the point
+    xyz_m: tuple[float, float, float]  # Coordinates in the world
+    # Cameras that see it, each with the distorted pixel at which it is seen: ``(camera, x, y)``
+    seen_px: tuple[tuple[str, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationChoices:
+    """Choices of a calibration from a board, or from people."""
+
+    # Specification of the board, as of ``pipeline.calibration.board.spec``; ``None``: people calibrate
+    board: str | None
+    # Whether the session's cameras have known intrinsics, which stay; else they are guessed, and made
+    has_intrinsics: bool = False
+    stature_m: tuple[float, ...] = ()  # Statures of the people, in any order; none with a board
+    # Points that determine the world; without any, the board or the people do
+    known_points: tuple[KnownPoint, ...] = ()
+    has_photographs: bool = False  # Whether the footage is photographs of a board, which have no times
+
+    @property
+    def method(self) -> str:
+        """From what the calibration is made."""
+        return "people" if self.board is None else "board"
+
+
+@dataclass(frozen=True, slots=True)
+class ProxyChoices:
+    """Cameras whose videos get a proxy: a small copy that browsers play."""
+
+    cameras: tuple[str, ...]
+
+
+def proxy_name(number: int) -> str:
+    """Name of the result file with the proxy of the camera that has a number in its session, from 0."""
+    return f"proxy-{number}.mp4"
+
+
+@dataclass(frozen=True, slots=True)
+class VisualChoices:
+    """Overlay videos and the report are made of a reconstruction that is done, as far as its choices ask for them."""
