@@ -112,10 +112,11 @@ def reachable_modules(root: Path, modules: Iterable[str], package: str = PACKAGE
 
 def forget_sources() -> None:
     """Clear the caches of syntax trees and digests."""
-    for cached in (_parsed, _parts, _imports, _source_digest):
+    for cached in (_path, _parsed, _parts, _imports, _source_digest):
         cached.cache_clear()
 
 
+@functools.lru_cache(maxsize=8192)
 def _path(root: Path, module: str) -> Path:
     """File of a module, or of a package's ``__init__``."""
     path = root.joinpath(*module.split("."))

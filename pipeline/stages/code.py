@@ -4,15 +4,19 @@ The digest is part of the keys of a stage's outputs: other code never finds the 
 finds them whatever else has changed. It also says which workers can run a chunk.
 """
 
+import contextlib
 import functools
 import hashlib
 import json
+import re
+import tempfile
 from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
 
 from pipeline.runtime.code_digest import BY_MEMBER, PACKAGE, forget_sources, function_digest
+from pipeline.runtime.packages.storage import home
 from pipeline.stages.plan import STAGES
 
 LIBRARIES = (
@@ -31,6 +35,7 @@ LIBRARIES = (
 )
 """Distributions whose versions results may depend on."""
 
+_SHA256 = re.compile("[0-9a-f]{64}")
 _ROOT = Path(__file__).parents[2]
 # Code of all stages: what tasks ask, and the record of the session's check. Not imported here: it loads the science.
 _RECORD = "pipeline.capture.preflight_npz"
@@ -38,28 +43,53 @@ _OF_ALL = (BY_MEMBER, "Context"), (_RECORD, "decode_session"), (_RECORD, "decode
 
 
 @functools.cache
-def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Mapping[str, str]:
-    """Digest of the code of each stage, by name of the stage.
+def stage_codes() -> Mapping[str, str]:
+    """Digest of the code of each stage of this installation, by name of the stage.
 
-    It takes about a second, once a process. ``root`` is the folder of the packages' sources; the versions of
-    ``libraries``, installed distributions, count. Digests are SHA-256 in hexadecimal digits.
+    Digests take seconds, and every process needs them: the first one keeps them in the folder of the installation.
     """
+    file = home() / "stage-codes" / f"{sources_sha256()}.json"
+    codes = _kept(file)
+    if codes is None:
+        codes = digests_of_stages()
+        _keep(file, codes)
+    return MappingProxyType(codes)
+
+
+def digests_of_stages(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:
+    """Digest of the code of each stage in a folder of sources, and of the versions of libraries, in hexadecimal."""
     versions = [[name, _version(name)] for name in libraries]
     digests = {}
     for stage in STAGES:
         _, _, module = stage.function.__module__.rpartition(".")
         digests[stage.name] = function_digest(root, [(f"{PACKAGE}.stages.{module}", stage.function.__name__), *_OF_ALL])
     forget_sources()
-    return MappingProxyType(
-        {
-            stage: hashlib.sha256(json.dumps([digest, versions]).encode()).hexdigest()
-            for stage, digest in digests.items()
-        }
-    )
+    return {
+        stage: hashlib.sha256(json.dumps([digest, versions]).encode()).hexdigest() for stage, digest in digests.items()
+    }
+
+
+def _kept(file: Path) -> dict[str, str] | None:
+    """Digests that a process has kept; ``None`` if there are none or the file is damaged."""
+    try:
+        codes = json.loads(file.read_bytes())
+    except (OSError, ValueError):
+        return None
+    is_whole = isinstance(codes, dict) and codes.keys() == {stage.name for stage in STAGES}
+    return codes if is_whole and all(_SHA256.fullmatch(str(code)) for code in codes.values()) else None
+
+
+def _keep(file: Path, codes: Mapping[str, str]) -> None:
+    """Keep digests, whole or not at all; where the folder can't be written, each process computes them."""
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=file.parent, prefix="new-", delete=False) as new:
+            json.dump(codes, new)
+        Path(new.name).replace(file)
 
 
 def sources_sha256(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> str:
-    """SHA-256 of all sources of the pipeline and of the libraries' versions: equal for equal ``stage_codes``.
+    """SHA-256 of all sources of the pipeline and of the libraries' versions: equal for equal digests.
 
     It takes milliseconds.
     """

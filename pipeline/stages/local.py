@@ -24,7 +24,7 @@ from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages.storage import sha256_of
 from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import clustering_parameters, tracking_parameters
-from pipeline.stages.code import sources_sha256, stage_codes
+from pipeline.stages.code import stage_codes
 from pipeline.stages.context import Context, Origin
 from pipeline.stages.output_folder import OutputFolder, output_folder
 from pipeline.stages.plan import STAGE_BY_NAME, STAGES, PlannedStage, followers, plan
@@ -176,7 +176,7 @@ def _planned(
         outputs = stack.enter_context(output_folder(cache))
         interim = stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))
         scratch = stack.enter_context(_scratch_folder(files))
-        codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
+        codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else stage_codes()
         stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name in wanted]
         yield _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), scratch, files)
 
@@ -211,15 +211,6 @@ def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFact
         },
         has_videos=bool(session.video_of),
     )
-
-
-def _codes(outputs: OutputFolder) -> Mapping[str, str]:
-    """Digests of the stages' code, which an earlier run has kept: to compute them takes a second."""
-    key = sources_sha256()
-    if (kept := outputs.read(key)) is None:
-        outputs.write(key, kept := json.dumps(dict(stage_codes())).encode())
-    codes: dict[str, str] = json.loads(kept)
-    return codes
 
 
 def _inputs(session: Session) -> tuple[str, ...]:

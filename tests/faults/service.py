@@ -15,7 +15,7 @@ from pathlib import Path
 
 from standardwebhooks import Webhook
 
-from pipeline.stages.code import stage_codes
+from pipeline.stages.code import digests_of_stages, stage_codes
 from tests.e2e.serving import Served, serving
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.store import JobStore
@@ -129,6 +129,6 @@ def other_version(folder: Path) -> Path:
             shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
         with (folder / "pipeline" / "data" / "arrays.py").open("a", encoding="utf-8") as file:
             file.write("\nUNUSED = 1\n")
-        codes = stage_codes(folder)
+        codes = digests_of_stages(folder)
         assert all(codes[stage] != code for stage, code in stage_codes().items())
     return folder

@@ -3,13 +3,15 @@
 import ast
 import shutil
 import sys
+from collections.abc import Iterator
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 
-from pipeline.runtime.code_digest import function_digest, reachable_modules
-from pipeline.stages.code import LIBRARIES, stage_codes
+from pipeline.runtime.code_digest import forget_sources, function_digest, reachable_modules
+from pipeline.stages import code
+from pipeline.stages.code import LIBRARIES, digests_of_stages, sources_sha256, stage_codes
 from pipeline.stages.stage import (
     ASSOCIATE,
     CHECK,
@@ -61,7 +63,7 @@ def test_all_libraries_of_the_stages_count() -> None:
 
 
 def test_another_version_of_a_library_is_other_code() -> None:
-    assert not {*stage_codes(ROOT, ("numpy",)).values()} & {*stage_codes(ROOT, ("numpy", "scipy")).values()}
+    assert not {*digests_of_stages(ROOT, ("numpy",)).values()} & {*digests_of_stages(ROOT, ("numpy", "scipy")).values()}
 
 
 @pytest.fixture
@@ -82,8 +84,17 @@ def append(path: Path) -> None:
         file.write("\nUNUSED = 1\n")
 
 
+@pytest.fixture(autouse=True, scope="module")
+def syntax_trees() -> Iterator[None]:
+    """The syntax trees of most sources, which stay the same, are kept from test to test."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(code, "forget_sources", lambda: None)
+        yield
+    forget_sources()
+
+
 def changed(sources: Path) -> set[str]:
-    before, after = stage_codes(), stage_codes.__wrapped__(sources)
+    before, after = stage_codes(), digests_of_stages(sources)
     return {stage for stage, code in after.items() if code != before[stage]}
 
 
@@ -212,3 +223,21 @@ def test_members_of_a_class_count_if_they_are_named(tmp_path: Path) -> None:
     ):
         assert digest(pkg__asked=asked.replace(old, new, 1)) != first, old
     assert digest(pkg__far=far.replace("def used(): ...", "def used(): return 1")) != first
+
+
+def test_digests_are_kept_for_the_next_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
+    compute = stage_codes.__wrapped__
+    codes = compute()
+    (file,) = (tmp_path / "stage-codes").iterdir()
+    assert file.stem == sources_sha256()
+    with monkeypatch.context() as patch:
+        patch.setattr(code, "digests_of_stages", lambda: pytest.fail("computed again"))
+        assert compute() == codes == digests_of_stages()
+    for damaged in ("", "[]", "{}", file.read_text().replace("a", "g"), file.read_text()[:-9]):
+        file.write_text(damaged)
+        assert compute() == codes
+    file.unlink()
+    file.parent.rmdir()
+    file.parent.write_text("The folder can't be made.")
+    assert compute() == codes
