@@ -60,7 +60,6 @@ class About:
     maximum: int | float | None = None
     unset: str | None = None  # Meaning of an omitted value, where the default is ``None``
     option: str | None = None  # Name of the option of the command line, if other than the field's
-    noun: str | None = None  # Name of one value in problems of the command line, if other than the option's
     group: Group = "advanced"  # Part of a form that asks for it
 
 
@@ -84,14 +83,9 @@ class Choice:
         return self.about.option or self.name.replace("_", "-")
 
     @property
-    def noun(self) -> str:
-        """Name of one value in problems of the command line."""
-        return self.about.noun or self.option
-
-    @property
-    def is_checked_by_name(self) -> bool:
-        """Whether the command line refuses values that are not declared; of networks the registry refuses them."""
-        return self.kind in {"one", "several"} and self.name != "detector"
+    def schema(self) -> dict[str, Any]:
+        """JSON Schema of the values."""
+        return _schema(self.hint, self.about)
 
     @property
     def description(self) -> str:
@@ -121,6 +115,33 @@ def values_of(hint: Any, kind: type[_AnyValue]) -> dict[str, _AnyValue]:
             if isinstance(value, kind):
                 found[str(*get_args(literal))] = value
     return found
+
+
+def _schema(hint: Any, about: About) -> dict[str, Any]:
+    """JSON Schema of a type of a choice; ``about`` limits its numbers."""
+    if get_origin(hint) is tuple:
+        items = get_args(hint)
+        if items[1] is Ellipsis:
+            return {"type": "array", "items": _schema(items[0], about), "uniqueItems": True}
+        schemas = [_schema(item, about) for item in items]
+        return {"type": "array", "prefixItems": schemas, "minItems": len(items), "maxItems": len(items)}
+    names = list(values_of(hint, Value))
+    branches: list[dict[str, Any]] = []
+    if names:
+        branches.append({"type": "string", **({"enum": names} if len(names) > 1 else {"const": names[0]})})
+    for member in members(hint):
+        if get_origin(member) is Annotated:
+            note = get_args(member)[1]
+            branches += [{"type": "string", "pattern": note.pattern}] if isinstance(note, OtherNames) else []
+        elif get_origin(member) is tuple:
+            branches.append(_schema(member, about))
+        elif member in {int, float}:
+            limits = {"minimum": about.minimum, "exclusiveMinimum": about.above, "maximum": about.maximum}
+            kind = {"type": "integer" if member is int else "number"}
+            branches.append(kind | {name: limit for name, limit in limits.items() if limit is not None})
+        else:
+            branches.append({"type": "boolean" if member is bool else "null"})
+    return branches[0] if len(branches) == 1 else {"anyOf": branches}
 
 
 def choices_of(declaration: type[Any]) -> tuple[Choice, ...]:

@@ -5,8 +5,8 @@ made from these declarations, in the words of ``pipeline.choices``. For type che
 a ``Literal`` of all names. Standard library only: the web API imports this module.
 """
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Literal, cast, get_args
 
 from pipeline.choices import About, FileFormat, Network, OtherNames, Value, choices_of, values_of
@@ -152,7 +152,6 @@ class MotionChoices:
         About(
             "Joint centres",
             "Offsets by which the fit moves joints from the detector's marks to the joints' centres.",
-            noun="joint_centers",
         ),
     ] = "auto"
     refine_calibration: Annotated[
@@ -160,7 +159,6 @@ class MotionChoices:
         About(
             "Refinement of the calibration",
             "Whether the calibration is refined from the people of the take.",
-            noun="refine_calibration",
         ),
     ] = "off"
     sync: Annotated[Sync, About("Synchronisation", "How it is known when the frames of each camera were taken.")] = (
@@ -208,7 +206,6 @@ class JobChoices(MotionChoices):
         About(
             "Files of each person",
             "Formats of each person's files, beside `skeletons.json` and `metrics.json`.",
-            noun="export",
             group="purpose",
         ),
     ] = ("bvh",)
@@ -267,11 +264,6 @@ class ReconstructionConfig(JobChoices):
     processes: Annotated[
         int, About("Processes", "Number of processes; results do not depend on it.", minimum=1, maximum=64)
     ] = 1
-
-    @classmethod
-    def of(cls, choices: JobChoices) -> "ReconstructionConfig":
-        """Configuration for the choices of a job; fields that jobs do not have keep their defaults."""
-        return cls(**{choice.name: getattr(choices, choice.name) for choice in fields(JobChoices)})
 
     @property
     def frames(self) -> range | None:
@@ -401,12 +393,6 @@ def install_command(*names: str) -> str:
         if publisher is not None:
             return f"Get it from {publisher}, then run: multicap models add {name} --from FOLDER or URL"
     return f"Run: multicap models install {' '.join(names)}"
-
-
-def too_long_for(exports: Collection[Export], num_frames: int) -> tuple[tuple[Export, int], ...]:
-    """Formats among ``exports`` whose files can't hold so many frames, with their limits."""
-    limits = ((name, FILE_FORMATS[name].max_frames) for name in dict.fromkeys(exports))
-    return tuple((name, limit) for name, limit in limits if limit is not None and num_frames > limit)
 
 
 def unlimited_alternatives(export: Export) -> tuple[Export, ...]:

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict, SettingsError
 from sqlalchemy.exc import SQLAlchemyError
 
+from pipeline.requirements import Schema, requirement
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
 from worker.jobs.files.artifacts import ArtifactStore
@@ -21,7 +22,6 @@ from worker.jobs.files.stores import (
     open_artifacts,
 )
 from worker.jobs.store import JobStore
-from worker.requirements import Schema, requirement
 from worker.telemetry.logs import LogLevel
 
 _Settings = TypeVar("_Settings", bound=BaseSettings)

@@ -10,17 +10,16 @@ import typer
 
 from pipeline.calibration.contents import UNITS_M, Units
 from pipeline.capture.preflight_record import Clock
-from pipeline.choices import Choice, choices_of
-from pipeline.config import CHOICES, JobChoices, ReconstructionConfig
+from pipeline.choices import Choice
+from pipeline.config import ReconstructionConfig
 from pipeline.errors import InputError, Problem
-
-# Choices of a reconstruction on this machine that jobs of a service do not have.
-_LOCAL = tuple(choice for choice in choices_of(ReconstructionConfig) if choice.name not in CHOICES)
+from pipeline.requirements import requirement
+from pipeline.rules import CONFIG_CHOICES, require, value_problems
 
 
 def _option(choice: Choice) -> Any:
     """Option of the command line for a choice."""
-    about, text = choice.about, choice.about.sentence.replace("`", "")
+    text = choice.about.sentence.replace("`", "")
     make = functools.partial(typer.Option, f"--{choice.option}")
     match choice.kind:
         case "one":
@@ -34,9 +33,8 @@ def _option(choice: Choice) -> Any:
             return make(help=text)
         case "frame_range":
             return make(metavar="FIRST:STOP", help=_with_unset(choice, text))
-    # Typer has no exclusive minimum: the pipeline refuses the limit itself.
-    least = about.minimum if about.above is None else about.above
-    return make(min=least, max=about.maximum, help=_with_unset(choice, text))
+    # Limits are checked by `checked` too.
+    return make(help=_with_unset(choice, f"{text.removesuffix('.')}: {requirement(choice.schema, {}, null=False)}."))
 
 
 def _with_unset(choice: Choice, text: str) -> str:
@@ -61,7 +59,7 @@ def with_choices(*names: str) -> Callable[[Callable[..., None]], Callable[..., N
 
     The command gets a mapping from the names of the choices to the values as they were typed; ``checked`` checks them.
     """
-    choices = [CHOICES[name] for name in names] or [*CHOICES.values(), *_LOCAL]
+    choices = [CONFIG_CHOICES[name] for name in names or CONFIG_CHOICES]
 
     def decorated(command: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(command, eval_str=True)
@@ -96,21 +94,28 @@ def _parameter(choice: Choice) -> inspect.Parameter:
     return inspect.Parameter(choice.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def checked(chosen: Mapping[str, Any]) -> JobChoices:
+def checked(chosen: Mapping[str, Any]) -> ReconstructionConfig:
     """Check the values of the options that ``with_choices`` made; other choices have their defaults.
 
-    Raises ``InputError`` if a choice has no such value, or a range of frames can't be read.
+    Raises ``InputError`` if choices may not have their values, or a range of frames can't be read; it lists all of
+    them.
     """
-    return JobChoices(**{name: _checked(CHOICES[name], chosen[name]) for name in chosen.keys() & CHOICES.keys()})
+    values: dict[str, Any] = {}
+    problems: list[Problem] = []
+    for name, value in chosen.items():
+        try:
+            values[name] = _typed(CONFIG_CHOICES[name], value)
+        except InputError as error:
+            problems += error.problems
+    require([*problems, *value_problems(values)])
+    return ReconstructionConfig(**values)
 
 
-def _checked(choice: Choice, value: Any) -> Any:
-    names = tuple(choice.values)
+def _typed(choice: Choice, value: Any) -> Any:
+    """Value of a choice as it was typed."""
     match choice.kind:
-        case "one" if choice.is_checked_by_name:
-            return _known(choice.noun, value, names)
         case "several":
-            return tuple(_known(choice.noun, name.strip(), names) for name in value.split(",") if name.strip())
+            return tuple(name.strip() for name in value.split(",") if name.strip())
         case "frame_range":
             return _frame_range(value)
     return choice.default if value is None else value
@@ -125,7 +130,7 @@ def _frame_range(text: str | None) -> tuple[int, int] | None:
         return int(first), int(stop)
     except ValueError:
         message = f"{text!r} is not FIRST:STOP."
-        raise InputError([Problem("frame_range", message, hint="Write it as 100:250.")]) from None
+        raise InputError([Problem("frame_range", message, field="frame_range", hint="Write it as 100:250.")]) from None
 
 
 def known_units(name: str) -> Units:

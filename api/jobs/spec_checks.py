@@ -6,6 +6,7 @@ from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import Sync, install_command, networks_of
+from pipeline.rules import session_problems
 from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
@@ -14,10 +15,10 @@ from worker.webhooks.addresses import may_be_public, url_fault
 
 def spec_errors(spec: JobSpec, preflight: Preflight, *field: str) -> list[ErrorItem]:
     """Choices that conflict with a session; ``field`` leads to the spec in the request."""
-    problems = spec.problems(preflight.timebase.num_frames, preflight.timebase.frame_rate_hz)
+    problems = session_problems(spec.config, preflight.timebase.num_frames, preflight.timebase.frame_rate_hz)
     return [
-        ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
-        for name, (code, message) in problems.items()
+        ErrorItem(pointer=pointer_to(*field, str(one.field)), code=one.code, message=one.message, hint=one.hint)
+        for one in problems
     ]
 
 

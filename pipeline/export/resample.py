@@ -12,9 +12,7 @@ from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
-
-# Frames whose numbers differ by less, but for rounding, are the same.
-_SAME = 1e-9
+from pipeline.rules import SAME_INSTANT, num_resampled
 
 
 def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruction:
@@ -39,13 +37,15 @@ def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruc
 
 def resampled_timebase(old: Timebase, frame_rate_hz: float) -> Timebase:
     """Timebase at another rate with the same first frame; its last frame is not after the old last frame."""
-    ratio = old.frame_rate_hz / frame_rate_hz
-    return Timebase(old.start_time_s, frame_rate_hz, math.floor((old.num_frames - 1) / ratio + _SAME) + 1)
+    return Timebase(old.start_time_s, frame_rate_hz, num_resampled(old.num_frames, old.frame_rate_hz, frame_rate_hz))
 
 
 def _new_frames(start_frame: int, num_frames: int, ratio: float) -> range:
     """Numbers of the new frames within a range of old frames."""
-    return range(math.ceil(start_frame / ratio - _SAME), math.floor((start_frame + num_frames - 1) / ratio + _SAME) + 1)
+    return range(
+        math.ceil(start_frame / ratio - SAME_INSTANT),
+        math.floor((start_frame + num_frames - 1) / ratio + SAME_INSTANT) + 1,
+    )
 
 
 def _between(
@@ -53,7 +53,7 @@ def _between(
 ) -> tuple[Int[np.ndarray, " new"], Int[np.ndarray, " new"], Float[np.ndarray, " new"]]:
     """Old rows before and after each new frame, and the weight of the row after it, from 0 to 1."""
     place = np.arange(frames.start, frames.stop) * ratio - start_frame
-    place = np.where(np.abs(place - np.round(place)) < _SAME * num_frames, np.round(place), place)
+    place = np.where(np.abs(place - np.round(place)) < SAME_INSTANT * num_frames, np.round(place), place)
     before = np.clip(np.floor(place).astype(np.int64), 0, num_frames - 1)
     weight = np.clip(place - before, 0.0, 1.0)
     return before, np.where(weight > 0, np.minimum(before + 1, num_frames - 1), before), weight

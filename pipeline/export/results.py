@@ -8,17 +8,12 @@ from typing import Any
 
 from pipeline.calibration.write import encode as encode_calibration
 from pipeline.config import (
-    FILE_FORMATS,
-    MAX_OUTPUT_FRAMES,
     Export,
     JobChoices,
     Preset,
-    too_long_for,
-    unlimited_alternatives,
 )
-from pipeline.data.cameras import Timebase
 from pipeline.data.reconstruction import Reconstruction
-from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.errors import PipelineError
 from pipeline.export.person_files import (
     SKELETONS,
     KeptFiles,
@@ -28,11 +23,12 @@ from pipeline.export.person_files import (
     spoilt,
     write_person,
 )
-from pipeline.export.resample import resample, resampled_timebase
+from pipeline.export.resample import resample
 from pipeline.export.writers import skeletons_json
 from pipeline.progress import OnShare, ignore, part_of, split
 from pipeline.quality.report import encode as encode_metrics
 from pipeline.quality.report import quality_report
+from pipeline.rules import file_problems, require
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
 NOTHING_KEPT = KeptFiles()
@@ -48,27 +44,6 @@ _DECIMALS_MM = 4
 
 def no_file(_: Path) -> None:
     """Report no file."""
-
-
-def check_exports(timebase: Timebase, exports: Collection[Export], frame_rate_hz: float | None = None) -> None:
-    """Check that the number of frames is within the limits of result files.
-
-    Without a rate of the motion in the files it is the session's. Raises ``InputError`` if there are more frames than
-    any result, or one of the formats, may have.
-    """
-    num_frames = (timebase if frame_rate_hz is None else resampled_timebase(timebase, frame_rate_hz)).num_frames
-    problems = []
-    if num_frames > MAX_OUTPUT_FRAMES:
-        message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are allowed."
-        hint = "Choose a lower rate or fewer frames."
-        problems.append(Problem("too_many_frames", message, field="output_rate_hz", hint=hint))
-    for export, limit in too_long_for(exports, num_frames):
-        message = f"A {export.upper()} file holds {limit} frames at most; the session has {num_frames}."
-        others = " and ".join(unlimited_alternatives(export))
-        hint = f"Omit {export}: {others} have the same {FILE_FORMATS[export].holds} and no such limit."
-        problems.append(Problem(f"too_long_for_{export}", message, field="exports", hint=hint))
-    if problems:
-        raise InputError(problems)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +76,7 @@ def write_results(
     Raises
     ------
     InputError
-        See ``check_exports``.
+        If there are more frames than result files, or one of the formats, may have.
     PipelineError
         If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
@@ -152,11 +127,12 @@ def write_files(
     Raises
     ------
     InputError
-        See ``check_exports``.
+        If there are more frames than result files, or one of the formats, may have.
     OSError
         If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
-    check_exports(reconstruction.timebase, exports, frame_rate_hz)
+    timebase = reconstruction.timebase
+    require(file_problems(exports, timebase.num_frames, timebase.frame_rate_hz, frame_rate_hz))
     shown = _at_rate(reconstruction, frame_rate_hz)
     folder.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []

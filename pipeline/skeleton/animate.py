@@ -9,6 +9,7 @@ from pipeline.data.cameras import Camera, Timebase
 from pipeline.data.people import Observations, Track3D
 from pipeline.joints import FINGER_JOINTS, MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
 from pipeline.progress import OnShare, ignore, split
+from pipeline.rules import cutoff_problems, require
 from pipeline.skeleton.feet.floor import estimate_floor
 from pipeline.skeleton.feet.stances import contacts_of, foot_points, hold_feet
 from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
@@ -22,7 +23,7 @@ from pipeline.skeleton.hands.whole import (
     with_fingers,
     with_hands,
 )
-from pipeline.skeleton.smooth import check_smoothing, smooth_track
+from pipeline.skeleton.smooth import smooth_track
 
 # Shares of the computing time: positions, skeleton motion, holding feet, positions from the motion.
 _WORK = (6, 6, 3, 1)
@@ -58,9 +59,9 @@ def animate(
     Raises
     ------
     InputError
-        See ``check_smoothing``.
+        If the cutoff of the low-pass is not below half of the frame rate.
     """
-    check_smoothing(timebase, config)
+    require(cutoff_problems(config.smoothing, config.cutoff_hz, timebase.frame_rate_hz))
     num_frames = [track.num_frames for track in tracks]
     work = [share * num for shares in (_WORK[:2], _WORK[2:]) for num in num_frames for share in shares]
     parts = iter(split(on_share, work))

@@ -20,7 +20,6 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, Timebase
 from pipeline.data.people import Observations, Track3D
-from pipeline.errors import InputError, Problem
 from pipeline.geometry.tracks import reproject
 
 _ORDER = 2
@@ -56,19 +55,6 @@ def smooth_track(
     xyz_m = low_pass(track.xyz_m)
     error_px, _, _ = reproject(cameras, xyz_m, seen.points_px, seen.score)
     return replace(track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
-
-
-def check_smoothing(timebase: Timebase, config: ReconstructionConfig) -> None:
-    """Check that the cutoff is possible at a session's frame rate.
-
-    Raises ``InputError`` if it is not between 0 and half of the rate.
-    """
-    if config.smoothing == "butterworth" and not 0 < config.cutoff_hz < timebase.frame_rate_hz / 2:
-        problem = (
-            f"A cutoff of {config.cutoff_hz:g} Hz is not between 0 and half of the frame rate, "
-            f"{timebase.frame_rate_hz / 2:g} Hz."
-        )
-        raise InputError([Problem("cutoff_range", problem, field="cutoff_hz", hint="6 Hz suits most movements.")])
 
 
 def butterworth(

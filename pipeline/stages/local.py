@@ -17,12 +17,12 @@ from pipeline.data.detections import Detections
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect.chunk import concatenate
 from pipeline.detect.profiles.detection import detection_joints
-from pipeline.errors import ChildError, InputError, PipelineError, Problem
-from pipeline.export.results import OnFile, WrittenResults, check_exports, no_file, not_written
+from pipeline.errors import ChildError, PipelineError
+from pipeline.export.results import OnFile, WrittenResults, no_file, not_written
 from pipeline.progress import OnProgress, Progress, silent
+from pipeline.rules import config_problems, require
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages.storage import sha256_of
-from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import clustering_parameters, tracking_parameters
 from pipeline.stages.code import stage_codes
 from pipeline.stages.context import Context, Origin
@@ -62,8 +62,8 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a video can't be decoded or too many of its frames are damaged, or there are no such frames, or no such
-        parameter.
+        If a video can't be decoded or too many of its frames are damaged, if the configuration breaks a rule of
+        ``pipeline.rules``, or there is no such parameter.
     ModelError
         If the detector is not installed.
     PipelineError
@@ -112,14 +112,13 @@ def reconstruct_to_files(
     Raises
     ------
     InputError
-        See ``reconstruct`` and ``check_exports``.
+        See ``reconstruct``.
     ModelError
         If the detector is not installed.
     PipelineError
         If a folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
     _check(session, config)
-    check_exports(session.restricted(config.frames).timebase, config.exports, config.output_rate_hz)
     facts = session_facts(session, () if cache is None else _inputs(session))
     files = _Destination(folder, name or folder.resolve().name or "take", tuple(sources))
     paths: list[Path] = []
@@ -237,14 +236,10 @@ def _digest(path: Path) -> str:
 
 def _check(session: Session, config: ReconstructionConfig) -> None:
     """Find out what is wrong before the work begins."""
+    require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))
     wanted = session.restricted(config.frames)
-    check_smoothing(wanted.timebase, config)
     tracking_parameters(wanted, config.tracking)
     clustering_parameters(wanted, config)
-    foreign = config.clustering if config.method == "tracking" else config.tracking
-    if foreign:
-        problem = f"{', '.join(foreign)}: the method '{config.method}' has no use for the other one's parameters."
-        raise InputError([Problem("unknown_parameter", problem, hint="Omit them, or use the other method.")])
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.errors import InputError, Problem
+from pipeline.rules import frame_range_problems, require
 from pipeline.video.frame_rate import measured_rate_hz
 
 # Longer pauses of all cameras are skipped.
@@ -61,9 +61,7 @@ def require_frames(whole: Timebase, frames: range) -> None:
 
     Raises ``InputError`` if it is empty, or not within the session's frames.
     """
-    if not 0 <= frames.start < frames.stop <= whole.num_frames:
-        message = f"The session has the output frames 0 to {whole.num_frames}, not {frames.start} to {frames.stop}."
-        raise InputError([Problem("frame_range", message, hint="The second number is the one after the last frame.")])
+    require(frame_range_problems(frames.start, frames.stop, whole.num_frames))
 
 
 def cut_timebase(timebase: Timebase, frames: range) -> Timebase:

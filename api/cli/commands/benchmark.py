@@ -25,7 +25,6 @@ from api.cli.console import StageBars, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from api.cli.served import served
 from pipeline.capture.session import open_session
-from pipeline.config import ReconstructionConfig
 from pipeline.detect import models
 from pipeline.detect.session import NETWORK_CLOCK
 from pipeline.runtime.child_processes import ProcessPool
@@ -63,7 +62,7 @@ def pipeline(
 ) -> None:
     """Time the sample capture from videos to result files in one process, compared with its networks alone."""
     with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
-        config = ReconstructionConfig.of(checked(chosen))
+        config = checked(chosen)
         models.install_networks(config)
         sample = samples.install()
         videos = list(sample.videos.values())

@@ -79,7 +79,7 @@ def rendered(
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
-        config = ReconstructionConfig.of(checked(chosen))
+        config = checked(chosen)
         errors: dict[str, float] = {}
         if stature_m:
             detections = detect_people(session, config, bars.update)
@@ -117,7 +117,7 @@ def shelf(
 ) -> None:
     """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
     with reporting(as_json):
-        config = ReconstructionConfig.of(checked(chosen))
+        config = checked(chosen)
         whole = load_shelf(data, detections)
         _refuse_ablation(config.method, ablation)
         benchmark, kept = thin(whole, every)
@@ -259,7 +259,7 @@ def simulated(
     """Simulated people with exact truth, seen by a simulated detector with faults."""
     by_views: dict[int, dict[str, Any]] = {}
     with reporting(as_json):
-        config = ReconstructionConfig.of(checked(chosen))
+        config = checked(chosen)
         checked_evidence = _known_evidence(evidence, config.method, ablation)
         is_refined = config.refine_calibration != "off"
         if checked_evidence == "fields" and (turn or shift or stature_m or is_refined):

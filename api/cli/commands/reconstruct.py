@@ -14,7 +14,7 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.session import Recording, Session, open_session
-from pipeline.config import ReconstructionConfig, method_warnings
+from pipeline.config import method_warnings
 from pipeline.errors import InputError, Problem
 from pipeline.quality.report import all_checks
 from pipeline.stages.local import reconstruct_to_files
@@ -178,13 +178,10 @@ def command(
     started_s = time.monotonic()
     paths: list[Path] = []
     with reporting(as_json, lambda: _what_is_left(paths, out)), StageBars(visible=not as_json) as bars:
-        choices = checked(chosen)
         config = replace(
-            ReconstructionConfig.of(choices),
+            checked(chosen),
             tracking=parameters(tracking or [], "alpha_3d_m=0.2"),
             clustering=parameters(clustering or [], "tau2=0.25"),
-            chunk_frames=chosen["chunk_frames"],
-            processes=chosen["processes"],
         )
         offsets = parameters(offset or [], "cam_2=0.48")
         check_sources(videos, keypoints, timestamps, offsets)

@@ -1,7 +1,6 @@
 """Problem codes that only the command line has."""
 
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
-from pipeline.config import CHOICES
 
 _COMMAND = ("command",)
 _FINDING = ("finding",)
@@ -17,19 +16,12 @@ COMMANDS = CodeGroup(
             "Options of videos and of keypoints were mixed, or neither was given.",
             "Give `--videos`, with `--offset` if needed, or `--keypoints`, with `--timestamps` or `--frame-rate`.",
         ),
-        *(
-            ProblemCode(
-                f"unknown_{choice.noun}",
-                _COMMAND,
-                f"`--{choice.option}` has no such value.",
-                "Use a name that `hint` lists.",
-            )
-            for choice in CHOICES.values()
-            if choice.is_checked_by_name
-        ),
         ProblemCode("unknown_clock", _COMMAND, "There is no such clock of videos.", "Use a name that `hint` lists."),
         ProblemCode("unknown_units", _COMMAND, "There is no such unit.", "Use a name that `hint` lists."),
         ProblemCode("unknown_scene", _COMMAND, "There is no such simulated scene.", "Use a name that `hint` lists."),
+        ProblemCode(
+            "unknown_joints", _COMMAND, "Simulated people have no such joints.", "Use a name that `hint` lists."
+        ),
         ProblemCode(
             "unknown_evidence", _COMMAND, "There is no such evidence for the method.", "Omit it, or use the hint."
         ),

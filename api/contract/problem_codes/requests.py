@@ -3,6 +3,8 @@
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 
 _FIELD = ("422",)
+# Of choices of a reconstruction, too, which the command line checks by the same rules.
+_CHOICE = ("422", "command")
 
 ANSWERS = CodeGroup(
     "Responses of the API",
@@ -299,23 +301,25 @@ FIELDS = CodeGroup(
         ProblemCode("missing_field", _FIELD, "A required field or parameter is missing.", "Add it."),
         ProblemCode("malformed_json", ("400", "422"), "The body, or the part of the form, is not JSON.", "Send JSON."),
         ProblemCode(
-            "wrong_type", _FIELD, "The value has a type that the field does not allow.", "Send the type in `message`."
+            "wrong_type", _CHOICE, "The value has a type that the field does not allow.", "Send the type in `message`."
         ),
-        ProblemCode("value_not_allowed", _FIELD, "The value is not allowed.", "Send a value that `message` lists."),
-        ProblemCode("out_of_range", _FIELD, "The number is outside of its limits.", "Send a number within the limits."),
+        ProblemCode("value_not_allowed", _CHOICE, "The value is not allowed.", "Send a value that `message` lists."),
+        ProblemCode(
+            "out_of_range", _CHOICE, "The number is outside of its limits.", "Send a number within the limits."
+        ),
         ProblemCode(
             "wrong_length",
-            _FIELD,
+            _CHOICE,
             "The text or list is too short or too long.",
             "Send a text or list of the length that `message` states.",
         ),
-        ProblemCode("wrong_format", _FIELD, "The text does not have the required form.", "Use the form in `message`."),
+        ProblemCode("wrong_format", _CHOICE, "The text does not have the required form.", "Use the form in `message`."),
         ProblemCode("control_characters", _FIELD, "The text contains control characters.", "Remove them."),
         ProblemCode(
             "json_value", _FIELD, "The value is not valid JSON: NaN, infinity or a lone surrogate.", "Remove it."
         ),
-        ProblemCode("export_repeated", _FIELD, "A format is named twice in `exports`.", "Name each format once."),
-        ProblemCode("invalid_value", _FIELD, "The value is wrong in another way.", "Read `message`."),
+        ProblemCode("export_repeated", _CHOICE, "A format is named twice in `exports`.", "Name each format once."),
+        ProblemCode("invalid_value", _CHOICE, "The value is wrong in another way.", "Read `message`."),
         ProblemCode(
             "more_problems",
             ("422", "command"),

@@ -6,7 +6,7 @@ from typing import Self
 
 from starlette.requests import Request
 
-from worker.requirements import Schema, branches_of, resolve
+from pipeline.requirements import Schema, branches_of, resolve
 
 _ITEM = "[]"
 

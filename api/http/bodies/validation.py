@@ -20,7 +20,7 @@ from starlette.responses import Response
 
 from api.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
 from api.http.bodies.field_places import FieldPlaces, path_of
-from worker.requirements import Schema, branches_of, requirement, resolve
+from pipeline.requirements import Schema, Steps, branches_of, path_text, requirement, resolve
 
 UNKNOWN, MISSING, MALFORMED = "unknown_field", "missing_field", "malformed_json"
 
@@ -53,8 +53,6 @@ _MAX_SHOWN = 100
 _MAX_TRANSLATED = 1000
 
 _NOUNS: Mapping[str, str] = {"query": "parameter", "path": "parameter", "header": "header", "cookie": "cookie"}
-
-Steps = tuple[str | int, ...]
 
 
 def model_items(error: ValidationError, model: type[BaseModel], places: FieldPlaces, part: str = "") -> list[ErrorItem]:
@@ -222,15 +220,10 @@ def _properties(schema: Schema, root: Schema) -> Iterable[str]:
 
 
 def _name(steps: Steps, part: str) -> str:
-    """Name of a field in a sentence.
-
-    >>> _name(("cameras", 1, "offset_s"), "manifest")
-    'cameras[1].offset_s'
-    """
+    """Name of a field, a part or the body in a sentence."""
     if not steps:
         return f"The part {part}" if part else "The body"
-    named = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
-    return named.removeprefix(".")
+    return path_text(steps)
 
 
 @cache

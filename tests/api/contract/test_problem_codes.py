@@ -12,7 +12,7 @@ from api.contract.problem_codes import GROUPS, STATUSES, ProblemCode
 from api.contract.problem_codes.page import PAGE, document, main
 from api.errors import _CODES
 from api.http.bodies.form_kinds import VIEWS
-from pipeline.config import CHOICES, FILE_FORMATS
+from pipeline.config import FILE_FORMATS
 
 ROOT = Path(__file__).parents[3]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -27,7 +27,6 @@ IN_TUPLES = {
     "api/jobs/spec_checks.py": {"callback_errors"},
     "api/cli/commands/backup.py": {"_code_and_faults"},
     "pipeline/capture/session.py": {"_range_problems"},
-    "worker/jobs/spec.py": {"problems"},
     "pipeline/quality/capture_checks.py": None,
     "pipeline/quality/world_checks.py": {
         f"_check_{what}" for what in ("upright", "floor", "statures", "cameras", "handedness", "pairs")
@@ -36,7 +35,8 @@ IN_TUPLES = {
 # Functions that get their codes from a caller or a mapping; the codes are found there.
 PASSED_ON = {
     ("api/http/bodies/form.py", "form"),  # those of FormKind.faults
-    ("api/jobs/spec_checks.py", "spec_errors"),  # those of JobSpec.problems
+    ("api/jobs/spec_checks.py", "spec_errors"),  # those of rules
+    ("pipeline/rules.py", "value_faults"),  # those of requirements
     ("api/jobs/spec_checks.py", "callback_errors"),
     ("api/http/bodies/validation.py", "_parameter_items"),  # those of _CODES and of validators
     ("api/http/bodies/validation.py", "_items"),
@@ -58,8 +58,7 @@ PASSED_ON = {
 }
 # Codes that are composed of values that no call states as a constant.
 TEMPLATES = {
-    "unknown_{noun}": {"unknown_clock", "unknown_units"}
-    | {f"unknown_{one.noun}" for one in CHOICES.values() if one.is_checked_by_name},
+    "unknown_{noun}": {"unknown_clock", "unknown_units"},
     "too_long_for_{export}": {f"too_long_for_{name}" for name, one in FILE_FORMATS.items() if one.max_frames},
     "invalid_{field}": {
         f"invalid_{field}" for field in ("name", "size", "matrix", "distortion", "rotation", "translation")

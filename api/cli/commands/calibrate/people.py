@@ -13,7 +13,6 @@ from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.config import ReconstructionConfig
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
 from pipeline.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
@@ -57,7 +56,7 @@ def command(
         require_ending(out)
         known_points = read_known_points(world_points) if world_points is not None else ()
         _check_sources(videos, keypoints, timestamps, intrinsics, stature_m)
-        config = ReconstructionConfig.of(checked(chosen))
+        config = checked(chosen)
         session: CaptureSession | KeypointSession
         if keypoints is not None and intrinsics is not None:
             session = open_keypoints(keypoints, intrinsics, timestamps)

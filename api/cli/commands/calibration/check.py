@@ -38,7 +38,7 @@ def command(
     """Check a calibration: lenses, places, unit, up axis and common views; with videos or keypoints also people."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         _check_sources(videos, keypoints, timestamps)
-        config = replace(ReconstructionConfig.of(checked(chosen)), smoothing="none")
+        config = replace(checked(chosen), smoothing="none")
         unit = known_units(units)
         cameras: Sequence[Camera] = ()
         try:

@@ -59,7 +59,7 @@ def command(
         offsets = parameters(offset or [], "cam_2=0.48")
         check_sources(videos, keypoints, timestamps, offsets)
         choices = checked(chosen)
-        config = replace(ReconstructionConfig.of(choices), smoothing="none", sync="declared")
+        config = replace(choices, smoothing="none", sync="declared")
         unit = known_units(units)
         try:
             session: Session

@@ -13,7 +13,6 @@ from api.cli.options import KeypointRateOption, KeypointsOption, TimestampsOptio
 from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session
-from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Synchronization
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.synchronization.document import sound_document, sync_document
@@ -47,7 +46,7 @@ def command(
     """
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         _check_sources(videos, keypoints, timestamps, frame_rate)
-        config = ReconstructionConfig.of(checked(chosen))
+        config = checked(chosen)
         session: Session
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))

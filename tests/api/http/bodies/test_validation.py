@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from api.errors import MAX_LISTED, MEANINGS
-from api.http.bodies import validation
 from api.http.bodies.field_places import FieldPlaces
 from api.sessions.schemas import CameraManifest, Manifest
 from api.settings import KIB, Settings
+from pipeline import rules
 from pipeline.parsing import FRAME_RATE_HZ, OFFSET_S
+from pipeline.requirements import requirement
 from tests.api.conftest import Live, form, problem_of, running
 from worker.jobs.spec import JobSpec
-from worker.requirements import requirement
 
 SPEC_FIELDS = ", ".join(JobSpec.model_fields)
 PEOPLE = "people must be auto, or a whole number from 1 to 1000."
@@ -148,7 +148,7 @@ def test_sessions_of_uploads(live: Live) -> None:
     assert not FOREIGN.search(answer.text)
     assert [(item["pointer"], item["code"], item["message"]) for item in answer.json()["errors"]] == [
         ("/videos/0", "wrong_format", "videos[0] must be an id (a UUID)."),
-        ("/spec/people", "invalid_value", "spec." + PEOPLE),
+        ("/spec/people", "invalid_value", PEOPLE),
     ]
 
 
@@ -201,7 +201,7 @@ def test_only_what_is_listed_is_translated(
 
     hint = FieldPlaces.hint
     monkeypatch.setattr(FieldPlaces, "hint", searched)
-    monkeypatch.setattr(validation, "requirement", described)
+    monkeypatch.setattr(rules, "requirement", described)
     spec = json.dumps({"exports": ["x"] * 5000, **{f"a{number}": 1 for number in range(3000)}})
     manifest = json.dumps({f"a{number}": 1 for number in range(2000)})
     parts = [*form(), ("manifest", (None, manifest)), ("spec", (None, spec))]

@@ -1,6 +1,12 @@
-"""Requirements of a JSON Schema on a value, described in words for error messages."""
+"""Requirements of a JSON Schema on a value: what violates them, and words for error messages.
 
-from collections.abc import Mapping, Sequence
+Standard library only.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from numbers import Integral, Real
 from typing import Any
 
 _NOUNS: Mapping[str, str] = {
@@ -21,6 +27,87 @@ _FORMATS: Mapping[str, str] = {
 _ANYTHING = "a JSON value"
 
 Schema = Mapping[str, Any]
+Steps = tuple[str | int, ...]
+
+
+def faults(schema: Schema, value: Any, steps: Steps = ()) -> Iterator[tuple[Steps, str, Schema]]:
+    """Find what violates the schema of a choice: one without references and objects.
+
+    Tuples are lists. NumPy's numbers are numbers, and a whole number may be written as 2.0.
+
+    Parameters
+    ----------
+    steps
+        Steps to the value.
+
+    Yields
+    ------
+        Steps to each wrong value, the code of its problem, and the schema that it violates.
+    """
+    if not (branches := branches_of(schema)):
+        yield from _faults(schema, value, steps)
+        return
+    others = [branch for branch in branches if branch.get("type") != "null"]
+    found = [list(_faults(branch, value, steps)) for branch in others]
+    if not all(found) or (value is None and len(others) < len(branches)):
+        return
+    if len(others) == 1:
+        yield from ((place, code, schema if place == steps else of_item) for place, code, of_item in found[0])
+        return
+    codes = {code for of_branch in found for _, code, _ in of_branch}
+    if codes == {"value_not_allowed", "wrong_format"}:  # neither a named value nor a name of the user's own
+        yield steps, "value_not_allowed", schema
+    else:
+        yield steps, codes.pop() if len(codes) == 1 else "invalid_value", schema
+
+
+def _faults(schema: Schema, value: Any, steps: Steps) -> Iterator[tuple[Steps, str, Schema]]:
+    if schema["type"] == "array" and isinstance(value, list | tuple):
+        if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", math.inf):
+            yield steps, "wrong_length", schema
+            return
+        for index, item in enumerate(value):
+            of_item = schema["items"] if "items" in schema else schema["prefixItems"][index]
+            yield from faults(of_item, item, (*steps, index))
+    elif code := _fault(schema, value):
+        yield steps, code, schema
+
+
+def _fault(schema: Schema, value: Any) -> str | None:
+    """Code of what is wrong with a value that is no list."""
+    match schema:
+        case {"enum": names}:
+            code = "value_not_allowed" if value not in names else None
+        case {"const": name}:
+            code = "value_not_allowed" if value != name else None
+        case {"type": "string", "pattern": pattern} if isinstance(value, str):
+            code = "wrong_format" if not re.search(pattern, value) else None
+        case {"type": "boolean"} if isinstance(value, bool):
+            code = None
+        case {"type": "integer" | "number"} if isinstance(value, Real) and not isinstance(value, bool):
+            code = _number_fault(schema, value)
+        case _:
+            code = "wrong_type"
+    return code
+
+
+def _number_fault(schema: Schema, value: Any) -> str | None:
+    is_whole = isinstance(value, Integral)  # one of any size, which may be no float
+    if not (is_whole or math.isfinite(value)):
+        return "out_of_range"
+    if schema["type"] == "integer" and not (is_whole or float(value).is_integer()):
+        return "wrong_type"
+    is_above = value >= schema.get("minimum", -math.inf) and value > schema.get("exclusiveMinimum", -math.inf)
+    return None if is_above and value <= schema.get("maximum", math.inf) else "out_of_range"
+
+
+def path_text(steps: Steps) -> str:
+    """Name of a field in a sentence.
+
+    >>> path_text(("cameras", 1, "offset_s"))
+    'cameras[1].offset_s'
+    """
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps).removeprefix(".")
 
 
 def requirement(schema: Schema, root: Schema, *, null: bool = True) -> str:
@@ -98,7 +185,7 @@ def _range(schema: Schema) -> str:
     return f" {' and '.join(described)}" if described else ""
 
 
-def _number(value: float) -> str:
+def _number(value: int | float) -> str:
     return str(int(value)) if float(value).is_integer() else repr(value)
 
 
