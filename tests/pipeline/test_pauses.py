@@ -39,7 +39,7 @@ def two_takes(pause_s: float) -> KeypointSession:
     )
 
 
-@pytest.mark.parametrize("method", ["tracking", "clustering"])
+@pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
 def test_a_pause_of_nine_hours(method: Method) -> None:
     steps: Counter[str] = Counter()
 
@@ -62,7 +62,7 @@ def test_a_pause_of_nine_hours(method: Method) -> None:
         np.testing.assert_allclose(one.xyz_m, other.xyz_m, atol=1e-6)
 
 
-@pytest.mark.parametrize("method", ["tracking", "clustering"])
+@pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("frames", [(2000, 3000), (10, 972_020)])
 def test_frames_that_are_wanted_around_a_pause_and_in_it(method: Method, frames: tuple[int, int]) -> None:
     config = ReconstructionConfig(method=method, smoothing="none", frame_range=frames)

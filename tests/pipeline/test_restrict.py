@@ -34,7 +34,7 @@ def positions(found: Reconstruction) -> Mapping[int, np.ndarray]:
     return whole
 
 
-@pytest.mark.parametrize("method", ["tracking", "clustering"])
+@pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
 def test_they_move_as_they_do_in_the_whole(session: KeypointSession, method: Method) -> None:
     config = ReconstructionConfig(method=method, smoothing="none")
     whole = positions(reconstruct(session, config))
@@ -61,7 +61,7 @@ def test_frames_that_are_not_there(session: KeypointSession, frames: range) -> N
     assert [problem.code for problem in error.value.problems] == ["frame_range"]
 
 
-@pytest.mark.parametrize("method", ["tracking", "clustering"])
+@pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
 def test_those_whom_most_cameras_saw_for_longest_stay(
     session: KeypointSession, task_cache: Path, method: Method
 ) -> None:

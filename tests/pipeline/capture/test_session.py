@@ -117,6 +117,7 @@ def test_images_in_place_of_videos(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_31_cameras_of_a_tenth_of_a_second_are_decoded(tmp_path: Path) -> None:
     clip = write_video(tmp_path / "clip.mp4", 3, rate_hz=30)
     names = [f"cam{k:02}" for k in range(31)]

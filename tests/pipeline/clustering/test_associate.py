@@ -179,6 +179,7 @@ def test_tracks_have_the_detectors_joints(ring: tuple[Camera, ...], joints: Join
     assert set(skeleton.names) <= {*joints.names, "neck"}
 
 
+@pytest.mark.slow
 def test_who_enters_later_is_not_suppressed() -> None:
     simulation = record(replace(SCENES["comings-and-goings"], duration_s=8.0), seed=6)
     tracks = reconstruct(simulation)

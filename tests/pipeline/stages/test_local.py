@@ -77,7 +77,7 @@ def test_another_session_reuses_nothing(session: KeypointSession, tmp_path: Path
     assert units[ASSOCIATE][0] == 0
 
 
-@pytest.mark.parametrize("frame_range", [None, (10, 55)])
+@pytest.mark.parametrize("frame_range", [(10, 55), pytest.param(None, marks=pytest.mark.slow)])
 def test_processes_and_ranges_change_no_byte(
     session: KeypointSession, tmp_path: Path, frame_range: tuple[int, int] | None
 ) -> None:

@@ -82,6 +82,7 @@ def test_a_disturbed_calibration_is_refined_reported_and_written(
     assert "calibration_refined" in {check["code"] for check in metrics["capture_checks"]}
 
 
+@pytest.mark.slow
 def test_a_good_calibration_gives_the_same_files_as_without_refinement(
     session: KeypointSession, tmp_path: Path
 ) -> None:
@@ -98,6 +99,7 @@ def test_a_good_calibration_gives_the_same_files_as_without_refinement(
     assert quality_report(auto)["calibration"]["moved"] == []
 
 
+@pytest.mark.slow
 def test_a_tilted_world_is_levelled_reported_and_written(session: KeypointSession, tmp_path: Path) -> None:
     """Cameras agree with each other, so that none moves among them: the world alone does."""
     turn = Rotation.from_rotvec(np.radians([0.0, 6.0, 0.0])).as_matrix()

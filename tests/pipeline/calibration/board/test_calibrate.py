@@ -57,6 +57,7 @@ def test_a_rig_is_recovered_with_its_floor(board: Board) -> None:
     assert set(made.pictures) == {f"coverage_{camera.name}.svg" for camera in truth}
 
 
+@pytest.mark.slow
 def test_places_on_the_floor_make_one_plane() -> None:
     cameras, rng = ring(4), np.random.default_rng(5)
     times_s, poses = board_poses(cameras, CHARUCO, 40, rng)
@@ -105,6 +106,7 @@ def test_cameras_of_another_clock_are_refused_with_the_offset() -> None:
     assert "-0.400 s" in (problem.hint or "")
 
 
+@pytest.mark.slow
 def test_a_camera_that_shares_no_view_is_named() -> None:
     views = simulated(CHARUCO, num_poses=24)
     alone = replace(views[2], time_s=read_only(views[2].time_s + 1000.0))

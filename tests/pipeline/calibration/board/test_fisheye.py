@@ -36,6 +36,7 @@ def poses_around(rng: np.random.Generator, num_poses: int, most_deg: float) -> l
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "lens"),
     [

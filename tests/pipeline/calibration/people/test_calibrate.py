@@ -64,6 +64,7 @@ def test_people_place_cameras_in_a_level_world_of_their_scale(walk: Simulation) 
     assert not made.warnings
 
 
+@pytest.mark.slow
 def test_guessed_lenses_are_estimated() -> None:
     simulation = room(3, seed=1, duration_s=20.0)
     guessed = [guessed_camera(camera.name, camera.size_px) for camera in simulation.cameras]
@@ -87,6 +88,7 @@ def test_what_is_lacking_is_said_with_the_camera(walk: Simulation) -> None:
     assert problems_of(alone) == {"people_one_camera": None}
 
 
+@pytest.mark.slow
 def test_a_wrong_clock_and_a_video_given_twice_are_named(walk: Simulation) -> None:
     times = dict(walk.times) | {"cam_02": FrameTimes(walk.times["cam_02"].time_s + 0.5)}
     late = calibrate_people(bare(walk.cameras), times, walk.detections, walk.joints, [1.7], True)

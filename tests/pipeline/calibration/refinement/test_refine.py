@@ -21,6 +21,7 @@ def differences(true: tuple[Camera, ...], found: tuple[Camera, ...]) -> tuple[fl
     return max(turn_deg(*pair) for pair in pairs), max(shift_m(*pair) for pair in pairs)
 
 
+@pytest.mark.slow
 def test_disturbed_cameras_come_back() -> None:
     rng = np.random.default_rng(3)
     given = tuple(disturb(camera, rng) for camera in CAMERAS)
@@ -62,6 +63,7 @@ def test_a_wrong_focal_length_is_found() -> None:
     assert ratios[0] / np.mean(ratios[1:]) == pytest.approx(1.0, abs=0.015)
 
 
+@pytest.mark.slow
 def test_a_camera_with_few_views_keeps_its_calibration() -> None:
     rng = np.random.default_rng(4)
     given = tuple(disturb(camera, rng) for camera in CAMERAS)

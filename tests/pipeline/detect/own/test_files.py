@@ -91,6 +91,7 @@ def test_another_file_is_refused(tmp_path: Path, content: bytes) -> None:
         add_own(tmp_path / "net.onnx", SIMCC)
 
 
+@pytest.mark.slow
 def test_a_network_without_end_is_refused(tmp_path: Path) -> None:
     # By the limit of processor time: the limit of the clock is longer.
     with pytest.raises(ModelError, match=r"loop\.onnx can't be used: it gave no output for one image"):
