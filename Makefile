@@ -10,6 +10,9 @@ BLENDER := .venv-blender
 LITERT := .venv-litert
 PEERS := .venv-peers
 
+# Tests start many programs, which load what the first of them has compiled.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help setup demo serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean
 
