@@ -15,17 +15,10 @@ FootPart = Literal["foot", "heel", "toe"]
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """Floor plane: its height at x and y is ``z_m + slope_x x + slope_y y``.
+    """Floor plane: its height at x and y is ``z_m + slope_x x + slope_y y``."""
 
-    Parameters
-    ----------
-    z_m
-        Height at the world's origin in metres.
-    slope_x, slope_y
-        Rise in metres for each metre along X and Y.
-    """
-
-    z_m: float
+    z_m: float  # Height at the world's origin in metres
+    # Rise in metres for each metre along X and Y
     slope_x: float
     slope_y: float
 
@@ -41,32 +34,18 @@ class Floor:
 
 @dataclass(frozen=True, slots=True)
 class FootContact:
-    """Contact of a foot with the floor over consecutive frames.
+    """Contact of a foot with the floor over consecutive frames."""
 
-    Parameters
-    ----------
-    side
-        Left or right foot.
-    start_frame, num_frames
-        First frame, counted from the start of the motion, and length.
-    confidence
-        Confidence in [0, 1], from the ankle's height and speed and from the length of the contact.
-    pinned
-        Whether the foot is held in place.
-    slide_before_m, slide_after_m
-        Mean horizontal distance of the ankle, or of the part, from its median position, before and after pinning.
-    part
-        Heel or toe, where both are known; otherwise the foot as a whole.
-    """
-
-    side: Side
+    side: Side  # Left or right foot
+    # First frame, counted from the start of the motion, and length
     start_frame: int
     num_frames: int
-    confidence: float
-    pinned: bool
+    confidence: float  # Confidence in [0, 1], from the ankle's height and speed and from the length of the contact
+    pinned: bool  # Whether the foot is held in place
+    # Mean horizontal distance of the ankle, or of the part, from its median position, before and after pinning
     slide_before_m: float
     slide_after_m: float
-    part: FootPart = "foot"
+    part: FootPart = "foot"  # Heel or toe, where both are known; otherwise the foot as a whole
 
     @property
     def rows(self) -> slice:
@@ -80,47 +59,25 @@ class SkeletonMotion:
 
     Joints are those of ``pipeline.skeleton.model``; a joint's position is its parent's position plus the parent's
     rotation applied to the joint's rest offset.
-
-    Parameters
-    ----------
-    track_id, name
-        Number of the track and name of the person.
-    start_frame, frame_rate_hz
-        Output frame of the first row, and rate of the output frames.
-    bone_length_m
-        Length of the bone from a joint's parent to the joint; 0 for the root.
-    root_m
-        World position of the root.
-    parent_from_joint
-        Quaternions (x, y, z, w); the root's parent is the world, Z up.
-    contacts
-        Contacts of the feet with the floor, in order of their start.
     """
 
+    # Number of the track and name of the person
     track_id: int
     name: str
+    # Output frame of the first row, and rate of the output frames
     start_frame: int
     frame_rate_hz: float
-    bone_length_m: Float[np.ndarray, " joints"]
-    root_m: Float[np.ndarray, "frames 3"]
+    bone_length_m: Float[np.ndarray, " joints"]  # Length of the bone from a joint's parent to the joint; 0 for the root
+    root_m: Float[np.ndarray, "frames 3"]  # World position of the root
+    # Quaternions (x, y, z, w); the root's parent is the world, Z up
     parent_from_joint: Float[np.ndarray, "frames joints 4"]
-    contacts: tuple[FootContact, ...]
+    contacts: tuple[FootContact, ...]  # Contacts of the feet with the floor, in order of their start
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:
-    """Smoothed or fitted tracks, their skeletons and the floor.
+    """Smoothed or fitted tracks, their skeletons and the floor."""
 
-    Parameters
-    ----------
-    tracks
-        Tracks with final positions.
-    motions
-        One skeleton motion a track, in the tracks' order.
-    floor
-        Floor plane; ``None`` if no foot was ever seen.
-    """
-
-    tracks: tuple[Track3D, ...]
-    motions: tuple[SkeletonMotion, ...]
-    floor: Floor | None
+    tracks: tuple[Track3D, ...]  # Tracks with final positions
+    motions: tuple[SkeletonMotion, ...]  # One skeleton motion a track, in the tracks' order
+    floor: Floor | None  # Floor plane; ``None`` if no foot was ever seen

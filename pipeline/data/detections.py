@@ -11,56 +11,33 @@ from pipeline.data.arrays import no_changes, no_colours, no_frames, no_samples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureChanges:
-    """Changes of a camera's pictures from one frame to the next, see ``detect.doubled``.
+    """Changes of a camera's pictures from one frame to the next, see ``detect.doubled``."""
 
-    Parameters
-    ----------
-    frame
-        Numbers of the frames that were decoded, ascending.
-    change
-        Difference of each picture from the picture of the frame before, in grey levels; NaN where that is unknown.
-    first, last
-        Samples of the first and the last picture.
-    """
-
+    # Numbers of the frames that were decoded, ascending
     frame: Int[np.ndarray, " frames"] = field(default_factory=no_frames)
+    # Difference of each picture from the picture of the frame before, in grey levels; NaN where that is unknown
     change: Float[np.ndarray, " frames"] = field(default_factory=no_changes)
+    # Samples of the first and the last picture
     first: UInt8[np.ndarray, " samples"] = field(default_factory=no_samples)
     last: UInt8[np.ndarray, " samples"] = field(default_factory=no_samples)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """2D bodies in the frames of one camera, sorted by frame.
+    """2D bodies in the frames of one camera, sorted by frame."""
 
-    Parameters
-    ----------
-    camera
-        The camera's name.
-    frame
-        The camera's frame number of each body, ascending.
-    keypoints_px
-        Joints in full-image pixels (distorted, as seen), NaN where the detector found no joint.
-    score
-        The detector's confidence in [0, 1], 0 where the joint is NaN.
-    box_px
-        x0, y0, x1, y1 around each body.
-    damaged
-        Numbers of the frames whose picture is damaged or missing, ascending.
-    colour
-        Histograms of the colours of each body's parts, see ``detect.appearance``; zeros where a part is unknown. No
-        rows: colours were not measured.
-    changes
-        Changes of the pictures; none in detections of other programs.
-    """
-
-    camera: str
-    frame: Int[np.ndarray, " n"]
+    camera: str  # The camera's name
+    frame: Int[np.ndarray, " n"]  # The camera's frame number of each body, ascending
+    # Joints in full-image pixels (distorted, as seen), NaN where the detector found no joint
     keypoints_px: Float[np.ndarray, "n joints 2"]
-    score: Float[np.ndarray, "n joints"]
-    box_px: Float[np.ndarray, "n 4"]
+    score: Float[np.ndarray, "n joints"]  # The detector's confidence in [0, 1], 0 where the joint is NaN
+    box_px: Float[np.ndarray, "n 4"]  # x0, y0, x1, y1 around each body
+    # Numbers of the frames whose picture is damaged or missing, ascending
     damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
+    # Histograms of the colours of each body's parts, see ``detect.appearance``; zeros where a part is unknown. No rows:
+    # colours were not measured.
     colour: UInt8[np.ndarray, "coloured parts bins"] = field(default_factory=no_colours)
+    # Changes of the pictures; none in detections of other programs
     changes: PictureChanges = field(default_factory=PictureChanges, kw_only=True)
 
     def within(self, frames: range) -> "Detections":
@@ -79,18 +56,10 @@ class Detections:
 
 @dataclass(frozen=True, slots=True)
 class MapGrid:
-    """Positions of the cells of a network's maps on an image.
+    """Positions of the cells of a network's maps on an image."""
 
-    Parameters
-    ----------
-    offset_px
-        Centre of cell (0, 0) in x and y, pixels of the full image.
-    pitch_px
-        Distance of neighbouring cells in x and y, pixels of the full image.
-    """
-
-    offset_px: tuple[float, float]
-    pitch_px: tuple[float, float]
+    offset_px: tuple[float, float]  # Centre of cell (0, 0) in x and y, pixels of the full image
+    pitch_px: tuple[float, float]  # Distance of neighbouring cells in x and y, pixels of the full image
 
     def image_from_map(self, cells: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
         """Map positions in cells to pixels of the full image."""
@@ -103,43 +72,22 @@ class MapGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PafFields:
-    """Heatmap peaks and part affinity fields in frames of one camera, not yet grouped to bodies (Cao et al. 2017).
+    """Heatmap peaks and part affinity fields in frames of one camera, not yet grouped to bodies (Cao et al. 2017)."""
 
-    Parameters
-    ----------
-    camera
-        The camera's name.
-    frame
-        The camera's frame numbers, ascending.
-    peak_row, peak_joint
-        Row of each peak in ``frame``, ascending, and its joint.
-    peak_px
-        Position of each peak in pixels of the full image (distorted, as seen).
-    peak_score
-        Value of the heatmap at each peak: the detector's confidence.
-    fields
-        Unit vectors (x, y) along each limb, in the order of ``limbs``; bytes made by ``geometry.fields.quantise``.
-    limbs
-        First and second joint of each field's limb, as numbers on the joint axis.
-    grid
-        Positions of the fields' cells on the image.
-    damaged
-        Numbers of the frames whose picture is damaged or missing, ascending; a missing frame is not in ``frame``.
-    changes
-        Changes of the pictures.
-    """
-
-    camera: str
-    frame: Int[np.ndarray, " frames"]
+    camera: str  # The camera's name
+    frame: Int[np.ndarray, " frames"]  # The camera's frame numbers, ascending
+    # Row of each peak in ``frame``, ascending, and its joint
     peak_row: Int[np.ndarray, " n"]
     peak_joint: Int[np.ndarray, " n"]
-    peak_px: Float[np.ndarray, "n 2"]
-    peak_score: Float[np.ndarray, " n"]
+    peak_px: Float[np.ndarray, "n 2"]  # Position of each peak in pixels of the full image (distorted, as seen)
+    peak_score: Float[np.ndarray, " n"]  # Value of the heatmap at each peak: the detector's confidence
+    # Unit vectors (x, y) along each limb, in the order of ``limbs``; bytes made by ``geometry.fields.quantise``
     fields: UInt8[np.ndarray, "frames limbs 2 height width"]
-    limbs: Int[np.ndarray, "limbs 2"]
-    grid: MapGrid
+    limbs: Int[np.ndarray, "limbs 2"]  # First and second joint of each field's limb, as numbers on the joint axis
+    grid: MapGrid  # Positions of the fields' cells on the image
+    # Numbers of the frames whose picture is damaged or missing, ascending; a missing frame is not in ``frame``
     damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
-    changes: PictureChanges = field(default_factory=PictureChanges, kw_only=True)
+    changes: PictureChanges = field(default_factory=PictureChanges, kw_only=True)  # Changes of the pictures
 
 
 DetectionsByCamera = Mapping[str, Detections] | Mapping[str, PafFields]
@@ -148,24 +96,16 @@ DetectionsByCamera = Mapping[str, Detections] | Mapping[str, PafFields]
 
 @dataclass(frozen=True, slots=True)
 class DamagedVideo:
-    """A video with damaged, missing or doubled pictures among the frames that a reconstruction uses.
+    """A video with damaged, missing or doubled pictures among the frames that a reconstruction uses."""
 
-    Parameters
-    ----------
-    camera, file
-        Name of the camera, and base name of the video file.
-    num_damaged, num_frames
-        Number of damaged frames, and of all frames that are used.
-    first_s, last_s
-        Times of the first and the last damaged frame since the start of the video; 0 if none is damaged.
-    doubled_s
-        Times of the frames that show the picture before once more, since the start of the video.
-    """
-
+    # Name of the camera, and base name of the video file
     camera: str
     file: str
+    # Number of damaged frames, and of all frames that are used
     num_damaged: int
     num_frames: int
+    # Times of the first and the last damaged frame since the start of the video; 0 if none is damaged
     first_s: float
     last_s: float
+    # Times of the frames that show the picture before once more, since the start of the video
     doubled_s: tuple[float, ...] = ()

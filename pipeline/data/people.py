@@ -27,61 +27,33 @@ class Source(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses3D:
-    """3D poses at some output frames, located frame by frame and not yet linked to tracks.
+    """3D poses at some output frames, located frame by frame and not yet linked to tracks."""
 
-    Parameters
-    ----------
-    frame
-        The output frame of each pose, ascending.
-    xyz_m
-        World positions of the joints of a method's skeleton, NaN where a joint was not found.
-    points_px
-        2D joints behind the positions in full-image pixels (distorted, as seen), NaN where a camera has no joint.
-    score
-        The detector's confidence, 0 where ``points_px`` is NaN.
-    approximate
-        Output frames that exceeded a limit of the exact methods, ascending.
-    """
-
-    frame: Int[np.ndarray, " poses"]
+    frame: Int[np.ndarray, " poses"]  # The output frame of each pose, ascending
+    # World positions of the joints of a method's skeleton, NaN where a joint was not found
     xyz_m: Float[np.ndarray, "poses joints 3"]
+    # 2D joints behind the positions in full-image pixels (distorted, as seen), NaN where a camera has no joint
     points_px: Float[np.ndarray, "poses joints cameras 2"]
-    score: Float[np.ndarray, "poses joints cameras"]
+    score: Float[np.ndarray, "poses joints cameras"]  # The detector's confidence, 0 where ``points_px`` is NaN
+    # Output frames that exceeded a limit of the exact methods, ascending
     approximate: Int[np.ndarray, " frames"] = field(default_factory=lambda: np.empty(0, int))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track3D:
-    """One person over time, on the session's output frames.
+    """One person over time, on the session's output frames."""
 
-    Parameters
-    ----------
-    track_id
-        Number from 1, in order of first appearance.
-    start_frame
-        Output frame of the first row. Includes the frames in which the track was tentative.
-    xyz_m
-        World positions, NaN where a joint is absent.
-    score
-        Mean confidence of the observations behind a joint, 0 where it is absent.
-    source
-        ``Source`` value of each joint.
-    error_px
-        Mean reprojection error of a joint in pixels of the full image, NaN where it has no observation.
-    views
-        Number of cameras with an observation of the joint.
-    uncertainty_m
-        Standard deviation of a joint's position, root mean square over the axes; NaN where it is absent. ``None``: no
-        uncertainty was computed.
-    """
-
-    track_id: int
-    start_frame: int
-    xyz_m: Float[np.ndarray, "frames joints 3"]
+    track_id: int  # Number from 1, in order of first appearance
+    start_frame: int  # Output frame of the first row. Includes the frames in which the track was tentative.
+    xyz_m: Float[np.ndarray, "frames joints 3"]  # World positions, NaN where a joint is absent
+    # Mean confidence of the observations behind a joint, 0 where it is absent
     score: Float[np.ndarray, "frames joints"]
-    source: Int[np.ndarray, "frames joints"]
+    source: Int[np.ndarray, "frames joints"]  # ``Source`` value of each joint
+    # Mean reprojection error of a joint in pixels of the full image, NaN where it has no observation
     error_px: Float[np.ndarray, "frames joints"]
-    views: Int[np.ndarray, "frames joints"]
+    views: Int[np.ndarray, "frames joints"]  # Number of cameras with an observation of the joint
+    # Standard deviation of a joint's position, root mean square over the axes; NaN where it is absent. ``None``: no
+    # uncertainty was computed.
     uncertainty_m: Float[np.ndarray, "frames joints"] | None = None
 
     @property
@@ -92,82 +64,46 @@ class Track3D:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """2D observations that association gave to one track, on the track's output frames.
+    """2D observations that association gave to one track, on the track's output frames."""
 
-    Parameters
-    ----------
-    track_id
-        Number of the track.
-    points_px
-        Joints in full-image pixels (distorted, as seen) at the output instants, NaN where a camera has no observation.
-    score
-        The detector's confidence, 0 where ``points_px`` is NaN.
-    detection
-        Rows of the detections in ``tracking.observations.Bodies`` at the output frames that are nearest to them, -1
-        where there is none. No rows: not recorded, because no colours were measured.
-    """
-
-    track_id: int
+    track_id: int  # Number of the track
+    # Joints in full-image pixels (distorted, as seen) at the output instants, NaN where a camera has no observation
     points_px: Float[np.ndarray, "frames cameras joints 2"]
-    score: Float[np.ndarray, "frames cameras joints"]
+    score: Float[np.ndarray, "frames cameras joints"]  # The detector's confidence, 0 where ``points_px`` is NaN
+    # Rows of the detections in ``tracking.observations.Bodies`` at the output frames that are nearest to them, -1 where
+    # there is none. No rows: not recorded, because no colours were measured.
     detection: Int[np.ndarray, "recorded recorded_cameras"] = field(default_factory=no_detections)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leftovers:
-    """2D bodies that association gave to nobody, at the nearest output instants.
+    """2D bodies that association gave to nobody, at the nearest output instants."""
 
-    Parameters
-    ----------
-    frame, camera
-        Output frame and position of the camera of each body.
-    points_px
-        Joints in full-image pixels (distorted, as seen), NaN where the detector found no joint.
-    score
-        The detector's confidence, 0 where ``points_px`` is NaN.
-    """
-
+    # Output frame and position of the camera of each body
     frame: Int[np.ndarray, " n"]
     camera: Int[np.ndarray, " n"]
+    # Joints in full-image pixels (distorted, as seen), NaN where the detector found no joint
     points_px: Float[np.ndarray, "n joints 2"]
-    score: Float[np.ndarray, "n joints"]
+    score: Float[np.ndarray, "n joints"]  # The detector's confidence, 0 where ``points_px`` is NaN
 
 
 class Doubt(NamedTuple):
-    """Moment at which a person may have been taken for another one.
+    """Moment at which a person may have been taken for another one."""
 
-    Parameters
-    ----------
-    frame
-        Output frame from which on the other choice differs.
-    confidence
-        Probability of the choice against the most likely other one.
-    other
-        Number of the person who would go on as this one, 0 if it is nobody else: the person would end or begin here.
-    """
-
-    frame: int
-    confidence: float
+    frame: int  # Output frame from which on the other choice differs
+    confidence: float  # Probability of the choice against the most likely other one
+    # Number of the person who would go on as this one, 0 if it is nobody else: the person would end or begin here
     other: int
 
 
 class People(NamedTuple):
-    """Result of association, or of the global pass over it.
+    """Result of association, or of the global pass over it."""
 
-    Parameters
-    ----------
-    tracks, observations
-        One each a person, in the same order.
-    num_approximate_frames
-        See ``Reconstruction``.
-    doubts
-        Doubts about the identity of each person, in the same order; empty before the global pass.
-    leftovers
-        Bodies that belong to nobody; ``None`` after the global pass, and where association takes joints one by one.
-    """
-
+    # One each a person, in the same order
     tracks: Sequence[Track3D]
     observations: Sequence[Observations]
-    num_approximate_frames: int = 0
+    num_approximate_frames: int = 0  # See ``Reconstruction``
+    # Doubts about the identity of each person, in the same order; empty before the global pass
     doubts: Sequence[Sequence[Doubt]] = ()
+    # Bodies that belong to nobody; ``None`` after the global pass, and where association takes joints one by one
     leftovers: Leftovers | None = None

@@ -11,32 +11,18 @@ from worker.jobs.model.states import JobState
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A calibration: sent as a file, or made by the job of the same id.
-
-    Parameters
-    ----------
-    method
-        ``file``, ``board`` or ``people``.
-    source
-        Of a file its name, format, units, axes and notes; else the choices with which it is made.
-    files
-        Text by format; ``None`` until it is made.
-    report
-        See ``pipeline.calibration.report.report_document``; ``None`` of a file.
-    session_id
-        Session from which it is made; it may be deleted since.
-    job_state, problem
-        State and problem of the job that makes it; ``None`` of a file, or once the job is deleted.
-    """
+    """A calibration: sent as a file, or made by the job of the same id."""
 
     id: str
     name: str
-    method: str
+    method: str  # ``file``, ``board`` or ``people``
     created_at: datetime
+    # Of a file its name, format, units, axes and notes; else the choices with which it is made
     source: Mapping[str, Any]
-    files: Mapping[str, str] | None
-    report: Mapping[str, Any] | None
-    session_id: str | None = None
+    files: Mapping[str, str] | None  # Text by format; ``None`` until it is made
+    report: Mapping[str, Any] | None  # See ``pipeline.calibration.report.report_document``; ``None`` of a file
+    session_id: str | None = None  # Session from which it is made; it may be deleted since
+    # State and problem of the job that makes it; ``None`` of a file, or once the job is deleted
     job_state: JobState | None = None
     problem: Problem | None = None
 

@@ -59,22 +59,14 @@ class LinkScope(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Link that opens something of a job without a key, until ``expires_at``.
-
-    Parameters
-    ----------
-    session_id
-        Session of the job.
-    name
-        Name of the result file or of the camera; ``None`` for scopes without one.
-    """
+    """Link that opens something of a job without a key, until ``expires_at``."""
 
     id: str
     tenant: str
     job_id: str
-    session_id: str
+    session_id: str  # Session of the job
     scope: LinkScope
-    name: str | None
+    name: str | None  # Name of the result file or of the camera; ``None`` for scopes without one
     created_at: datetime
     expires_at: datetime
 

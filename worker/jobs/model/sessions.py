@@ -41,44 +41,27 @@ Purpose = Literal["capture", "calibration"]
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """A capture session: its files, and what the preflight found in them.
-
-    Parameters
-    ----------
-    metadata
-        JSON object of the client.
-    record_sha256
-        Digest of the file that the preflight wrote for the workers; ``None`` for sessions of older versions.
-    purpose
-        Videos of a ``calibration`` that is made of them have guessed cameras; they are not listed among the captures.
-    """
+    """A capture session: its files, and what the preflight found in them."""
 
     id: str
     name: str
     created_at: datetime
     files: tuple[InputFile, ...]
     preflight: Preflight
-    metadata: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # JSON object of the client
+    # Digest of the file that the preflight wrote for the workers; ``None`` for sessions of older versions
     record_sha256: str | None = None
+    # Videos of a ``calibration`` that is made of them have guessed cameras; they are not listed among the captures
     purpose: Purpose = "capture"
 
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A session with its reconstructions and its proxies.
-
-    Parameters
-    ----------
-    num_jobs, newest_job
-        Number of reconstructions, and the newest one; ``None`` without any.
-    proxies
-        Names of the proxies that are made; see ``pipeline.job_choices.proxy_name``.
-    proxies_job
-        Job that makes proxies; ``None``: no job had to.
-    """
+    """A session with its reconstructions and its proxies."""
 
     session: Session
+    # Number of reconstructions, and the newest one; ``None`` without any
     num_jobs: int = 0
     newest_job: NewestJob | None = None
-    proxies: frozenset[str] = frozenset()
-    proxies_job: NewestJob | None = None
+    proxies: frozenset[str] = frozenset()  # Names of the proxies that are made; see ``pipeline.job_choices.proxy_name``
+    proxies_job: NewestJob | None = None  # Job that makes proxies; ``None``: no job had to

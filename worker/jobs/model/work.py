@@ -32,21 +32,12 @@ class ChunkPlan:
 
 @dataclass(frozen=True, slots=True)
 class StagePlan:
-    """A stage: its chunks may run at once; it becomes ready when the stage before it is done.
+    """A stage: its chunks may run at once; it becomes ready when the stage before it is done."""
 
-    Parameters
-    ----------
-    name
-        As in ``pipeline.stages.plan``.
-    chunks
-        At least one; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
-    code_sha256
-        Digest of the code that can run the chunks, as in ``pipeline.stages.code``.
-    """
-
-    name: str
+    name: str  # As in ``pipeline.stages.plan``
+    # At least one; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
     chunks: Iterable[ChunkPlan]
-    code_sha256: str
+    code_sha256: str  # Digest of the code that can run the chunks, as in ``pipeline.stages.code``
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,19 +109,10 @@ class Removal:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Figures of all jobs, for monitoring.
+    """Figures of all jobs, for monitoring."""
 
-    Parameters
-    ----------
-    totals
-        Totals by name and label; see ``worker.jobs.database.totals``.
-    jobs, chunks
-        Numbers by state; chunks of unfinished jobs only.
-    longest_queued_s
-        Time that the first job in the queue has waited; 0 without one.
-    """
-
-    totals: Mapping[tuple[str, str], float]
+    totals: Mapping[tuple[str, str], float]  # Totals by name and label; see ``worker.jobs.database.totals``
+    # Numbers by state; chunks of unfinished jobs only
     jobs: Mapping[str, int]
     chunks: Mapping[str, int]
-    longest_queued_s: float
+    longest_queued_s: float  # Time that the first job in the queue has waited; 0 without one
