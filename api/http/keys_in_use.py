@@ -13,7 +13,7 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Message, Receive, Scope, Send
 
-from api.http.base import HttpMiddleware
+from api.http.middleware import HttpMiddleware
 from worker.jobs.store import JobStore
 
 _log = structlog.get_logger(__name__)

@@ -1,6 +1,7 @@
 """Middleware: request ids, log lines, safe headers, HEAD, tus, slow clients, foreign pages, unforeseen failures."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Collection
 from http import HTTPStatus
 from urllib.parse import urlsplit
@@ -17,7 +18,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import ApiError, handle, problem_response
 from api.health.metrics import RequestMetrics
-from api.http.base import HttpMiddleware
 
 _log = structlog.get_logger(__name__)
 
@@ -37,6 +37,24 @@ SAFE_HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+
+
+class HttpMiddleware(ABC):
+    """Middleware of HTTP requests; other scopes, such as the lifespan, pass through it."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request."""
+        if scope["type"] == "http":
+            await self._serve(scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
+
+    @abstractmethod
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve an HTTP request."""
 
 
 class RequestContext(HttpMiddleware):

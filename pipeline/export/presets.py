@@ -12,13 +12,17 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import Preset
-from pipeline.export.writers.axes import WORLD, Y_UP_FROM_WORLD
 from pipeline.skeleton.model import WHOLE_SKELETON, SkeletonJoint, parents_of, rest_offsets_m, skeleton_of
 
 _FINGERS = ("Index", "Middle", "Ring", "Pinky")
 _BACKWARD = np.array([0.0, 1.0, 0.0])
 # Joints of the arms before their hands' joints, and the sign of the rotation about ``_BACKWARD`` that lowers them.
 _ARMS = {f"{side}{part}": sign for side, sign in (("Left", 1), ("Right", -1)) for part in ("Arm", "ForeArm", "Hand")}
+WORLD = np.eye(3)
+"""World axes: Z up, facing -Y in the rest pose."""
+
+Y_UP_FROM_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Axes with Y up: x, y, z are the world's x, z, -y, and the rest pose faces +Z."""
 
 
 def _lowering_sign(joint: SkeletonJoint) -> int:

@@ -67,3 +67,15 @@ def seek_points(keyframe_pts: Int[np.ndarray, " keyframes"], target_pts: int) ->
     last = int(np.searchsorted(keyframe_pts, target_pts, side="right")) - 1
     steps_back = [2**k - 1 for k in range(max(last, 0).bit_length() + 1)]
     return [int(keyframe_pts[last - steps]) for steps in steps_back if last - steps > 0]
+
+
+class UnusableError(Exception):
+    """The file can't be used: problem code, message and hint."""
+
+    def __init__(self, code: str, message: str, hint: str | None = None) -> None:
+        super().__init__(code)
+        self.code, self.message, self.hint = code, message, hint
+
+    def problem(self, path: Path) -> Problem:
+        """Build the problem, with the name of the file."""
+        return Problem(self.code, self.message, file=path.name, hint=self.hint)

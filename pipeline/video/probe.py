@@ -32,13 +32,12 @@ from pipeline.video.container import (
 from pipeline.video.frame_rate import measured_rate, measured_rate_hz
 from pipeline.video.images.files import is_sequence
 from pipeline.video.images.probe import probe_images
-from pipeline.video.info import VideoInfo, seek_points
+from pipeline.video.info import UnusableError, VideoInfo, seek_points
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
 from pipeline.video.properties.packets import REPAIR_TIMES, read_packets, shown_pts
 from pipeline.video.properties.regularity import uneven_times
 from pipeline.video.signatures import document_type, is_container
-from pipeline.video.unusable import UnusableError
 
 _NUM_DECODED = 8
 

@@ -26,11 +26,10 @@ from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
 from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.evaluation.datasets.shelf_ablation import ablate
 from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
-from pipeline.evaluation.extremities.feet import score_foot_directions, score_heels_and_toes
+from pipeline.evaluation.extremities.feet import score_feet, score_foot_directions, score_heels_and_toes
 from pipeline.evaluation.extremities.hands import score_hands
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
-from pipeline.evaluation.simulated_feet import score_feet
 from pipeline.identity.identify import identify
 from pipeline.job_choices import MAX_STATURE_M, MIN_STATURE_M
 from pipeline.joints import COCO_17, COCO_18, FINGER_JOINTS, JointSet

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
-from pipeline.export.writers.axes import Y_UP_FROM_WORLD
+from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
 from pipeline.joints import JointSet
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from pipeline.runtime.zips import ArchiveError, list_entries, name_of, read_entry
-from pipeline.video.unusable import UnusableError
+from pipeline.video.info import UnusableError
 
 SEQUENCE = "images"
 """Name in place of a codec of a sequence of images."""

@@ -10,9 +10,8 @@ from av.video.frame import VideoFrame
 from pipeline.video.frame_rate import without_rounding
 from pipeline.video.images.files import SEQUENCE, open_images
 from pipeline.video.images.frames import decode_images
-from pipeline.video.info import VideoInfo
+from pipeline.video.info import UnusableError, VideoInfo
 from pipeline.video.properties.regularity import uneven_times
-from pipeline.video.unusable import UnusableError
 
 _NUM_DECODED = 8
 

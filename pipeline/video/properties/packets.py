@@ -8,7 +8,7 @@ from av.packet import Packet
 from av.video.stream import VideoStream
 from jaxtyping import Int
 
-from pipeline.video.unusable import UnusableError
+from pipeline.video.info import UnusableError
 
 MAX_FRAMES = 2_000_000
 # Longest span of timestamps in ticks: differences of 64-bit integers do not overflow below it.

@@ -11,7 +11,7 @@ from pipeline.config import Feet, ReconstructionConfig, Smoothing
 from pipeline.data.animation import Animation, SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Observations, Source, Track3D
-from pipeline.evaluation.simulated_feet import score_feet
+from pipeline.evaluation.extremities.feet import score_feet
 from pipeline.geometry.camera import project
 from pipeline.joints import BODY_25, COCO_17
 from pipeline.simulation.scenes import Simulation, find_scene, record

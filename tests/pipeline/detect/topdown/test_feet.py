@@ -1,7 +1,7 @@
 import numpy as np
 
 from pipeline.detect.topdown.blazepose import LANDMARK
-from pipeline.detect.topdown.feet import FOOT_JOINTS, read_feet
+from pipeline.detect.topdown.detector import FOOT_JOINTS, read_feet
 from pipeline.detect.topdown.regions import Region
 from pipeline.joints import COCO_17
 from tests.pipeline.detect.topdown.people import CENTER_PX, decoded, landmarks_px, standing_px
