@@ -51,7 +51,7 @@ PASSED_ON = {
     ("pipeline/quality/report.py", "all_checks"),  # those of the checks of a take
     ("pipeline/stages/calibrate.py", "calibrate"),  # those of problems
     ("pipeline/capture/session.py", "_of_video"),  # those of problems
-    ("pipeline/video/unusable.py", "problem"),
+    ("pipeline/video/info.py", "problem"),
     ("api/sessions/receiving.py", "adopted"),  # that of upload_elsewhere
     ("worker/problems.py", "waiting_for"),  # those of outages
     ("worker/problems.py", "problem_of"),  # those of the pipeline
