@@ -43,6 +43,10 @@ def _with_unset(choice: Choice, text: str) -> str:
     return f"{text} Default: {unset}." if unset else text
 
 
+UnitsOption = Annotated[
+    str,
+    typer.Option(metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."),
+]
 KeypointsOption = Annotated[
     Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
 ]

@@ -18,7 +18,7 @@ import psutil
 import typer
 
 from api.cli.client import Client, Json, ServiceError
-from api.cli.console import emit, reporting
+from api.cli.console import JsonOption, emit, reporting
 from api.cli.served import served
 from pipeline.detect import models
 from pipeline.runtime.child_processes import module_command
@@ -150,7 +150,7 @@ def _stage_after(client: Client, job: Json, then_s: float) -> str | None:
 def cancel(
     cancels: Annotated[int, typer.Option(min=1, max=1000, help="Number of jobs to cancel.")] = 40,
     seed: Annotated[int, typer.Option(help="Random seed of the moments of cancels.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time how long processes keep working on jobs that are canceled at random moments."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:

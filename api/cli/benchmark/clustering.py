@@ -2,12 +2,11 @@
 
 import time
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
-from api.cli.console import reporting, show_sizes
+from api.cli.console import JsonOption, reporting, show_sizes
 from pipeline.clustering.associate import find_poses, first_lengths, sampled_frames
 from pipeline.clustering.instant.candidates import FieldEvidence
 from pipeline.clustering.instant.work_limits import WorkLimits
@@ -56,7 +55,7 @@ def measure_sizes() -> list[dict[str, Any]]:
 
 
 def clustering(
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time clustering on one core, from peaks and fields in memory to poses in memory; simulated people."""
     with reporting(as_json):

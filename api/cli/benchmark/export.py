@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.benchmark.takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
-from api.cli.console import emit, print_table, reporting
+from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.data.animation import Animation, SkeletonMotion
 from pipeline.data.cameras import Timebase
@@ -100,7 +100,7 @@ def measure(num_people: int, num_frames: int) -> dict[str, Any]:
 def export(
     people: Annotated[int, typer.Option(min=1, max=100, help="Number of people.")] = 10,
     frames: Annotated[int, typer.Option(min=2, max=1_000_000, help="Number of frames of the take.")] = 10_000,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time all formats of a long take, from memory to verified files; simulated people, four cameras."""
     with reporting(as_json):

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from api.cli.benchmark.takes import longer_observations, longer_track
-from api.cli.console import emit, reporting, show_sizes
+from api.cli.console import JsonOption, emit, reporting, show_sizes
 from pipeline.config import ReconstructionConfig
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
@@ -81,7 +81,7 @@ def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.n
 
 def fit(
     memory: Annotated[bool, typer.Option("--memory", help="Also measure the memory of long takes (minutes).")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time the fit of skeletons to whole tracks on one core; simulated people, detected as whole bodies."""
     with reporting(as_json):

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import emit, print_table, reporting
+from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import People
 from pipeline.identity.identify import identify
@@ -64,7 +64,7 @@ def measure_takes(minutes: int) -> list[dict[str, Any]]:
 
 def identity(
     minutes: Annotated[int, typer.Option(min=1, max=120, help="Length of the takes.")] = 10,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time the global pass that tells who is who, from tracks in memory to people; simulated people."""
     with reporting(as_json):

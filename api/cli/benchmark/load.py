@@ -18,7 +18,7 @@ import typer
 
 from api.cli.benchmark.takes import loop_video
 from api.cli.client import Client, Json, ServiceError
-from api.cli.console import emit, reporting
+from api.cli.console import JsonOption, emit, reporting
 from api.cli.served import served
 from pipeline.detect import models
 from pipeline.runtime.child_processes import ProcessPool
@@ -194,7 +194,7 @@ def load(
     upload_mbit: Annotated[
         float, typer.Option(min=1, help="Total rate of all uploads in Mbit/s. Default: as fast as possible.")
     ] = math.inf,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time the responses of a service with two busy workers while clients poll and upload."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:

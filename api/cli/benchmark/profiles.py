@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.benchmark.takes import loop_video
-from api.cli.console import console, emit, print_table, reporting
+from api.cli.console import JsonOption, console, emit, print_table, reporting
 from pipeline.capture.session import open_session
 from pipeline.config import JOINTS, PROFILES, Detector, ReconstructionConfig
 from pipeline.detect import models
@@ -39,7 +39,7 @@ def profiles(
     loops: Annotated[int, typer.Option(min=1, max=100, help="Number of repetitions of the sample in its videos.")] = 1,
     rounds: Annotated[int, typer.Option(min=1, max=20, help="Number of jobs of each profile, by turns.")] = 1,
     only: Annotated[str | None, typer.Option(help="Part of the names of the profiles to measure.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time whole jobs of every profile and joint set by turns, from the sample's videos to result files."""
     with reporting(as_json), tempfile.TemporaryDirectory() as folder:

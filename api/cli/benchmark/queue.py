@@ -17,7 +17,7 @@ import httpx2
 import typer
 
 from api.cli.client import ServiceError
-from api.cli.console import emit, reporting
+from api.cli.console import JsonOption, emit, reporting
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.parent_watch import tied_to_parent
@@ -115,7 +115,7 @@ def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
 def queue(
     jobs: Annotated[int, typer.Option(min=21, max=100_000, help="Number of jobs in the long queue.")] = 2000,
     rounds: Annotated[int, typer.Option(min=10, max=10_000, help="Number of measurements of each kind.")] = 500,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time polling and claiming with many queued jobs, compared with few."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:

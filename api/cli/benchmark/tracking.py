@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from api.cli.console import emit, print_table, reporting
+from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.evaluation.pairwise import associate_pairwise
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Clock, Layout, Rig
@@ -139,7 +139,7 @@ def tracking(
     plot: Annotated[
         Path | None, typer.Option(help="File for a plot of the time of a frame against the number of cameras.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time tracking on one core, from keypoints in memory to tracks in memory; simulated people, 3 px of noise."""
     with reporting(as_json):

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import show_list
+from api.cli.console import JsonOption, show_list
 from api.cli.store import store_in
 from worker.jobs.model.rights import AuditEvent
 
@@ -17,7 +17,7 @@ def command(
         int, typer.Option(min=1, max=1_000_000, help="Largest number of entries; the last ones are listed.")
     ] = 100,
     data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """List creations, changes and deletions in the service with their tenant and key, the latest first."""
     with store_in(data) as store:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, byte_bar, console, emit
+from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, JsonOption, byte_bar, console, emit
 from api.cli.store import settings_in
 from api.settings import Settings
 from worker.jobs.backup.contents import Report
@@ -18,7 +18,6 @@ from worker.jobs.backup.restore import restore_backup, verify_backup
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
 
 app = typer.Typer(help="Backups of the service: create, restore, verify.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Archive = Annotated[Path, typer.Argument(metavar="FILE", help="Backup file.")]
 
 # Largest number of listed problems; --json lists all.
@@ -29,7 +28,7 @@ _MAX_LINES = 20
 def create(
     archive: Annotated[Path, typer.Argument(metavar="FILE", help="New backup file; it must not exist.")],
     data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Back up a service, which may be running."""
     settings = settings_in(data)
@@ -44,7 +43,7 @@ def create(
 def restore(
     archive: Archive,
     data: Annotated[Path, typer.Option(help="Data folder of the restored service: new or empty.")],
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Restore a service from a backup, into a new folder and, with MULTICAP_DATABASE_URL, an empty database."""
     settings = Settings(data_dir=data)
@@ -56,7 +55,7 @@ def restore(
 
 
 @app.command()
-def verify(archive: Archive, as_json: AsJson = False) -> None:
+def verify(archive: Archive, as_json: JsonOption = False) -> None:
     """Check a whole backup as `restore` does, without restoring it."""
     with _reported(as_json), byte_bar("Verify", visible=not as_json) as on_progress:
         report = verify_backup(archive, on_progress)

@@ -21,7 +21,7 @@ from api.cli.benchmark.queue import queue
 from api.cli.benchmark.takes import loop_video, peak_rss_mib
 from api.cli.benchmark.tracking import tracking
 from api.cli.client import Json
-from api.cli.console import StageBars, emit, print_table, reporting
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from api.cli.served import served
 from pipeline.capture.session import open_session
@@ -58,7 +58,7 @@ def pipeline(
     *,
     loops: Annotated[int, typer.Option(min=1, max=100, help="Number of repetitions of the sample in its videos.")] = 1,
     chosen: Mapping[str, Any],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time the sample capture from videos to result files in one process, compared with its networks alone."""
     with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
@@ -142,7 +142,7 @@ def time_library(sample: Sample, folder: Path) -> float:
 
 @app.command()
 def service(
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Time the sample in a service with one worker and with two workers, compared with the library."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import StageBars, emit, print_table, reporting
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import open_session
@@ -72,7 +72,7 @@ def rendered(
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
     chosen: Mapping[str, Any],
     stature_m: StatureOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching in each frame, gate 0.5 m; and headings of feet."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
@@ -112,7 +112,7 @@ def shelf(
     ablation: Annotated[
         bool, typer.Option(help="Also measure the contribution of each part of the method (half a minute).")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
     with reporting(as_json):
@@ -253,7 +253,7 @@ def simulated(
             help="Also measure the contribution of each constraint of clustering (the paper's table 3; minutes)."
         ),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Simulated people with exact truth, seen by a simulated detector with faults."""
     by_views: dict[int, dict[str, Any]] = {}

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import console, refusal, show_list, show_secret, shown_time
+from api.cli.console import JsonOption, console, refusal, show_list, show_secret, shown_time
 from api.cli.store import opened_store, settings_in, store_in
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.errors import NotFound
@@ -15,7 +15,6 @@ from worker.jobs.files.disk import DiskSpace
 from worker.jobs.model.rights import Key, Scope
 
 app = typer.Typer(help="API keys of the service: create, list, revoke.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]
 
 _DAY_S = 86_400.0
@@ -50,7 +49,7 @@ def create(
         typer.Option(min=1 / 1440, help="Days until the key expires; without it the key is valid until it is revoked."),
     ] = None,
     data: Data = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Create a key and print it; it can't be read again. After the first key every request needs one."""
     if not (0 < len(name) <= 200 and 0 < len(tenant) <= 64):
@@ -62,7 +61,7 @@ def create(
 
 
 @app.command("list")
-def list_(data: Data = None, as_json: AsJson = False) -> None:
+def list_(data: Data = None, as_json: JsonOption = False) -> None:
     """List all keys, without their secrets."""
     with store_in(data) as store:
         keys = store.keys.all()

@@ -8,7 +8,7 @@ from typing import Annotated, cast
 
 import typer
 
-from api.cli.console import console, emit, reporting, show_list
+from api.cli.console import JsonOption, console, emit, reporting, show_list
 from pipeline.config import NETWORKS_OF_PROFILES
 from pipeline.detect import models
 from pipeline.detect.own.description import HEADS, Channels, usual_network
@@ -17,11 +17,10 @@ from pipeline.errors import ModelError
 from pipeline.layouts import LAYOUTS
 
 app = typer.Typer(help="Detector networks: list, install, add from a file, verify.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 
 @app.command("list")
-def list_(as_json: AsJson = False) -> None:
+def list_(as_json: JsonOption = False) -> None:
     """List the networks that Multicap supports."""
     with reporting(as_json):
         known = models.status()
@@ -119,7 +118,7 @@ def _triple(text: str, name: str) -> tuple[float, float, float]:
 
 
 @app.command()
-def verify(as_json: AsJson = False) -> None:
+def verify(as_json: JsonOption = False) -> None:
     """Compare the checksums of all installed networks."""
     with reporting(as_json):
         installed = [model.name for model in models.status() if model.installed]

@@ -8,9 +8,16 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from api.cli.console import StageBars, emit, print_table, reporting, warn
-from api.cli.options import KeypointsOption, TimestampsOption, checked, known_clock, known_units, with_choices
-from pipeline.calibration.contents import UNITS_M
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, warn
+from api.cli.options import (
+    KeypointsOption,
+    TimestampsOption,
+    UnitsOption,
+    checked,
+    known_clock,
+    known_units,
+    with_choices,
+)
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.session import Recording, Session, open_session
@@ -140,12 +147,7 @@ def command(
             help="Clock of the videos' first frames: --offset, or what the files state, to which it is added.",
         ),
     ] = "declared",
-    units: Annotated[
-        str,
-        typer.Option(
-            metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."
-        ),
-    ] = "m",
+    units: UnitsOption = "m",
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     frame_rate: Annotated[
@@ -172,7 +174,7 @@ def command(
         ),
     ] = None,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Keep and reuse no intermediate outputs.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Reconstruct all people in synchronised videos, or in keypoint files, of calibrated cameras."""
     started_s = time.monotonic()

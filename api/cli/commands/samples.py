@@ -1,10 +1,8 @@
 """`multicap samples`: install the sample capture."""
 
-from typing import Annotated
-
 import typer
 
-from api.cli.console import console, emit, reporting
+from api.cli.console import JsonOption, console, emit, reporting
 from pipeline.runtime.packages import samples
 
 app = typer.Typer(help="A real four-camera capture of two people.", no_args_is_help=True)
@@ -16,7 +14,7 @@ def _group() -> None:
 
 
 @app.command()
-def install(as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False) -> None:
+def install(as_json: JsonOption = False) -> None:
     """Download the sample capture and check it."""
     with reporting(as_json):
         sample = samples.install()

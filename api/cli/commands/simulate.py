@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from api.cli.console import console, emit, reporting
+from api.cli.console import JsonOption, console, emit, reporting
 from pipeline.errors import PipelineError
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import SCENES, known_joints, simulate
@@ -19,7 +19,7 @@ def command(
     joints: Annotated[
         str, typer.Option(metavar="body|feet|whole", help="Joints: of the body, with feet, or with feet and hands.")
     ] = "body",
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a simulated scene: keypoint folders, timestamps and calibration for `reconstruct`, and the truth."""
     with reporting(as_json):

@@ -6,13 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import refusal, show_list, show_secret, shown_time
+from api.cli.console import JsonOption, refusal, show_list, show_secret, shown_time
 from api.cli.store import store_in
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.model.webhooks import Delivery
 
 app = typer.Typer(help="Webhooks of the service: secrets and undelivered messages.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]
 Tenant = Annotated[str, typer.Option(help="Tenant whose webhooks the secret signs.")]
 
@@ -46,7 +45,7 @@ def rotate(
         float, typer.Option(min=0, max=720, help="Hours for which the previous secret still signs, too.")
     ] = 24.0,
     data: Data = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Create and print a new secret that signs a tenant's webhooks."""
     if not 0 < len(tenant) <= 64:
@@ -58,7 +57,7 @@ def rotate(
 
 
 @app.command("list")
-def list_(data: Data = None, as_json: AsJson = False) -> None:
+def list_(data: Data = None, as_json: JsonOption = False) -> None:
     """List undelivered messages, the oldest first."""
     with store_in(data) as store:
         deliveries = store.webhooks.pending()

@@ -9,7 +9,7 @@ import typer
 from rich.progress import Progress
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
-from api.cli.console import console, reporting, warn
+from api.cli.console import JsonOption, console, reporting, warn
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.source import (
     find_photographs,
@@ -45,7 +45,7 @@ def command(
     ] = None,
     world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
     report: Annotated[Path | None, typer.Option(help="Folder for the report and the pictures of coverage.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Calibrate cameras from videos or photographs of a chessboard or a ChArUco board."""
     with reporting(as_json):

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
-from api.cli.console import StageBars, reporting, warn
+from api.cli.console import JsonOption, StageBars, reporting, warn
 from api.cli.options import KeypointsOption, TimestampsOption, checked, with_choices
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
@@ -49,7 +49,7 @@ def command(
     world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
     chosen: Mapping[str, Any],
     report: Annotated[Path | None, typer.Option(help="Folder for the report.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Calibrate cameras from people of known stature who walk about: no board."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:

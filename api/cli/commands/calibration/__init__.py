@@ -6,8 +6,9 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.calibration import check
-from api.cli.commands.calibration.cameras import FileArgument, JsonOption, UnitsOption, camera_documents, read
-from api.cli.console import console, emit, print_table, reporting, warn
+from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
+from api.cli.console import JsonOption, console, emit, print_table, reporting, warn
+from api.cli.options import UnitsOption
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.write import ENCODERS
 from pipeline.data.cameras import Camera

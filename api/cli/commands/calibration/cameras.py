@@ -14,10 +14,6 @@ from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
-UnitsOption = Annotated[
-    str, typer.Option("--units", metavar="|".join(UNITS_M), help="Unit of lengths, if the format does not state it.")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 
 def read(file: Path, units: str) -> CameraFile:

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.calibration.cameras import FileArgument, JsonOption, UnitsOption, camera_documents, read
-from api.cli.console import EXIT_BAD_INPUT, StageBars, emit, reporting, show_findings, warn
-from api.cli.options import KeypointsOption, TimestampsOption, checked, known_units, with_choices
+from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
+from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, emit, reporting, show_findings, warn
+from api.cli.options import KeypointsOption, TimestampsOption, UnitsOption, checked, known_units, with_choices
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session

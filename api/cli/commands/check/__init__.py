@@ -8,11 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.calibration.cameras import JsonOption, UnitsOption
 from api.cli.commands.reconstruct import check_sources, parameters
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
-from api.cli.console import EXIT_BAD_INPUT, StageBars, console, emit, reporting, show_findings
-from api.cli.options import KeypointRateOption, KeypointsOption, TimestampsOption, checked, known_units, with_choices
+from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, console, emit, reporting, show_findings
+from api.cli.options import (
+    KeypointRateOption,
+    KeypointsOption,
+    TimestampsOption,
+    UnitsOption,
+    checked,
+    known_units,
+    with_choices,
+)
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.pictures.look import look_at_pictures

@@ -8,9 +8,16 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
-from api.cli.console import EXIT_FAILED, StageBars, emit, print_table, reporting, warn
-from api.cli.options import KeypointRateOption, KeypointsOption, TimestampsOption, checked, known_units, with_choices
-from pipeline.calibration.contents import UNITS_M
+from api.cli.console import EXIT_FAILED, JsonOption, StageBars, emit, print_table, reporting, warn
+from api.cli.options import (
+    KeypointRateOption,
+    KeypointsOption,
+    TimestampsOption,
+    UnitsOption,
+    checked,
+    known_units,
+    with_choices,
+)
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session
 from pipeline.data.cameras import Synchronization
@@ -27,17 +34,12 @@ def command(
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     frame_rate: KeypointRateOption = None,
-    units: Annotated[
-        str,
-        typer.Option(
-            metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."
-        ),
-    ] = "m",
+    units: UnitsOption = "m",
     chosen: Mapping[str, Any],
     report: Annotated[
         Path | None, typer.Option(help="Folder for sync.json, and a plot of each camera's error over its offset.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure when each camera started, and how fast its clock runs, from people who move.
 
