@@ -175,22 +175,16 @@ class Leases:
 
     def release(self, chunk_id: int, lease_token: str) -> bool:
         """Give a chunk back unfinished: its job is canceled or its worker stops. Return whether it became ready."""
-        with self._transactions.writing() as connection:
-            held = _lock_held(connection, chunk_id, lease_token)
-            if held is None:
-                return False
-            job, chunk = held
-            if job.state == JobState.CANCELING:
-                _cancel(connection, job, chunk)
-                return False
-            move_chunk(connection, chunk.id, ChunkState.READY)
-            return True
+        return self._give_back(chunk_id, lease_token, None)
 
     def give_back(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
         """Give a chunk back because of an outage: it costs no try, and the job waits for ``problem``.
 
         Returns whether the chunk became ready.
         """
+        return self._give_back(chunk_id, lease_token, problem)
+
+    def _give_back(self, chunk_id: int, lease_token: str, outage: Problem | None) -> bool:
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
@@ -200,8 +194,9 @@ class Leases:
                 _cancel(connection, job, chunk)
                 return False
             move_chunk(connection, chunk.id, ChunkState.READY)
-            count(connection, Total.CHUNKS_GIVEN_BACK, chunk.stage)
-            set_waiting(connection, job, problem)
+            if outage is not None:
+                count(connection, Total.CHUNKS_GIVEN_BACK, chunk.stage)
+                set_waiting(connection, job, outage)
             return True
 
     def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
