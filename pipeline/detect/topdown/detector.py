@@ -25,7 +25,7 @@ _LANDMARK_NAMES = {"heel": "heel", "big_toe": "foot_index"}
 _SIDE_AND_PART = tuple(name.split("_", 1) for name in FOOT_JOINTS)
 _LANDMARKS = [LANDMARK[f"{side}_{_LANDMARK_NAMES[part]}"] for side, part in _SIDE_AND_PART]
 _SIDE = [SIDES.index(side) for side, _ in _SIDE_AND_PART]
-_ANKLES = [LANDMARK[f"{side}_ankle"] for side in SIDES]
+_ANKLE_LANDMARKS = [LANDMARK[f"{side}_ankle"] for side in SIDES]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def read_feet(
         ``FOOT_JOINTS`` in pixels of the image, NaN where missing, and their scores, 0 there.
     """
     points_px, peak = pose.refined()
-    distance_px = np.linalg.norm(points_px[_ANKLES] - ankles_px, axis=-1)
+    distance_px = np.linalg.norm(points_px[_ANKLE_LANDMARKS] - ankles_px, axis=-1)
     is_own = (distance_px <= _MAX_ANKLE_DISTANCE * size_px)[_SIDE]
     is_found = is_own & (peak[_LANDMARKS] >= SURE_PEAK)
     return (
