@@ -47,7 +47,7 @@ def running_s3() -> Iterator[S3]:
     with subprocess.Popen(command, env=os.environ, **quiet) as process:  # type: ignore[call-overload]
         server = S3(process, f"http://127.0.0.1:{port}", "multicap")
         try:
-            deadline_s = time.monotonic() + 60
+            deadline_s = time.monotonic() + 120
             while True:
                 assert process.poll() is None
                 assert time.monotonic() < deadline_s

@@ -49,7 +49,7 @@ def serving(
         )
     try:
         process = psutil.Process(child.pid)
-        deadline_s = time.monotonic() + 30
+        deadline_s = time.monotonic() + 120
         while not (listening := [c for c in process.net_connections("tcp") if c.status == psutil.CONN_LISTEN]):
             assert child.poll() is None, log.read_text()
             assert time.monotonic() < deadline_s

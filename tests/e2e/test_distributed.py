@@ -138,7 +138,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
         stack.enter_context(started(broker, folder / "broker", {}))
         api = stack.enter_context(started([*python, "api"], folder / "api", environment))
         client = stack.enter_context(httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=60, trust_env=False))
-        deadline_s = time.monotonic() + 60
+        deadline_s = time.monotonic() + 120
         while True:
             with contextlib.suppress(httpx2.TransportError):
                 if client.get("/healthz").is_success:

@@ -48,7 +48,7 @@ def videos(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 def wait_for_children(process: "subprocess.Popen[str]", word: str) -> list[psutil.Process]:
-    deadline_s = time.monotonic() + 60
+    deadline_s = time.monotonic() + 120
     while True:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline_s

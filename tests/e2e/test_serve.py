@@ -105,7 +105,7 @@ def test_a_killed_service_leaves_no_orphan(tmp_path: Path) -> None:
             tree = service.tree()
         finally:
             process.kill()
-    wait_for(lambda: not any(is_alive(one) for one in tree), timeout_s=10)
+    wait_for(lambda: not any(is_alive(one) for one in tree), timeout_s=120)
 
 
 def test_the_command_that_a_refusal_names_lets_the_service_start(tmp_path: Path) -> None:

@@ -194,7 +194,7 @@ def is_possible(fault: Fault, service: Service) -> bool:
 
 def call(service: Service, method: str, path: str) -> httpx2.Response:
     """Repeat a request until it is answered: the API may be restarting, or the database locked."""
-    deadline_s = time.monotonic() + 60
+    deadline_s = time.monotonic() + 120
     while True:
         with contextlib.suppress(httpx2.TransportError):
             answer: httpx2.Response = service.served.client.request(method, path)

@@ -88,7 +88,7 @@ def test_the_service_goes_on_once_it_may_open_files_again(make_settings: Callabl
                     stack.enter_context(contextlib.closing(connect(address)))
             time.sleep(0.5)
             assert process.is_running()
-        deadline_s = time.monotonic() + 30
+        deadline_s = time.monotonic() + 120
         while True:
             with contextlib.suppress(httpx2.TransportError):
                 if client.get("/healthz").status_code == 200:
@@ -126,7 +126,7 @@ def test_connections_that_are_at_work_stay_and_one_more_is_refused(few: Live) ->
         with contextlib.closing(connect(few.address, "127.0.0.5")) as other:
             assert ask(other) == b"HTTP/1.1 200 OK"
         assert not any(is_closed(stream) for stream in streams)
-    deadline_s = time.monotonic() + 20
+    deadline_s = time.monotonic() + 120
     while True:  # closed connections are no longer counted
         with contextlib.closing(connect(few.address, "127.0.0.4")) as again:
             if ask(again) == b"HTTP/1.1 200 OK":

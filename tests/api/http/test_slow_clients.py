@@ -48,7 +48,7 @@ def test_a_client_that_sends_too_slowly_is_disconnected(strict: Live) -> None:
     with socket.create_connection(strict.address[:2], timeout=30) as connection:
         connection.sendall(head("/v1/sessions", 90_000) + b"--x\r\n")
         connection.settimeout(0.1)
-        deadline_s = time.monotonic() + 30
+        deadline_s = time.monotonic() + 120
         answer = b""
         while not answer:
             assert time.monotonic() < deadline_s
@@ -109,7 +109,7 @@ def test_a_client_that_sends_no_headers_is_disconnected(strict: Live, head: byte
 
 
 def send_until_cut(connection: socket.socket, data: bytes, pause_s: float) -> None:
-    deadline_s = time.monotonic() + 30
+    deadline_s = time.monotonic() + 120
     while time.monotonic() < deadline_s:
         connection.sendall(data)
         time.sleep(pause_s)

@@ -247,7 +247,7 @@ def test_time_runs_from_the_last_piece_and_then_it_goes(live: Live, tus: Uploade
 
 
 def wait_for_offset(tus: Uploader, address: str, offset: int) -> None:
-    deadline_s = time.monotonic() + 20
+    deadline_s = time.monotonic() + 120
     while tus.offset(address) != offset:
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
@@ -281,7 +281,7 @@ def test_an_interrupted_piece_with_a_checksum_is_dropped(live: Live, tus: Upload
     address = tus.begin(5000)
     raw(live.address, piece_request(live, address, 5000, CONTENT[:1234], **checksum(CONTENT)))
     # The service may still be at the end of the broken request.
-    wait_for(lambda: tus.send(address, 0, CONTENT).status_code == 204, timeout_s=20)
+    wait_for(lambda: tus.send(address, 0, CONTENT).status_code == 204, timeout_s=120)
     assert [path.read_bytes() for path in live.kept()] == [CONTENT]
 
 
@@ -289,7 +289,7 @@ def test_a_reconnected_client_does_not_wait_for_its_old_request(live: Live, tus:
     address = tus.begin(5000)
     with socket.create_connection(live.address[:2], timeout=20) as stalled:
         stalled.sendall(piece_request(live, address, 5000, CONTENT[:1234]))
-        deadline_s = time.monotonic() + 20
+        deadline_s = time.monotonic() + 120
         while not live.services.uploads.has_writer(address.rpartition("/")[2]):
             assert time.monotonic() < deadline_s
         problem_of(tus.send(address, 4000, CONTENT[4000:]), 409, "offset_mismatch")

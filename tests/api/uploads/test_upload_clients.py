@@ -59,7 +59,7 @@ def sha256(path: Path) -> str:
 
 def kill_in_the_middle(process: psutil.Process, folder: Path, num_bytes: int) -> None:
     """Kill the service when a number of bytes has arrived."""
-    deadline_s = time.monotonic() + 60
+    deadline_s = time.monotonic() + 120
     while sum(path.stat().st_size for path in folder.iterdir()) < num_bytes:
         assert time.monotonic() < deadline_s
         time.sleep(0.005)

@@ -30,7 +30,7 @@ def children_of(module: str) -> list[psutil.Process]:
 
 def wait_for_child(module: str) -> psutil.Process:
     """Wait for a child that runs a module."""
-    deadline_s = time.monotonic() + 60
+    deadline_s = time.monotonic() + 120
     while not (found := children_of(module)):
         assert time.monotonic() < deadline_s
         time.sleep(0.02)

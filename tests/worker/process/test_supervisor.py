@@ -123,7 +123,7 @@ def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
     finally:
         supervisor.kill()
         supervisor.wait()
-    wait_for(lambda: not any(is_alive(pid) for pid in pids(tmp_path)), timeout_s=5)
+    wait_for(lambda: not any(is_alive(pid) for pid in pids(tmp_path)), timeout_s=120)
 
 
 def pids(folder: Path) -> list[int]:

@@ -61,7 +61,7 @@ def test_slow_receivers_of_a_tenant_do_not_delay_other_tenants(
     sending = threading.Thread(target=send)
     sending.start()
     try:
-        deadline_s = time.monotonic() + 20
+        deadline_s = time.monotonic() + 120
         while sum(one.tries for one in bench.store.webhooks.pending()) < 8:
             assert time.monotonic() < deadline_s
             time.sleep(0.02)
