@@ -21,6 +21,7 @@ from api.errors import ApiError
 from api.http.browser_cookie import NAME, cookie_name, deletion
 from api.http.clients import client_network
 from api.http.keys_in_use import Credential
+from pipeline.problem_codes.requests import CROSS_SITE_REQUEST, KEY_REQUIRED, LINK_UNKNOWN, SCOPE_MISSING
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.errors import NotFound
 from worker.jobs.model.rights import Actor, Key, Link, LinkScope, Scope
@@ -102,7 +103,7 @@ def _ended_session(request: Request) -> ApiError:
 
 def _key_required(detail: str, headers: Mapping[str, str]) -> ApiError:
     return ApiError(
-        "key_required",
+        KEY_REQUIRED,
         detail,
         hint="Send Authorization: Bearer mc_..., with a key that `multicap keys create` made.",
         headers={"WWW-Authenticate": "Bearer", **headers},
@@ -143,12 +144,12 @@ def _refuse_foreign_pages(request: Request) -> None:
         return
     origin = request.headers.get("origin", "").lower().partition("://")[2]
     if origin != request.headers["host"].lower():
-        raise ApiError("cross_site_request", "A browser's session may be used by the service's own page only.")
+        raise ApiError(CROSS_SITE_REQUEST, "A browser's session may be used by the service's own page only.")
 
 
 def _require(caller: Caller, scope: Scope) -> Caller:
     if scope not in caller.scopes:
-        raise ApiError("scope_missing", f"The key lacks the scope {scope}.", hint="Ask for a key that has it.")
+        raise ApiError(SCOPE_MISSING, f"The key lacks the scope {scope}.", hint="Ask for a key that has it.")
     return caller
 
 
@@ -223,9 +224,7 @@ def _unknown_link(request: Request, services: Services) -> ApiError:
     if error.status != 401:
         return error
     hint = "Ask for a new link."
-    return ApiError(
-        "link_unknown", "This link is not known, has ended or was revoked.", hint=hint, headers=error.headers
-    )
+    return ApiError(LINK_UNKNOWN, "This link is not known, has ended or was revoked.", hint=hint, headers=error.headers)
 
 
 async def _viewer_in_turn(

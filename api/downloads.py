@@ -16,6 +16,7 @@ from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, request
 from api.http.conditional import NOT_MODIFIED, IfNoneMatch
 from api.http.fair_share import FairThreads
 from api.http.file_names import disposition_of
+from pipeline.problem_codes.requests import ARTIFACT_DAMAGED, EXPIRED, RANGE_NOT_SATISFIABLE, RESULT_DAMAGED
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model.jobs import Result
 
@@ -119,7 +120,7 @@ def send_file(request: Request, services: Services, file: Download, conditions: 
             wanted = requested_range(conditions.range, file.num_bytes) if conditions.if_range in {None, etag} else None
         except UnsatisfiableRange:
             size = {"Content-Range": f"bytes */{file.num_bytes}"}
-            raise ApiError("range_not_satisfiable", "The file has no such range.", headers=size) from None
+            raise ApiError(RANGE_NOT_SATISFIABLE, "The file has no such range.", headers=size) from None
         stack.pop_all()
     sent = wanted or ByteRange(0, file.num_bytes)
     headers["Content-Length"] = str(sent.stop - sent.start)
@@ -145,7 +146,7 @@ def opened(services: Services, file: Download) -> BinaryIO:
 def expired() -> ApiError:
     """Error for a file that was removed."""
     return ApiError(
-        "expired",
+        EXPIRED,
         "The file was removed.",
         hint="Start another job of its session: it reuses what this job detected in the videos.",
     )
@@ -155,9 +156,9 @@ def damaged(names: list[str]) -> ApiError:
     """Error for stored files that differ from what was written, by their names."""
     message = "The stored file does not have the SHA-256 that it was written with."
     return ApiError(
-        "result_damaged",
+        RESULT_DAMAGED,
         f"{len(names)} stored result files are damaged." if len(names) > 1 else "The stored result file is damaged.",
-        errors=[ErrorItem(code="result_damaged", message=message, file=name) for name in names],
+        errors=[ErrorItem(code=RESULT_DAMAGED, message=message, file=name) for name in names],
         hint=_DAMAGED_HINT,
     )
 
@@ -176,13 +177,13 @@ def _require_size(services: Services, file: Download) -> None:
 
 
 def _missing(file: Download) -> ApiError:
-    return expired() if file.remedy is None else ApiError("expired", "The file is missing.", hint=file.remedy)
+    return expired() if file.remedy is None else ApiError(EXPIRED, "The file is missing.", hint=file.remedy)
 
 
 def _damaged(file: Download) -> ApiError:
     if file.remedy is None:
         return damaged([file.key.rpartition("/")[2]])
-    return ApiError("artifact_damaged", "The stored file is damaged.", hint=file.remedy)
+    return ApiError(ARTIFACT_DAMAGED, "The stored file is damaged.", hint=file.remedy)
 
 
 class Stream(StreamingResponse):

@@ -16,7 +16,31 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from api.contract.problem_codes import FIELDS, STATUSES
+from pipeline.problem_codes.fields import FIELDS, MORE_PROBLEMS
+from pipeline.problem_codes.model import Code, status_of
+from pipeline.problem_codes.requests import (
+    ARTIFACT_DAMAGED,
+    ARTIFACTS_REFUSED,
+    ARTIFACTS_UNAVAILABLE,
+    CLIENT_DISCONNECTED,
+    CLIENT_TOO_SLOW,
+    CONFLICT,
+    CONTENT_TOO_LARGE,
+    DATABASE_DAMAGED,
+    DATABASE_UNAVAILABLE,
+    IDEMPOTENCY_KEY_BUSY,
+    IDEMPOTENCY_KEY_REUSED,
+    INTERNAL_ERROR,
+    INVALID_REQUEST,
+    MALFORMED_REQUEST,
+    METHOD_NOT_ALLOWED,
+    NO_RESULTS,
+    NOT_FINISHED,
+    NOT_FOUND,
+    QUOTA_EXCEEDED,
+    STORAGE_FULL,
+    UNSUPPORTED_MEDIA_TYPE,
+)
 from worker.jobs.errors import (
     ArtifactsRefused,
     DamagedArtifact,
@@ -42,13 +66,13 @@ _QUOTA_RETRY_AFTER_S = 30
 MAX_LISTED = 80
 _MAX_POINTER = 500
 
-_CODES: Mapping[int, str] = {
-    400: "malformed_request",
-    404: "not_found",
-    405: "method_not_allowed",
-    408: "client_too_slow",
-    413: "content_too_large",
-    415: "unsupported_media_type",
+_CODES: Mapping[int, Code] = {
+    400: MALFORMED_REQUEST,
+    404: NOT_FOUND,
+    405: METHOD_NOT_ALLOWED,
+    408: CLIENT_TOO_SLOW,
+    413: CONTENT_TOO_LARGE,
+    415: UNSUPPORTED_MEDIA_TYPE,
 }
 # Status of the upload protocol that HTTP does not define.
 _TITLES: Mapping[int, str] = {460: "Checksum Mismatch"}
@@ -71,7 +95,7 @@ class ErrorItem(BaseModel):
 
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
 
-    code: str = Field(
+    code: Code = Field(
         description="Stable code, such as `video_truncated`; docs/problems.md lists all codes. Codes of fields and "
         "parameters: " + " ".join(f"`{code}`: {meaning}" for code, meaning in MEANINGS.items())
     )
@@ -99,7 +123,7 @@ class ProblemDetails(BaseModel):
     status: int = Field(description="HTTP status.")
     detail: str = Field(description="Description of the problem, a sentence for a person.")
     instance: str = Field(description="Path of the request.")
-    code: str = Field(description="Stable name of the problem; docs/problems.md lists all codes.")
+    code: Code = Field(description="Stable name of the problem; docs/problems.md lists all codes.")
     errors: tuple[ErrorItem, ...] = Field(default=(), description="Everything that is wrong with the request.")
     camera: str | None = Field(default=None, description="Name of the camera, if the problem concerns one camera.")
     stage: str | None = Field(default=None, description="Name of the stage, if the problem concerns one stage.")
@@ -111,12 +135,12 @@ class ProblemDetails(BaseModel):
 class ApiError(Exception):
     """Request that can't be served; the handler answers with a problem.
 
-    Without a status it is the first one of the code in ``api.contract.problem_codes``.
+    Without a status it is the first one of the code.
     """
 
     def __init__(
         self,
-        code: str,
+        code: Code,
         detail: str,
         *,
         status: int | None = None,
@@ -126,7 +150,7 @@ class ApiError(Exception):
         headers: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(detail)
-        self.status = STATUSES[code] if status is None else status
+        self.status = status_of(code) if status is None else status
         self.code = code
         self.detail = detail
         self.errors = tuple(errors)
@@ -139,13 +163,13 @@ def unprocessable(errors: Sequence[ErrorItem]) -> ApiError:
     """Error 422 for a request with wrong fields, parts or files."""
     num_problems = sum(error.num_problems if isinstance(error, MoreProblems) else 1 for error in errors)
     count = "One thing is" if num_problems == 1 else f"{num_problems} things are"
-    return ApiError("invalid_request", f"{count} wrong with the request.", errors=_listed(errors, num_problems))
+    return ApiError(INVALID_REQUEST, f"{count} wrong with the request.", errors=_listed(errors, num_problems))
 
 
 def more_problems(num_problems: int) -> "MoreProblems":
     """Entry that stands for a number of problems that are not listed."""
     message = f"{num_problems:,} more problems are not listed."
-    return MoreProblems(code="more_problems", message=message, hint="Correct these first.", num_problems=num_problems)
+    return MoreProblems(code=MORE_PROBLEMS, message=message, hint="Correct these first.", num_problems=num_problems)
 
 
 def _listed(errors: Sequence[ErrorItem], num_problems: int) -> list[ErrorItem]:
@@ -162,7 +186,7 @@ def _with_short_pointer(error: ErrorItem) -> ErrorItem:
     return error.model_copy(update={"pointer": error.pointer[:_MAX_POINTER] + "..."})
 
 
-def service_unavailable(code: str, detail: str, errors: Sequence[ErrorItem] = (), hint: str | None = None) -> ApiError:
+def service_unavailable(code: Code, detail: str, errors: Sequence[ErrorItem] = (), hint: str | None = None) -> ApiError:
     """Error 503 while a part of the service does not respond."""
     headers = {"Retry-After": str(_RETRY_AFTER_S)}
     return ApiError(code, detail, errors=errors, hint=hint, retryable=True, headers=headers)
@@ -171,7 +195,7 @@ def service_unavailable(code: str, detail: str, errors: Sequence[ErrorItem] = ()
 def database_damaged() -> ApiError:
     """Error 503 until the operator has replaced the database."""
     hint = "The service's log tells the operator what to do."
-    return service_unavailable("database_damaged", "The database is damaged.", hint=hint)
+    return service_unavailable(DATABASE_DAMAGED, "The database is damaged.", hint=hint)
 
 
 def pointer_to(*steps: str | int) -> str:
@@ -212,7 +236,7 @@ def as_api_error(error: Exception) -> ApiError:
         case HTTPException():
             return _from_status(error)
         case DamagedArtifact():
-            return ApiError("artifact_damaged", "A stored file is damaged.")
+            return ApiError(ARTIFACT_DAMAGED, "A stored file is damaged.")
         case DamagedDatabase():
             return database_damaged()
         case JobStoreError():
@@ -275,7 +299,7 @@ def _without_surrogates(value: Any) -> Any:
 
 def _from_status(error: HTTPException) -> ApiError:
     status = error.status_code
-    code = _CODES.get(status, HTTPStatus(status).name.lower())
+    code = _CODES.get(status, Code(HTTPStatus(status).name.lower()))
     detail = _DETAILS.get(status, HTTPStatus(status).phrase)
     return ApiError(code, detail, status=status, retryable=status == 408, headers=error.headers)
 
@@ -283,15 +307,15 @@ def _from_status(error: HTTPException) -> ApiError:
 def _from_store(error: JobStoreError) -> ApiError:
     match error:
         case NotFound():
-            return ApiError("not_found", str(error))
+            return ApiError(NOT_FOUND, str(error))
         case QuotaExceeded():
             return _from_quota(error)
         case KeyReused():
             hint = "Use a new Idempotency-Key for each request; repeat a key only with the same request."
-            return ApiError("idempotency_key_reused", str(error), hint=hint)
+            return ApiError(IDEMPOTENCY_KEY_REUSED, str(error), hint=hint)
         case KeyBusy():
             headers = {"Retry-After": str(_RETRY_AFTER_S)}
-            return ApiError("idempotency_key_busy", str(error), retryable=True, headers=headers)
+            return ApiError(IDEMPOTENCY_KEY_BUSY, str(error), retryable=True, headers=headers)
         case _:
             return _from_conflict(error)
 
@@ -300,12 +324,12 @@ def _from_conflict(error: JobStoreError) -> ApiError:
     match error:
         case NotFinished():
             hint = "Read the job again until its state is succeeded."
-            return ApiError("not_finished", str(error), hint=hint, retryable=True)
+            return ApiError(NOT_FINISHED, str(error), hint=hint, retryable=True)
         case NoResults():
             reason = f"The job's error is {error.reason} " if error.reason else ""
-            return ApiError("no_results", str(error), hint=reason + _advice_without_results(error))
+            return ApiError(NO_RESULTS, str(error), hint=reason + _advice_without_results(error))
         case _:
-            return ApiError("conflict", str(error))
+            return ApiError(CONFLICT, str(error))
 
 
 def _advice_without_results(error: NoResults) -> str:
@@ -319,27 +343,27 @@ def _from_quota(error: QuotaExceeded) -> ApiError:
     if error.name == "unfinished_jobs":
         hint = "Send the request again when a job has ended."
         headers = {"Retry-After": str(_QUOTA_RETRY_AFTER_S)}
-        return ApiError("quota_exceeded", str(error), status=429, hint=hint, retryable=True, headers=headers)
-    return ApiError("quota_exceeded", str(error), hint="Delete sessions that are no longer needed.")
+        return ApiError(QUOTA_EXCEEDED, str(error), status=429, hint=hint, retryable=True, headers=headers)
+    return ApiError(QUOTA_EXCEEDED, str(error), hint="Delete sessions that are no longer needed.")
 
 
 def _storage_full() -> ApiError:
     hint = "Delete sessions that are no longer needed, or ask the operator for space; then send the request again."
-    return ApiError("storage_full", "The service's disk is full.", hint=hint, retryable=True)
+    return ApiError(STORAGE_FULL, "The service's disk is full.", hint=hint, retryable=True)
 
 
 def _from_failure(error: Exception) -> ApiError:
     match error:
         case ClientDisconnect():
-            return ApiError("client_disconnected", "The client closed the connection.", retryable=True)
+            return ApiError(CLIENT_DISCONNECTED, "The client closed the connection.", retryable=True)
         case _ if is_disk_full(error):
             return _storage_full()
         case _ if outage_of(error) is Outage.DATABASE:
-            return service_unavailable("database_unavailable", "The database does not respond.", hint=_WAIT)
+            return service_unavailable(DATABASE_UNAVAILABLE, "The database does not respond.", hint=_WAIT)
         case _ if outage_of(error) is Outage.ARTIFACTS:
-            return service_unavailable("artifacts_unavailable", "The artifact store does not respond.", hint=_WAIT)
+            return service_unavailable(ARTIFACTS_UNAVAILABLE, "The artifact store does not respond.", hint=_WAIT)
         case ArtifactsRefused():
             hint = "The operator checks MULTICAP_ARTIFACTS_URL, its bucket and its keys."
-            return service_unavailable("artifacts_refused", "The artifact store refuses the service.", hint=hint)
+            return service_unavailable(ARTIFACTS_REFUSED, "The artifact store refuses the service.", hint=hint)
         case _:
-            return ApiError("internal_error", "The service failed; the log says why.", retryable=True)
+            return ApiError(INTERNAL_ERROR, "The service failed; the log says why.", retryable=True)

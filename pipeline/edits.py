@@ -13,6 +13,7 @@ from operator import attrgetter
 from typing import Any, ClassVar, Literal, NoReturn
 
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.jobs import EDIT_IMPOSSIBLE, EDITS_FRAGMENTED
 
 MAX_EDITS = 1000
 """Largest number of edits of a take."""
@@ -238,7 +239,7 @@ class _Take:
         if (num_pieces := sum(len(person.pieces) for person in self.people.values())) > max_pieces:
             message = f"After this edit the people would consist of {num_pieces:,} pieces; {max_pieces:,} are allowed."
             hint = "Leave this edit and those after it out, or exchange people in fewer places."
-            raise InputError([Problem("edits_fragmented", message, field=self.at, hint=hint)])
+            raise InputError([Problem(EDITS_FRAGMENTED, message, field=self.at, hint=hint)])
 
     def _person(self, number: int, name: str = "person") -> EditedPerson:
         if number not in self.people:
@@ -297,7 +298,7 @@ class _Take:
         return range(start, stop)
 
     def _refuse(self, name: str, message: str, hint: str) -> NoReturn:
-        raise InputError([Problem("edit_impossible", message, field=f"{self.at}/{name}", hint=hint)])
+        raise InputError([Problem(EDIT_IMPOSSIBLE, message, field=f"{self.at}/{name}", hint=hint)])
 
 
 def _within(pieces: Sequence[Piece], start: int, stop: int) -> tuple[Piece, ...]:

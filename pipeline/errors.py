@@ -13,7 +13,11 @@ import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from typing import Any, ClassVar
+
+from pipeline.problem_codes.fields import MORE_PROBLEMS
+from pipeline.problem_codes.jobs import CHILD_FAILED, INPUT_ERROR, MODEL_ERROR, PIPELINE_ERROR
+from pipeline.problem_codes.model import Code
 
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 """Numbers of ``OSError`` that mean a full disk; the input is not at fault."""
@@ -40,7 +44,7 @@ class Problem:
         Advice for the user; ``None`` if there is none.
     """
 
-    code: str
+    code: Code
     message: str
     file: str | None = None
     camera: str | None = None
@@ -70,7 +74,7 @@ def listed(problems: Sequence[Problem]) -> tuple[Problem, ...]:
             shown.append(problem)
     if more := len(problems) - len(shown):
         message = f"{more:,} more problems are not listed."
-        shown.append(Problem("more_problems", message, hint="Correct these first."))
+        shown.append(Problem(MORE_PROBLEMS, message, hint="Correct these first."))
     return tuple(_printable_problem(problem) for problem in shown)
 
 
@@ -86,19 +90,20 @@ def printable(text: str) -> str:
 
 def _printable_problem(problem: Problem) -> Problem:
     texts = {field.name: getattr(problem, field.name) for field in fields(problem)}
-    return replace(problem, **{name: printable(text) for name, text in texts.items() if text is not None})
+    shown: dict[str, Any] = {name: printable(text) for name, text in texts.items() if text is not None}
+    return replace(problem, **shown)
 
 
 class PipelineError(Exception):
     """Base of the errors that carry a message for users and a stable code."""
 
-    code: ClassVar[str] = "pipeline_error"
+    code: ClassVar[Code] = PIPELINE_ERROR
 
 
 class InputError(PipelineError):
     """The input is unusable; ``problems`` lists everything that is wrong with it. A retry fails the same way."""
 
-    code: ClassVar[str] = "input_error"
+    code: ClassVar[Code] = INPUT_ERROR
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = tuple(problems)
@@ -112,10 +117,10 @@ class InputError(PipelineError):
 class ChildError(PipelineError):
     """A process of Multicap's own failed; the input is not at fault, and a retry may succeed."""
 
-    code: ClassVar[str] = "child_failed"
+    code: ClassVar[Code] = CHILD_FAILED
 
 
 class ModelError(PipelineError):
     """A detector network or the sample capture can't be installed or used; once it is, a retry may succeed."""
 
-    code: ClassVar[str] = "model_error"
+    code: ClassVar[Code] = MODEL_ERROR

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from pipeline.errors import Problem, printable
+from pipeline.problem_codes.model import Code
 
 Severity = Literal["error", "warning", "info"]
 _SEVERITIES: tuple[Severity, ...] = get_args(Severity)
@@ -18,7 +19,7 @@ _DECIMALS = 4
 class Finding:
     """One thing that a check found to be wrong, doubtful or worth knowing."""
 
-    code: str  # Stable, documented code, such as ``same_place``
+    code: Code  # Stable, documented code, such as ``same_place``
     message: str  # Sentence for the user
     camera: str | None = None  # Name of the camera; ``None`` if the finding is not about a single one
     # ``error``: a reconstruction would fail or be wrong. ``warning``: it may be worse than it could be. ``info``:

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.commands import PARAMETER_RANGE, UNKNOWN_PARAMETER
 
 _Parameters = TypeVar("_Parameters", bound=Any)
 
@@ -32,9 +33,9 @@ def change_parameters(parameters: _Parameters, changes: Mapping[str, float]) -> 
     for name, value in changes.items():
         if name not in known:
             hint = f"Known are {', '.join(known)}."
-            problems.append(Problem("unknown_parameter", f"The method has no parameter {name!r}.", hint=hint))
+            problems.append(Problem(UNKNOWN_PARAMETER, f"The method has no parameter {name!r}.", hint=hint))
         elif rule := _violated_rule(name, known[name], value):
-            problems.append(Problem("parameter_range", f"{name} must be {rule}, not {value:g}.", field=name))
+            problems.append(Problem(PARAMETER_RANGE, f"{name} must be {rule}, not {value:g}.", field=name))
     if problems:
         raise InputError(problems)
     values: dict[str, Any] = {name: known[name](value) for name, value in changes.items()}

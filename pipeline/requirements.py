@@ -9,6 +9,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any
 
+from pipeline.problem_codes.fields import (
+    INVALID_VALUE,
+    OUT_OF_RANGE,
+    VALUE_NOT_ALLOWED,
+    WRONG_FORMAT,
+    WRONG_LENGTH,
+    WRONG_TYPE,
+)
+from pipeline.problem_codes.model import Code
+
 _NOUNS: Mapping[str, str] = {
     "array": "a list",
     "boolean": "true or false",
@@ -30,7 +40,7 @@ Schema = Mapping[str, Any]
 Steps = tuple[str | int, ...]
 
 
-def faults(schema: Schema, value: Any, steps: Steps = ()) -> Iterator[tuple[Steps, str, Schema]]:
+def faults(schema: Schema, value: Any, steps: Steps = ()) -> Iterator[tuple[Steps, Code, Schema]]:
     """Find what violates the schema of a choice: one without references and objects.
 
     Tuples are lists. NumPy's numbers are numbers, and a whole number may be written as 2.0.
@@ -55,16 +65,16 @@ def faults(schema: Schema, value: Any, steps: Steps = ()) -> Iterator[tuple[Step
         yield from ((place, code, schema if place == steps else of_item) for place, code, of_item in found[0])
         return
     codes = {code for of_branch in found for _, code, _ in of_branch}
-    if codes == {"value_not_allowed", "wrong_format"}:  # neither a named value nor a name of the user's own
-        yield steps, "value_not_allowed", schema
+    if codes == {VALUE_NOT_ALLOWED, WRONG_FORMAT}:  # neither a named value nor a name of the user's own
+        yield steps, VALUE_NOT_ALLOWED, schema
     else:
-        yield steps, codes.pop() if len(codes) == 1 else "invalid_value", schema
+        yield steps, codes.pop() if len(codes) == 1 else INVALID_VALUE, schema
 
 
-def _faults(schema: Schema, value: Any, steps: Steps) -> Iterator[tuple[Steps, str, Schema]]:
+def _faults(schema: Schema, value: Any, steps: Steps) -> Iterator[tuple[Steps, Code, Schema]]:
     if schema["type"] == "array" and isinstance(value, list | tuple):
         if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", math.inf):
-            yield steps, "wrong_length", schema
+            yield steps, WRONG_LENGTH, schema
             return
         for index, item in enumerate(value):
             of_item = schema["items"] if "items" in schema else schema["prefixItems"][index]
@@ -73,32 +83,32 @@ def _faults(schema: Schema, value: Any, steps: Steps) -> Iterator[tuple[Steps, s
         yield steps, code, schema
 
 
-def _fault(schema: Schema, value: Any) -> str | None:
+def _fault(schema: Schema, value: Any) -> Code | None:
     """Code of what is wrong with a value that is no list."""
     match schema:
         case {"enum": names}:
-            code = "value_not_allowed" if value not in names else None
+            code: Code | None = VALUE_NOT_ALLOWED if value not in names else None
         case {"const": name}:
-            code = "value_not_allowed" if value != name else None
+            code = VALUE_NOT_ALLOWED if value != name else None
         case {"type": "string", "pattern": pattern} if isinstance(value, str):
-            code = "wrong_format" if not re.search(pattern, value) else None
+            code = WRONG_FORMAT if not re.search(pattern, value) else None
         case {"type": "boolean"} if isinstance(value, bool):
             code = None
         case {"type": "integer" | "number"} if isinstance(value, Real) and not isinstance(value, bool):
             code = _number_fault(schema, value)
         case _:
-            code = "wrong_type"
+            code = WRONG_TYPE
     return code
 
 
-def _number_fault(schema: Schema, value: Any) -> str | None:
+def _number_fault(schema: Schema, value: Any) -> Code | None:
     is_whole = isinstance(value, Integral)  # one of any size, which may be no float
     if not (is_whole or math.isfinite(value)):
-        return "out_of_range"
+        return OUT_OF_RANGE
     if schema["type"] == "integer" and not (is_whole or float(value).is_integer()):
-        return "wrong_type"
+        return WRONG_TYPE
     is_above = value >= schema.get("minimum", -math.inf) and value > schema.get("exclusiveMinimum", -math.inf)
-    return None if is_above and value <= schema.get("maximum", math.inf) else "out_of_range"
+    return None if is_above and value <= schema.get("maximum", math.inf) else OUT_OF_RANGE
 
 
 def path_text(steps: Steps) -> str:

@@ -20,6 +20,10 @@ from pipeline.config import (
     unlimited_alternatives,
 )
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.commands import UNKNOWN_PARAMETER
+from pipeline.problem_codes.fields import EXPORT_REPEATED
+from pipeline.problem_codes.sessions import TOO_MANY_FRAMES
+from pipeline.problem_codes.specs import CUTOFF_RANGE, FRAME_RANGE, TOO_LONG_FOR
 from pipeline.requirements import Steps, faults, path_text, requirement
 
 CONFIG_CHOICES = {choice.name: choice for choice in choices_of(ReconstructionConfig)}
@@ -63,7 +67,7 @@ def value_faults(choice: Choice, value: Any) -> list[tuple[Steps, Problem]]:
         found.append((steps, Problem(code, f"{field} must be {words[id(schema)]}.", field=field)))
     if not found and choice.kind == "several" and len(set(value)) < len(value):
         message = f"{choice.name} must name each format once."
-        found.append(((), Problem("export_repeated", message, field=choice.name)))
+        found.append(((), Problem(EXPORT_REPEATED, message, field=choice.name)))
     return found
 
 
@@ -93,14 +97,14 @@ def frame_range_problems(start: int, stop: int, num_frames: int) -> Iterator[Pro
     if not 0 <= start < stop <= num_frames:
         message = f"The session has the output frames 0 to {num_frames}, not {start} to {stop}."
         hint = "The second number is the one after the last frame."
-        yield Problem("frame_range", message, field="frame_range", hint=hint)
+        yield Problem(FRAME_RANGE, message, field="frame_range", hint=hint)
 
 
 def cutoff_problems(smoothing: Smoothing, cutoff_hz: float, frame_rate_hz: float) -> Iterator[Problem]:
     """Find out whether a low-pass is impossible at a frame rate."""
     if smoothing == "butterworth" and not 0 < cutoff_hz < frame_rate_hz / 2:
         message = f"The cutoff must be below half of the session's frame rate, {frame_rate_hz / 2:g} Hz."
-        yield Problem("cutoff_range", message, field="cutoff_hz", hint="6 Hz suits most movements.")
+        yield Problem(CUTOFF_RANGE, message, field="cutoff_hz", hint="6 Hz suits most movements.")
 
 
 def file_problems(
@@ -118,12 +122,12 @@ def file_problems(
     if num_frames > MAX_OUTPUT_FRAMES:
         message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written."
         hint = "Ask for a lower rate, or for fewer frames by frame_range."
-        yield Problem("too_many_frames", message, field="output_rate_hz", hint=hint)
+        yield Problem(TOO_MANY_FRAMES, message, field="output_rate_hz", hint=hint)
     for export, form in FILE_FORMATS.items():
         if export in exports and form.max_frames is not None and num_frames > form.max_frames:
             message = f"A {export.upper()} file holds {form.max_frames} frames at most; these are {num_frames}."
             hint = f"Use {' or '.join(unlimited_alternatives(export))}, which have no such limit."
-            yield Problem(f"too_long_for_{export}", message, field="exports", hint=hint)
+            yield Problem(TOO_LONG_FOR[export], message, field="exports", hint=hint)
 
 
 def num_resampled(num_frames: int, frame_rate_hz: float, new_rate_hz: float) -> int:
@@ -135,4 +139,4 @@ def _foreign_parameters(config: ReconstructionConfig) -> Iterator[Problem]:
     """Find parameters of the method that is not used."""
     if foreign := config.clustering if config.method == "tracking" else config.tracking:
         message = f"{', '.join(foreign)}: the method '{config.method}' has no use for the other one's parameters."
-        yield Problem("unknown_parameter", message, hint="Omit them, or use the other method.")
+        yield Problem(UNKNOWN_PARAMETER, message, hint="Omit them, or use the other method.")

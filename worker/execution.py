@@ -15,6 +15,7 @@ from pipeline.capture.session import Session as OpenedSession
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 from pipeline.detect.profiles.detection import open_detection
 from pipeline.errors import InputError, ModelError, Problem
+from pipeline.problem_codes.jobs import INPUT_DAMAGED
 from pipeline.stages.context import Context, Origin
 from pipeline.stages.plan import STAGE_BY_NAME
 from pipeline.stages.stage import Output, SessionFacts
@@ -173,4 +174,4 @@ def _undamaged(file: str, camera: str | None = None) -> Iterator[None]:
         if isinstance(error, NotFound):
             message = "The service's copy of this file is missing."
         hint = "Send the session again. The operator finds the cause on the disk that holds the service's artifacts."
-        raise InputError([Problem("input_damaged", message, file=file, camera=camera, hint=hint)]) from error
+        raise InputError([Problem(INPUT_DAMAGED, message, file=file, camera=camera, hint=hint)]) from error

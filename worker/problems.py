@@ -1,6 +1,9 @@
 """Problems of jobs made from exceptions: sentences for the client, and whether another attempt may succeed."""
 
 from pipeline.errors import ChildError, InputError, ModelError, PipelineError
+from pipeline.problem_codes.jobs import MEMORY_LIMIT
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import ARTIFACTS_REFUSED, INTERNAL_ERROR, STORAGE_FULL
 from worker.jobs.errors import ArtifactsRefused
 from worker.jobs.files.disk import is_disk_full
 from worker.jobs.model.jobs import Problem
@@ -12,7 +15,7 @@ _NAMES = {Outage.DATABASE: "database", Outage.ARTIFACTS: "artifact store", Outag
 def waiting_for(outage: Outage, stage: str | None = None) -> Problem:
     """Build what a job waits for during an outage."""
     return Problem(
-        outage,
+        Code(outage),
         f"The {_NAMES[outage]} does not respond; the job waits for it.",
         stage=stage,
         hint="Nothing has to be done: the job continues by itself, and no attempt is lost.",
@@ -35,14 +38,14 @@ def problem_of(error: Exception, stage: str) -> Problem:
             return Problem(error.code, str(error), stage=stage, retryable=isinstance(error, ModelError | ChildError))
         case MemoryError():
             return Problem(
-                "memory_limit",
+                MEMORY_LIMIT,
                 f"The stage {stage} needs more memory than the service allows a worker.",
                 stage=stage,
                 hint="Use fewer frames of the session, or ask the operator to raise MULTICAP_MEMORY_BYTES.",
             )
         case ArtifactsRefused():
             return Problem(
-                "artifacts_refused",
+                ARTIFACTS_REFUSED,
                 f"The artifact store refused the service at the stage {stage}.",
                 stage=stage,
                 hint="The operator checks MULTICAP_ARTIFACTS_URL, its bucket and its keys; then retry the job.",
@@ -50,7 +53,7 @@ def problem_of(error: Exception, stage: str) -> Problem:
             )
         case _ if is_disk_full(error):
             return Problem(
-                "storage_full",
+                STORAGE_FULL,
                 f"The service's disk is full; the stage {stage} could not store its output.",
                 stage=stage,
                 hint="Free space on the disk, then retry the job: finished chunks are not run again.",
@@ -58,7 +61,7 @@ def problem_of(error: Exception, stage: str) -> Problem:
             )
         case _:
             return Problem(
-                "internal_error",
+                INTERNAL_ERROR,
                 f"The stage {stage} failed inside the service.",
                 stage=stage,
                 hint="Retry the job. If it fails again, the worker's log says why.",

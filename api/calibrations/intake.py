@@ -19,6 +19,7 @@ from pipeline.calibration.known_points.checks import point_problems
 from pipeline.capture.preflight_record import Preflight
 from pipeline.errors import listed
 from pipeline.job_choices import CalibrationChoices
+from pipeline.problem_codes.requests import MISSING_PART, NOT_A_CAPTURE, PART_NOT_ALLOWED
 from worker.jobs.model.sessions import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
@@ -123,7 +124,7 @@ def _of_session(
     session = records.sessions.get(session_id)
     if session.purpose == "calibration":
         message = "The session was sent for a calibration itself."
-        error = ErrorItem(code="not_a_capture", message=message, pointer=_pointer(part, _SESSION))
+        error = ErrorItem(code=NOT_A_CAPTURE, message=message, pointer=_pointer(part, _SESSION))
         raise unprocessable([error])
     errors = _point_errors(spec, session.preflight, part)
     if has_videos(session):
@@ -153,13 +154,13 @@ def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorIt
         return pointer_to(name) if name in form.files else _pointer(part, name)
 
     errors = [
-        ErrorItem(code="missing_part", message=f"The method {spec.method} needs {name}.", pointer=pointer(name))
+        ErrorItem(code=MISSING_PART, message=f"The method {spec.method} needs {name}.", pointer=pointer(name))
         for name in needed
         if name not in given and not _is_reported(form, name)
     ]
     errors += [
         ErrorItem(
-            code="part_not_allowed", message=f"The method {spec.method} has no use for {name}.", pointer=pointer(name)
+            code=PART_NOT_ALLOWED, message=f"The method {spec.method} has no use for {name}.", pointer=pointer(name)
         )
         for name in sorted(given - allowed)
     ]

@@ -31,6 +31,7 @@ from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.jobs.schemas import JobOut
 from api.sessions.intake import stored
 from api.sessions.receiving import received
+from pipeline.problem_codes.requests import NOT_FINISHED, NOT_FOUND
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model.sessions import Session
 from worker.jobs.model.work import StagePlan
@@ -169,9 +170,9 @@ def get_calibration_file(
     """Download a calibration, in metres: Multicap's JSON, anipose's or Caliscope's TOML, or OpenCV's YAML."""
     calibration = records.calibrations.get(calibration_id)
     if calibration.files is None:
-        raise ApiError("not_finished", "The calibration is not made yet.", hint="Wait for its job.")
+        raise ApiError(NOT_FINISHED, "The calibration is not made yet.", hint="Wait for its job.")
     if file_format not in calibration.files:
-        raise ApiError("not_found", f"The format {file_format} can't hold this calibration.")
+        raise ApiError(NOT_FOUND, f"The format {file_format} can't hold this calibration.")
     ending, media_type = MEDIA_TYPES[file_format]
     name = quote(f"{calibration.name}.{ending}", safe="")
     headers = {"Cache-Control": "private, no-cache", "Content-Disposition": f"attachment; filename*=utf-8''{name}"}

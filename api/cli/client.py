@@ -14,6 +14,7 @@ from typing import Any, BinaryIO, Literal, Self, TypedDict, cast
 import httpx2
 
 from pipeline.errors import PipelineError
+from pipeline.problem_codes.commands import SERVICE_ERROR
 from pipeline.runtime.pauses import Pauses
 
 Json = Mapping[str, Any]
@@ -73,7 +74,7 @@ class Job(TypedDict):
 class ServiceError(PipelineError):
     """The service refused a request, failed, did not start or did not respond; the text states the reason."""
 
-    code = "service_error"
+    code = SERVICE_ERROR
 
 
 class UnavailableError(ServiceError):

@@ -32,6 +32,7 @@ from rich.text import Text
 
 from pipeline.errors import InputError, PipelineError
 from pipeline.findings import Finding, worst_first
+from pipeline.problem_codes.commands import INTERRUPTED
 from pipeline.progress import Progress
 from pipeline.stages.plan import STAGE_BY_NAME
 
@@ -169,7 +170,7 @@ def reporting(as_json: bool, what_is_left: Callable[[], str] = str) -> Iterator[
     except _Interruption as error:
         sentence = f"Interrupted by {signal.Signals(error.number).name}. {what_is_left()}".strip()
         if as_json:
-            emit({"problems": [{"code": "interrupted", "message": sentence}]})
+            emit({"problems": [{"code": INTERRUPTED, "message": sentence}]})
         else:
             _print_error(sentence)
         raise typer.Exit(128 + error.number) from error

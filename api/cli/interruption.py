@@ -5,12 +5,14 @@ import signal
 import sys
 from typing import NoReturn
 
+from pipeline.problem_codes.commands import INTERRUPTED
+
 
 def end_interrupted() -> NoReturn:
     """Exit after an interruption before the work began."""
     sentence = "Interrupted by SIGINT. Nothing was done."
     if "--json" in sys.argv:
-        sys.stdout.write(json.dumps({"problems": [{"code": "interrupted", "message": sentence}]}) + "\n")
+        sys.stdout.write(json.dumps({"problems": [{"code": INTERRUPTED, "message": sentence}]}) + "\n")
     else:
         sys.stderr.write(f"error {sentence}\n")
     sys.exit(128 + signal.SIGINT)

@@ -13,6 +13,9 @@ from pipeline.capture.preflight_record import Clock
 from pipeline.choices import Choice
 from pipeline.config import ReconstructionConfig
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.commands import UNKNOWN_CLOCK, UNKNOWN_UNITS
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.specs import FRAME_RANGE
 from pipeline.requirements import requirement
 from pipeline.rules import CONFIG_CHOICES, require, value_problems
 
@@ -134,21 +137,21 @@ def _frame_range(text: str | None) -> tuple[int, int] | None:
         return int(first), int(stop)
     except ValueError:
         message = f"{text!r} is not FIRST:STOP."
-        raise InputError([Problem("frame_range", message, field="frame_range", hint="Write it as 100:250.")]) from None
+        raise InputError([Problem(FRAME_RANGE, message, field="frame_range", hint="Write it as 100:250.")]) from None
 
 
 def known_units(name: str) -> Units:
     """Check the name of a unit; ``InputError`` if there is none of that name."""
-    return cast(Units, _known("units", name, tuple(UNITS_M)))
+    return cast(Units, _known(UNKNOWN_UNITS, "units", name, tuple(UNITS_M)))
 
 
 def known_clock(name: str) -> Clock:
     """Check the name of a clock of videos; ``InputError`` if there is none of that name."""
-    return cast(Clock, _known("clock", name, get_args(Clock)))
+    return cast(Clock, _known(UNKNOWN_CLOCK, "clock", name, get_args(Clock)))
 
 
-def _known(noun: str, name: str, names: Sequence[str]) -> str:
+def _known(code: Code, noun: str, name: str, names: Sequence[str]) -> str:
     if name not in names:
         hint = f"Use {', '.join(names)}."
-        raise InputError([Problem(f"unknown_{noun}", f"There is no {noun} '{name}'.", hint=hint)])
+        raise InputError([Problem(code, f"There is no {noun} '{name}'.", hint=hint)])
     return name

@@ -4,6 +4,27 @@ from typing import Any
 
 from api.errors import title_of
 from api.http.file_names import disposition_of
+from pipeline.problem_codes.requests import (
+    CHECKSUM_MISMATCH,
+    CLIENT_TOO_SLOW,
+    CONFLICT,
+    CONTENT_TOO_LARGE,
+    DATABASE_UNAVAILABLE,
+    EXPIRED,
+    HOST_NOT_ALLOWED,
+    INTERNAL_ERROR,
+    INVALID_REQUEST,
+    KEY_REQUIRED,
+    MALFORMED_REQUEST,
+    NOT_FOUND,
+    RANGE_NOT_SATISFIABLE,
+    STORAGE_FULL,
+    TOO_MANY_REQUESTS,
+    TUS_VERSION,
+    UNSUPPORTED_MEDIA_TYPE,
+    UPLOAD_ELSEWHERE,
+    UPLOAD_LOCKED,
+)
 
 SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
@@ -37,25 +58,25 @@ ANSWER_HEADERS = {
 }
 
 _PROBLEMS: dict[int, tuple[str, str]] = {
-    400: ("malformed_request", "The request can't be read."),
-    401: ("key_required", "The service asks for a key."),
-    403: ("host_not_allowed", "The request's Host is not a name of the service."),
-    404: ("not_found", "There is no such job."),
-    408: ("client_too_slow", "The body arrives too slowly. Send it again over a faster connection."),
-    409: ("conflict", "The job's state does not allow it."),
-    410: ("expired", "The file was removed."),
-    412: ("tus_version", "The service uses tus 1.0.0."),
-    413: ("content_too_large", "The session is larger than the service accepts."),
-    415: ("unsupported_media_type", "A session is sent as multipart/form-data."),
-    416: ("range_not_satisfiable", "The file has no such range."),
-    422: ("invalid_request", "One thing is wrong with the request."),
-    421: ("upload_elsewhere", "The bytes of this upload are at another API process."),
-    423: ("upload_locked", "Another request is writing to this upload."),
-    460: ("checksum_mismatch", "The piece that arrived does not have the checksum that was sent."),
-    429: ("too_many_requests", "At most 600 requests a minute are allowed."),
-    500: ("internal_error", "The service failed; the log says why."),
-    503: ("database_unavailable", "The database does not respond."),
-    507: ("storage_full", "The service's disk is full."),
+    400: (MALFORMED_REQUEST, "The request can't be read."),
+    401: (KEY_REQUIRED, "The service asks for a key."),
+    403: (HOST_NOT_ALLOWED, "The request's Host is not a name of the service."),
+    404: (NOT_FOUND, "There is no such job."),
+    408: (CLIENT_TOO_SLOW, "The body arrives too slowly. Send it again over a faster connection."),
+    409: (CONFLICT, "The job's state does not allow it."),
+    410: (EXPIRED, "The file was removed."),
+    412: (TUS_VERSION, "The service uses tus 1.0.0."),
+    413: (CONTENT_TOO_LARGE, "The session is larger than the service accepts."),
+    415: (UNSUPPORTED_MEDIA_TYPE, "A session is sent as multipart/form-data."),
+    416: (RANGE_NOT_SATISFIABLE, "The file has no such range."),
+    422: (INVALID_REQUEST, "One thing is wrong with the request."),
+    421: (UPLOAD_ELSEWHERE, "The bytes of this upload are at another API process."),
+    423: (UPLOAD_LOCKED, "Another request is writing to this upload."),
+    460: (CHECKSUM_MISMATCH, "The piece that arrived does not have the checksum that was sent."),
+    429: (TOO_MANY_REQUESTS, "At most 600 requests a minute are allowed."),
+    500: (INTERNAL_ERROR, "The service failed; the log says why."),
+    503: (DATABASE_UNAVAILABLE, "The database does not respond."),
+    507: (STORAGE_FULL, "The service's disk is full."),
 }
 _TRUNCATED: dict[str, Any] = {
     "code": "video_truncated",

@@ -7,6 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from pipeline.findings import Severity
+from pipeline.problem_codes.fields import CONTROL_CHARACTERS
+from pipeline.problem_codes.model import Code
 
 _UUID = {"format": "uuid"}
 Id = Annotated[str, Field(json_schema_extra=_UUID)]
@@ -16,7 +18,7 @@ NextCursor = Annotated[str | None, Field(description="Cursor of the next page; n
 def printable_name(text: str) -> str:
     """Refuse control characters in a name."""
     if any(unicodedata.category(character).startswith("C") for character in text):
-        raise PydanticCustomError("control_characters", "Control characters are not allowed.")
+        raise PydanticCustomError(CONTROL_CHARACTERS, "Control characters are not allowed.")
     return text
 
 
@@ -29,7 +31,7 @@ class ResponseModel(BaseModel):
 class FindingOut(ResponseModel):
     """Finding of a check: what is wrong or odd, how it was measured, and how to mend it."""
 
-    code: str = Field(description="Stable code, such as `same_video`; docs/problems.md lists all codes.")
+    code: Code = Field(description="Stable code, such as `same_video`; docs/problems.md lists all codes.")
     camera: str | None = Field(default=None, description="Name of the camera; null if it is not about one camera.")
     severity: Severity = Field(
         default="warning",

@@ -9,6 +9,7 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 
 from api.errors import ApiError
+from pipeline.problem_codes.requests import TOO_MANY_STREAMS
 from worker.jobs.errors import DamagedDatabase, NotFound
 from worker.jobs.model.jobs import Job
 from worker.jobs.model.states import FINISHED
@@ -59,7 +60,7 @@ class JobChanges:
         """Raise 429 if an owner has as many streams as allowed."""
         if sum(watch.owner == owner for watch in self._watches) >= self._max_streams:
             raise ApiError(
-                "too_many_streams",
+                TOO_MANY_STREAMS,
                 f"At most {self._max_streams} event streams may be open.",
                 hint="Close the streams of jobs that are no longer followed.",
                 retryable=True,

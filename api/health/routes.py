@@ -16,6 +16,14 @@ from api.health import examples
 from api.health.metrics import RequestMetrics
 from api.health.schemas import Health, Readiness
 from pipeline.config import install_command, networks_of
+from pipeline.problem_codes.jobs import (
+    BROKER_UNAVAILABLE,
+    DISK_UNAVAILABLE,
+    MODEL_UNAVAILABLE,
+    WORKER_STARTING,
+    WORKER_UNAVAILABLE,
+)
+from pipeline.problem_codes.requests import ARTIFACTS_UNAVAILABLE, DATABASE_UNAVAILABLE, NOT_READY, STORAGE_FULL
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
@@ -27,11 +35,11 @@ router = APIRouter(tags=["health"])
 _FIGURES: dict[str, Any] = {
     "text/plain": {"schema": {"type": "string"}, "example": 'multicap_jobs{state="succeeded"} 17.0\n'}
 }
-_MESSAGES = {
-    "database": "The database does not respond.",
-    "broker": "The broker does not respond.",
-    "artifacts": "The artifact store can't be used.",
-    "disk": "The disk of the data folder does not respond.",
+_UNAVAILABLE = {
+    "database": (DATABASE_UNAVAILABLE, "The database does not respond."),
+    "broker": (BROKER_UNAVAILABLE, "The broker does not respond."),
+    "artifacts": (ARTIFACTS_UNAVAILABLE, "The artifact store can't be used."),
+    "disk": (DISK_UNAVAILABLE, "The disk of the data folder does not respond."),
 }
 
 
@@ -65,7 +73,7 @@ def get_readiness(request: Request, services: ServicesDep) -> Readiness | Respon
         checks |= {name: _SILENT[name]} if items is None else items
     if errors := [item for item in checks.values() if item is not None]:
         # Not raised, because the handler would log it: clients that wait for the service ask every few seconds.
-        problem = service_unavailable("not_ready", "The service can't start a job now.", errors)
+        problem = service_unavailable(NOT_READY, "The service can't start a job now.", errors)
         return problem_response(request, problem)
     return Readiness(checks=dict.fromkeys(checks, True), disk_free_bytes=services.disk.free_bytes)
 
@@ -84,7 +92,8 @@ def get_metrics(_: AdminDep, request: Request, services: ServicesDep) -> Respons
 
 
 def _check(name: str, responds: bool) -> ErrorItem | None:
-    return None if responds else ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name])
+    code, message = _UNAVAILABLE[name]
+    return None if responds else ErrorItem(code=code, message=message)
 
 
 # Parts that have not answered in time.
@@ -109,7 +118,7 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
         return None
     left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
     message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is accepted."
-    return ErrorItem(code="storage_full", message=message, hint="Delete sessions that are no longer needed.")
+    return ErrorItem(code=STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed.")
 
 
 def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
@@ -125,7 +134,7 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
     if not missing:
         return {"worker": None, "model": None}
     item = ErrorItem(
-        code="model_unavailable",
+        code=MODEL_UNAVAILABLE,
         message=f"Not every worker has the networks of the default profile: {', '.join(missing)}.",
         hint=install_command(*missing),
     )
@@ -135,12 +144,12 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
 def _no_worker_ready(workers: Sequence[WorkerStatus]) -> ErrorItem:
     if not workers:
         hint = "Start a worker, and see its log."
-        return ErrorItem(code="worker_unavailable", message="There is no worker.", hint=hint)
+        return ErrorItem(code=WORKER_UNAVAILABLE, message="There is no worker.", hint=hint)
     furthest = max(workers, key=lambda worker: worker.done)
     if furthest.total == 0:
-        return ErrorItem(code="worker_starting", message=f"{furthest.activity}.")
+        return ErrorItem(code=WORKER_STARTING, message=f"{furthest.activity}.")
     message = f"{furthest.activity}: {furthest.done} of {furthest.total} steps. A first start takes some minutes."
-    return ErrorItem(code="worker_starting", message=message)
+    return ErrorItem(code=WORKER_STARTING, message=message)
 
 
 RESOURCE = Resource(router=router, is_open=True, answers=examples.ANSWERS)

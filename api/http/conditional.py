@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from api.errors import ApiError
 from api.http.byte_ranges import matches
+from pipeline.problem_codes.requests import CHANGED_MEANWHILE
 
 IfNoneMatch = Annotated[str | None, Header(description="Entity tags of the versions that the client has.")]
 IfMatch = Annotated[str | None, Header(description="Entity tag of the version that is to be changed; `*` for any.")]
@@ -55,7 +56,7 @@ def require_match(record: BaseModel, if_match: str) -> None:
     _, etag = _tagged(record)
     if not matches(if_match, etag):
         raise ApiError(
-            "changed_meanwhile",
+            CHANGED_MEANWHILE,
             "The record has changed since this version.",
             hint="Read it again, then send the change with its present ETag.",
         )

@@ -13,6 +13,7 @@ import anyio
 from anyio import CapacityLimiter
 
 from api.errors import ApiError, service_unavailable
+from pipeline.problem_codes.requests import CHECKS_BUSY, SERVICE_BUSY, TOO_MANY_AT_ONCE, TOO_MANY_CHECKS
 
 _Result = TypeVar("_Result")
 
@@ -164,7 +165,7 @@ def threads_of_checks(num_threads: int, max_wait_s: float) -> FairThreads:
 
 def _too_many_requests() -> ApiError:
     return ApiError(
-        "too_many_at_once",
+        TOO_MANY_AT_ONCE,
         "Too many of your requests wait to be answered.",
         hint="Wait for the answers of earlier requests before you send more.",
         retryable=True,
@@ -173,12 +174,12 @@ def _too_many_requests() -> ApiError:
 
 
 def _requests_busy() -> ApiError:
-    return service_unavailable("service_busy", "The service is busy with the requests of other tenants.")
+    return service_unavailable(SERVICE_BUSY, "The service is busy with the requests of other tenants.")
 
 
 def _too_many_checks() -> ApiError:
     return ApiError(
-        "too_many_checks",
+        TOO_MANY_CHECKS,
         "Too many of your sessions are being checked at once.",
         hint="Send the session again when one of them has been answered. Files of uploads need not be sent again.",
         retryable=True,
@@ -187,6 +188,6 @@ def _too_many_checks() -> ApiError:
 
 
 def _checks_busy() -> ApiError:
-    error = service_unavailable("checks_busy", "The service is busy with the files of other tenants.")
+    error = service_unavailable(CHECKS_BUSY, "The service is busy with the files of other tenants.")
     error.headers["Retry-After"] = "10"
     return error

@@ -26,6 +26,7 @@ from starlette.concurrency import run_in_threadpool
 from api.auth import RecordsDep
 from api.dependencies import ServicesDep
 from api.errors import ApiError
+from pipeline.problem_codes.requests import HEADER_INVALID
 from worker.jobs.repositories.idempotency_keys import KeyClaim
 from worker.jobs.tenant_records import TenantRecords
 
@@ -158,7 +159,7 @@ def _idempotent_request(
     ] = None,
 ) -> IdempotentRequest:
     if idempotency_key is not None and not (idempotency_key.isascii() and idempotency_key.isprintable()):
-        raise ApiError("header_invalid", "Idempotency-Key must be printable ASCII.")
+        raise ApiError(HEADER_INVALID, "Idempotency-Key must be printable ASCII.")
     lease_s = services.settings.idempotency_lease_s
     return IdempotentRequest(idempotency_key or None, records, f"{request.method} {request.url.path}", lease_s)
 

@@ -18,6 +18,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import ApiError, handle, problem_response
 from api.health.metrics import RequestMetrics
+from pipeline.problem_codes.requests import HOST_NOT_ALLOWED, ORIGIN_NOT_ALLOWED
 
 _log = structlog.get_logger(__name__)
 
@@ -269,7 +270,7 @@ class ForeignPageGuard(HttpMiddleware):
         hosts = headers.getlist("host")
         if len(hosts) != 1 or _name_of(hosts[0]) not in self._allowed_hosts:
             return ApiError(
-                "host_not_allowed",
+                HOST_NOT_ALLOWED,
                 "The request's Host is not a name of the service.",
                 hint="Call the service by localhost, or add the name to MULTICAP_ALLOWED_HOSTS.",
             )
@@ -277,7 +278,7 @@ class ForeignPageGuard(HttpMiddleware):
         foreign = "origin" in headers and origin not in self._allowed_origins
         if foreign and origin.partition("://")[2] != hosts[0].lower():
             return ApiError(
-                "origin_not_allowed",
+                ORIGIN_NOT_ALLOWED,
                 "Pages of other origins may not use the service.",
                 hint="If it is your page, add its origin to MULTICAP_ALLOWED_ORIGINS.",
             )

@@ -10,6 +10,8 @@ from limits.storage import MemoryStorage
 from limits.strategies import MovingWindowRateLimiter
 
 from api.errors import ApiError
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import TOO_MANY_REQUESTS, TOO_MANY_WRONG_KEYS
 
 RATE_HEADERS = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
 """Headers of the IETF's draft: requests a minute, requests left, and seconds until the limit resets."""
@@ -41,7 +43,7 @@ class Rates:
         if allowed:
             return headers
         raise _too_many(
-            "too_many_requests",
+            TOO_MANY_REQUESTS,
             f"At most {self._item.amount} requests a minute are allowed.",
             "Send fewer requests: an event stream reports all changes of a job in one request.",
             headers,
@@ -75,7 +77,7 @@ class WrongKeys:
         if count < self._per_minute:
             return headers
         raise _too_many(
-            "too_many_wrong_keys",
+            TOO_MANY_WRONG_KEYS,
             f"More than {self._per_minute} wrong keys came from this address within a minute.",
             "Correct the key. A valid key is served at once.",
             headers,
@@ -90,6 +92,6 @@ def _headers(limit: int, remaining: int, reset_s: float) -> dict[str, str]:
     return dict(zip(RATE_HEADERS, map(str, (limit, remaining, max(1, math.ceil(reset_s)))), strict=True))
 
 
-def _too_many(code: str, detail: str, hint: str, headers: dict[str, str]) -> ApiError:
+def _too_many(code: Code, detail: str, hint: str, headers: dict[str, str]) -> ApiError:
     retry_after = {"Retry-After": headers["RateLimit-Reset"]}
     return ApiError(code, detail, hint=hint, retryable=True, headers=retry_after | headers)

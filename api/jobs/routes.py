@@ -27,6 +27,7 @@ from api.sessions.form import CAPTURE_FORM
 from api.sessions.intake import CheckedSession, NewSession, check, stored
 from api.sessions.receiving import received
 from pipeline.job_choices import ProxyChoices
+from pipeline.problem_codes.requests import CONFLICT
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model.jobs import Job, JobKind
 from worker.jobs.model.sessions import Session
@@ -71,7 +72,7 @@ def create_job(
         session = idempotent.records.sessions.get(session_id)
         if session.purpose == "calibration":
             message = "The session was sent for a calibration, and its cameras are not calibrated."
-            raise ApiError("conflict", message, hint="Send its videos as a session with the calibration's id.")
+            raise ApiError(CONFLICT, message, hint="Send its videos as a session with the calibration's id.")
         spec = for_session(spec, session.preflight.sync)
         errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
         if has_videos(session):

@@ -5,6 +5,7 @@ from typing import Literal, Self
 from pydantic import AwareDatetime, Field
 
 from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of
+from pipeline.problem_codes.model import Code
 from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.model.jobs import Attempt, Failure, Job, JobKind, Problem, Stage, is_worth_a_retry, kind_of
 from worker.jobs.model.states import CANCELABLE, RETRYABLE, ChunkState, JobState
@@ -41,7 +42,7 @@ class StageOut(ResponseModel):
 class JobError(ResponseModel):
     """Error of a job or of an attempt at a chunk."""
 
-    code: str = Field(description="Stable code; docs/problems.md lists all codes.")
+    code: Code = Field(description="Stable code; docs/problems.md lists all codes.")
     detail: str = Field(description="Description of the error, a sentence for a person.")
     stage: str | None = Field(description="Stage that failed.")
     camera: str | None = Field(description="Camera whose file caused the error.")

@@ -6,6 +6,16 @@ from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import Sync, install_command, networks_of
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import FRAMES_TOO_LARGE
+from pipeline.problem_codes.sessions import SESSION_TOO_LONG
+from pipeline.problem_codes.specs import (
+    CALLBACK_INVALID,
+    CALLBACK_NOT_HTTPS,
+    CALLBACK_NOT_PUBLIC,
+    DETECTOR_NOT_INSTALLED,
+    WEBHOOK_SECRET_MISSING,
+)
 from pipeline.rules import session_problems
 from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
@@ -33,13 +43,13 @@ def limit_errors(services: Services, preflight: Preflight) -> list[ErrorItem]:
     found = []
     if settings.max_duration_s is not None and duration_s > settings.max_duration_s:
         message = f"The session lasts {duration_s:.2f} s; at most {settings.max_duration_s:g} s are taken."
-        found.append(ErrorItem(code="session_too_long", message=message, hint="Cut it into several sessions."))
+        found.append(ErrorItem(code=SESSION_TOO_LONG, message=message, hint="Cut it into several sessions."))
     if settings.max_pixels is not None:
         for camera in preflight.cameras:
             width, height = camera.size_px
             if width * height > settings.max_pixels:
                 message = f"Its frames have {width} x {height} pixels; at most {settings.max_pixels} are taken."
-                item = ErrorItem(code="frames_too_large", message=message, file=camera.file, camera=camera.name)
+                item = ErrorItem(code=FRAMES_TOO_LARGE, message=message, file=camera.file, camera=camera.name)
                 found.append(item)
     return found
 
@@ -48,18 +58,18 @@ def callback_errors(spec: JobSpec, services: Services, records: TenantRecords, *
     """Reasons why webhooks can't be sent to the address of a spec; ``field`` as of ``spec_errors``."""
     if spec.callback_url is None:
         return []
-    found: list[tuple[str, str, str | None]] = []
+    found: list[tuple[Code, str, str | None]] = []
     if fault := url_fault(spec.callback_url):
-        found.append(("callback_invalid", fault, None))
+        found.append((CALLBACK_INVALID, fault, None))
     elif not services.settings.webhook_private:
         address = urlsplit(spec.callback_url)
         if address.scheme != "https":
-            found.append(("callback_not_https", "Webhooks go to https addresses only.", None))
+            found.append((CALLBACK_NOT_HTTPS, "Webhooks go to https addresses only.", None))
         if not may_be_public(address.hostname or ""):
-            found.append(("callback_not_public", "Webhooks go to public addresses only.", None))
+            found.append((CALLBACK_NOT_PUBLIC, "Webhooks go to public addresses only.", None))
     if not records.has_webhook_secret():
         hint = "Have the operator make one with `multicap webhooks rotate`."
-        found.append(("webhook_secret_missing", "There is no secret to sign webhooks with.", hint))
+        found.append((WEBHOOK_SECRET_MISSING, "There is no secret to sign webhooks with.", hint))
     pointer = pointer_to(*field, "callback_url")
     return [ErrorItem(code=code, message=message, pointer=pointer, hint=hint) for code, message, hint in found]
 
@@ -78,4 +88,4 @@ def network_errors(spec: JobSpec, services: Services, field: tuple[str, ...] | N
     hint = install_command(*missing)
     choice = "profile" if spec.detector == "auto" else "detector"
     pointer = None if field is None else pointer_to(*field, choice)
-    return [ErrorItem(code="detector_not_installed", message=message, pointer=pointer, hint=hint)]
+    return [ErrorItem(code=DETECTOR_NOT_INSTALLED, message=message, pointer=pointer, hint=hint)]

@@ -14,6 +14,7 @@ from api.errors import ErrorItem, pointer_to, unprocessable
 from api.http.bodies.reading import SmallBodyRoute
 from api.links import examples
 from api.links.schemas import LinkList, LinkOut, LinkSpec, NewLinkOut
+from pipeline.problem_codes.fields import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
 from worker.jobs.errors import NotFound
 from worker.jobs.model.rights import Link, LinkScope
 from worker.jobs.tenant_records import TenantRecords
@@ -82,14 +83,14 @@ def _check(spec: LinkSpec, services: Services) -> None:
     errors = []
     if spec.name is None and spec.scope in _NAMED:
         message = f"A link of the scope {spec.scope} needs the name of what it opens."
-        errors.append(ErrorItem(code="missing_field", message=message, pointer=pointer_to("name")))
+        errors.append(ErrorItem(code=MISSING_FIELD, message=message, pointer=pointer_to("name")))
     if spec.name is not None and spec.scope not in _NAMED:
         message = f"A link of the scope {spec.scope} opens no single file."
-        errors.append(ErrorItem(code="unknown_field", message=message, pointer=pointer_to("name")))
+        errors.append(ErrorItem(code=UNKNOWN_FIELD, message=message, pointer=pointer_to("name")))
     max_days = services.settings.max_link_days
     if spec.expires_in_s is not None and spec.expires_in_s > max_days * _DAY_S:
         message = f"A link of this service ends after {max_days:g} days at the latest."
-        errors.append(ErrorItem(code="out_of_range", message=message, pointer=pointer_to("expires_in_s")))
+        errors.append(ErrorItem(code=OUT_OF_RANGE, message=message, pointer=pointer_to("expires_in_s")))
     if errors:
         raise unprocessable(errors)
 

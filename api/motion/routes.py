@@ -19,6 +19,7 @@ from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, request
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch
 from api.motion import examples
 from api.motion.schemas import MotionDescription
+from pipeline.problem_codes.requests import CONFLICT, NOT_FOUND, RANGE_NOT_SATISFIABLE
 from pipeline.stages.stage import DESCRIPTION, MOTION
 from worker.jobs.model.jobs import Result
 from worker.jobs.tenant_records import TenantRecords
@@ -117,7 +118,7 @@ def get_motion(
     description, result = _results(records, job_id, DESCRIPTION, MOTION)
     if revision is not None and revision != result.revision:
         message = f"The motion is of the revision {result.revision} now, not {revision}."
-        raise ApiError("conflict", message, hint="Read the description of the motion again.")
+        raise ApiError(CONFLICT, message, hint="Read the description of the motion again.")
     index = _read_index(services, description)
     last = index.num_frames if stop is None else min(stop, index.num_frames)
     wanted = None if person is None else frozenset(person)
@@ -133,7 +134,7 @@ def get_motion(
             cut = requested_range(range_, num_bytes)
         except UnsatisfiableRange:
             size = {"Content-Range": f"bytes */{num_bytes}"}
-            raise ApiError("range_not_satisfiable", "The answer has no such range.", headers=size) from None
+            raise ApiError(RANGE_NOT_SATISFIABLE, "The answer has no such range.", headers=size) from None
         stack.pop_all()
     sent = cut or ByteRange(0, num_bytes)
     headers["Content-Length"] = str(sent.stop - sent.start)
@@ -151,7 +152,7 @@ def _results(records: TenantRecords, job_id: str, *names: str) -> list[Result]:
     except KeyError:
         message = "The job has no motion to look at."
         hint = "Start another job of its session, if it is a reconstruction: older versions wrote no such files."
-        raise ApiError("not_found", message, hint=hint) from None
+        raise ApiError(NOT_FOUND, message, hint=hint) from None
 
 
 def _headers(etag: str) -> dict[str, str]:

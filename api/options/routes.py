@@ -37,6 +37,7 @@ from pipeline.config import (
     install_command,
     networks_of,
 )
+from pipeline.problem_codes.requests import NOT_FOUND
 from pipeline.runtime.packages import samples
 from worker.jobs.repositories.work.workers import installed_detectors
 
@@ -118,7 +119,7 @@ def get_sample_file(
     """Download a file of the sample capture."""
     found = [path for path in _sample_paths() if path.name == sample_file]
     if not found:
-        raise ApiError("not_found", "The sample capture has no such file, or is not installed.", hint=_INSTALL)
+        raise ApiError(NOT_FOUND, "The sample capture has no such file, or is not installed.", hint=_INSTALL)
     return FileResponse(found[0], media_type=_media_type(found[0]))
 
 

@@ -18,6 +18,7 @@ from api.people import examples
 from api.people.schemas import PeopleEdits, PeopleOut, frames_of
 from pipeline.edits import MAX_PIECES, PersonSpan, apply_edits
 from pipeline.errors import InputError
+from pipeline.problem_codes.requests import CONFLICT
 from worker.jobs.model.jobs import Job
 from worker.planning import plan_job
 from worker.telemetry import tracing
@@ -68,7 +69,7 @@ def edit_job_people(
     found = _found(job)
     if if_match is not None and not matches(if_match, _tag(job)):
         raise ApiError(
-            "conflict",
+            CONFLICT,
             "The edits have changed since this version.",
             hint="Read the people again, then send the edits with their present ETag.",
         )
@@ -105,7 +106,7 @@ def _tag(job: Job) -> str:
 def _found(job: Job) -> tuple[PersonSpan, ...]:
     if job.people is None:
         raise ApiError(
-            "conflict",
+            CONFLICT,
             "The job has no people yet.",
             hint="Wait until the job has succeeded. Reconstruct the session again if an older version did it.",
         )

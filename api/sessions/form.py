@@ -17,21 +17,23 @@ from api.http.bodies.form_kinds import (
 from api.jobs import examples as job_examples
 from api.sessions import examples
 from api.sessions.schemas import Manifest, UploadedCapture, UploadedSession
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import MISSING_PART, PART_NOT_ALLOWED
 from worker.jobs.spec import JobSpec
 
 
-def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[str, str, str]]:
+def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[Code, str, str]]:
     if not any(counts[part] for part in VIEWS):
-        yield "missing_part", "There are no videos and no keypoints: a session needs either.", VIDEOS
+        yield MISSING_PART, "There are no videos and no keypoints: a session needs either.", VIDEOS
     if not counts[CALIBRATION] and not counts[CALIBRATION_ID]:
-        yield "missing_part", "There is no calibration: a session needs one.", CALIBRATION
+        yield MISSING_PART, "There is no calibration: a session needs one.", CALIBRATION
     if counts[CALIBRATION] and counts[CALIBRATION_ID]:
         message = "There is a calibration and a calibration_id: a session needs one of both."
-        yield "part_not_allowed", message, CALIBRATION_ID
+        yield PART_NOT_ALLOWED, message, CALIBRATION_ID
     if counts[VIDEOS]:
         for part in (KEYPOINTS, TIMESTAMPS):
             if counts[part]:
-                yield "part_not_allowed", "A session of videos has no such files.", part
+                yield PART_NOT_ALLOWED, "A session of videos has no such files.", part
 
 
 _PARTS: Mapping[str, str] = {

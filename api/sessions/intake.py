@@ -30,6 +30,13 @@ from api.sessions.preflight import InvalidFilesError, allowance_s, further_wait_
 from api.sessions.receiving import Sent, adopted, document, form_of
 from api.sessions.schemas import Manifest, UploadedCapture, UploadedSession
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
+from pipeline.problem_codes.fields import WRONG_FORMAT
+from pipeline.problem_codes.requests import (
+    CALIBRATION_UNKNOWN,
+    CALIBRATION_UNMADE,
+    CALIBRATION_UNPOSED,
+    CAMERAS_OF_KEYPOINTS,
+)
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
 from worker.jobs.model.sessions import InputFile
@@ -124,7 +131,7 @@ async def check(request: Request, services: Services, records: TenantRecords, se
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
     if form.keypoints and arrival.manifest and arrival.manifest.cameras:
         message = "Keypoints have timestamps, and their archives the cameras' names: nothing else can be said of them."
-        errors.append(ErrorItem(code="cameras_of_keypoints", message=message, pointer=f"/{MANIFEST}/cameras"))
+        errors.append(ErrorItem(code=CAMERAS_OF_KEYPOINTS, message=message, pointer=f"/{MANIFEST}/cameras"))
     preflight: Preflight | None = None
     record_path, thumbnails = record_path_in(sent.folder), sent.folder / str(uuid_utils.uuid7())
     thumbnails.mkdir()
@@ -216,7 +223,7 @@ def _parsed(sent: Sent) -> Arrival:
         return replace(arrival, calibration_id=str(uuid.UUID(text.decode().strip().strip('"'))))
     except ValueError:
         message = "The part calibration_id must be the id of a calibration."
-        return arrival.with_error(ErrorItem(code="wrong_format", message=message, pointer=pointer_to(CALIBRATION_ID)))
+        return arrival.with_error(ErrorItem(code=WRONG_FORMAT, message=message, pointer=pointer_to(CALIBRATION_ID)))
 
 
 def _named(services: Services, records: TenantRecords, sent: Sent, names: UploadedSession) -> Arrival:
@@ -236,13 +243,13 @@ def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) ->
         calibration = records.calibrations.get(arrival.calibration_id)
     except NotFound:
         message, hint = "There is no such calibration.", "GET /v1/calibrations lists them."
-        return arrival.with_error(ErrorItem(code="calibration_unknown", message=message, pointer=pointer, hint=hint))
+        return arrival.with_error(ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint=hint))
     if (files := calibration.files) is None:
         message, hint = "The calibration is not made yet.", "Wait for its job, or see why it failed."
-        return arrival.with_error(ErrorItem(code="calibration_unmade", message=message, pointer=pointer, hint=hint))
+        return arrival.with_error(ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint=hint))
     if not (calibration.report or {"has_extrinsics": True})["has_extrinsics"]:
         message, hint = "The calibration has intrinsics, and no poses.", "Make one from videos that cameras share."
-        return arrival.with_error(ErrorItem(code="calibration_unposed", message=message, pointer=pointer, hint=hint))
+        return arrival.with_error(ErrorItem(code=CALIBRATION_UNPOSED, message=message, pointer=pointer, hint=hint))
     name = f"calibration-{arrival.calibration_id}.json"
     path, content = folder / name, files["multicap"].encode()
     path.write_bytes(content)

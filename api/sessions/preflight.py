@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from api.errors import ApiError, ErrorItem
 from api.http.bodies.form import Form
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
+from pipeline.problem_codes.requests import PREFLIGHT_FAILED, PREFLIGHT_TIMEOUT
 from worker.process.priorities import lower_priority
 
 _log = structlog.get_logger(__name__)
@@ -198,7 +199,7 @@ class PreflightProgram:
                 _log.warning("preflight_timeout", timeout_s=timeout_s)
                 message = f"The check of the files took longer than {timeout_s:.3g} s."
                 hint = "Send fewer or smaller files, or send the same files again when the service is less busy."
-                raise InvalidFilesError([ErrorItem(code="preflight_timeout", message=message, hint=hint)]) from None
+                raise InvalidFilesError([ErrorItem(code=PREFLIGHT_TIMEOUT, message=message, hint=hint)]) from None
             finally:
                 # A child that was not waited for keeps its process id, so the group is its own.
                 if child.returncode is None:
@@ -220,7 +221,7 @@ class _Problems(BaseModel):
 
 
 def _failed() -> ApiError:
-    return ApiError("preflight_failed", "The check of the files failed; the log says why.", retryable=True)
+    return ApiError(PREFLIGHT_FAILED, "The check of the files failed; the log says why.", retryable=True)
 
 
 def _read(file: IO[bytes], max_bytes: int) -> bytes:

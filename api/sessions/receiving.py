@@ -29,8 +29,16 @@ from api.http.bodies.form_kinds import (
 )
 from api.http.bodies.multipart import receive_form
 from api.http.bodies.reading import announced_bytes, limited
-from api.http.bodies.validation import MALFORMED, model_items
+from api.http.bodies.validation import model_items
 from api.http.idempotency import IdempotentRequest
+from pipeline.problem_codes.fields import MALFORMED_JSON
+from pipeline.problem_codes.requests import (
+    PART_NOT_ALLOWED,
+    SESSION_UNKNOWN,
+    UNSUPPORTED_MEDIA_TYPE,
+    UPLOAD_UNFINISHED,
+    UPLOAD_UNKNOWN,
+)
 from worker.jobs.errors import NotFound
 from worker.jobs.tenant_records import TenantRecords
 
@@ -111,7 +119,7 @@ async def received(
 def _unsupported(types: Collection[str]) -> ApiError:
     """Error 415 that names the content types of an operation."""
     ways = {FORM_TYPE: f"Files are sent as {FORM_TYPE}", JSON_TYPE: f"Uploads are named by {JSON_TYPE}"}
-    return ApiError("unsupported_media_type", f"{'. '.join(ways[content_type] for content_type in types)}.")
+    return ApiError(UNSUPPORTED_MEDIA_TYPE, f"{'. '.join(ways[content_type] for content_type in types)}.")
 
 
 @contextlib.asynccontextmanager
@@ -155,8 +163,8 @@ async def _receive_names(
         return model.model_validate_json(body)
     except ValidationError as error:
         items = model_items(error, model, places)
-        if any(item.code == MALFORMED for item in items):
-            raise ApiError("malformed_json", "The body is not JSON.") from None
+        if any(item.code == MALFORMED_JSON for item in items):
+            raise ApiError(MALFORMED_JSON, "The body is not JSON.") from None
         raise unprocessable(items) from None
 
 
@@ -169,14 +177,14 @@ def adopted(services: Services, records: TenantRecords, sent: Sent, names: Uploa
             num_bytes = services.uploads.offset(upload)
         except NotFound:
             message = "There is no such upload."
-            parts.lack(part, "upload_unknown", message, "It may have been used, or its time is over: send it again.")
+            parts.lack(part, UPLOAD_UNKNOWN, message, "It may have been used, or its time is over: send it again.")
             continue
         except ApiError as error:  # its bytes are elsewhere
             parts.lack(part, error.code, error.detail, str(error.hint), upload.name)
             continue
         if num_bytes < upload.num_bytes:
             message = f"Of this upload {num_bytes} of {upload.num_bytes} bytes have come."
-            parts.lack(part, "upload_unfinished", message, "Send the rest of it first.", upload.name)
+            parts.lack(part, UPLOAD_UNFINISHED, message, "Send the rest of it first.", upload.name)
         else:
             parts.adopt(part, upload.name, services.uploads.path(upload.id))
     if (source_id := names.source_id()) is not None:
@@ -191,7 +199,7 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
     """
     if any(parts.has(part) for part in _FOOTAGE.values()):
         message = "The footage is that of a session: files of footage can't be sent too."
-        parts.reject_field(SESSION_ID, "part_not_allowed", message, "Omit session_id, or the files.")
+        parts.reject_field(SESSION_ID, PART_NOT_ALLOWED, message, "Omit session_id, or the files.")
         return
     try:
         files = records.sessions.get(session_id).files
@@ -202,4 +210,4 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
             with services.artifacts.open(file.key, file.sha256) as source:
                 parts.copy(part, file.name, source)
     except NotFound:
-        parts.reject_field(SESSION_ID, "session_unknown", "There is no such session.", "GET /v1/sessions lists them.")
+        parts.reject_field(SESSION_ID, SESSION_UNKNOWN, "There is no such session.", "GET /v1/sessions lists them.")

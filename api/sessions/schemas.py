@@ -13,6 +13,7 @@ from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fiel
 from api.http.bodies.form_kinds import UploadedFiles
 from pipeline.capture.preflight_record import Clock, PreflightCamera
 from pipeline.job_choices import proxy_name
+from pipeline.problem_codes.fields import JSON_VALUE
 from worker.jobs.model.jobs import NewestJob
 from worker.jobs.model.sessions import Capture
 from worker.jobs.model.states import JobState
@@ -25,7 +26,7 @@ def _json(value: dict[str, Any]) -> dict[str, Any]:
         json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
     except ValueError:
         message = "metadata must be valid JSON: no NaN, no infinity, no lone surrogates."
-        raise PydanticCustomError("json_value", message) from None
+        raise PydanticCustomError(JSON_VALUE, message) from None
     return value
 
 

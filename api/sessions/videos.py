@@ -13,6 +13,7 @@ from api.downloads import ConditionsDep, Download, file_responses, send_file
 from api.errors import ApiError
 from pipeline.capture.preflight_record import PreflightCamera
 from pipeline.job_choices import proxy_name
+from pipeline.problem_codes.requests import NOT_FINISHED
 from worker.jobs.errors import NotFound
 from worker.jobs.model.sessions import Session
 from worker.jobs.tenant_records import TenantRecords
@@ -65,7 +66,7 @@ def _proxy(records: TenantRecords, session: Session, number: int) -> Download:
     if proxy is None:
         message = "Browsers can't play the video of this camera, and a copy that they play is not made yet."
         hint = "Read the session until the camera has a video_link; its proxies_job says how far it is."
-        raise ApiError("not_finished", message, hint=hint)
+        raise ApiError(NOT_FINISHED, message, hint=hint)
     name = f"{camera.file.rpartition('.')[0] or camera.file}.mp4"
     remedy = "Retry the session's proxies_job, or send the session again."
     return replace(Download.of(proxy, name), disposition="inline", remedy=remedy)

@@ -22,6 +22,13 @@ from starlette.concurrency import run_in_threadpool
 from uuid_utils import uuid7
 
 from api.errors import ApiError
+from pipeline.problem_codes.requests import (
+    CHECKSUM_MISMATCH,
+    CONTENT_TOO_LARGE,
+    OFFSET_MISMATCH,
+    UPLOAD_ELSEWHERE,
+    UPLOAD_LOCKED,
+)
 from worker.jobs.errors import DamagedDatabase, NotFound
 from worker.jobs.files.disk import DiskSpace, sync
 from worker.jobs.model.sessions import Upload
@@ -153,7 +160,7 @@ class UploadSpool:
                 num_bytes = await _receive(piece, 0, length - offset, stream, self._disk.require_room, digest.update)
                 if digest.digest() != checksum.digest:
                     message = "The piece that arrived does not have the checksum that was sent."
-                    raise ApiError("checksum_mismatch", message)
+                    raise ApiError(CHECKSUM_MISMATCH, message)
                 return await run_in_threadpool(_move, piece, target, offset, num_bytes)
 
     def remove(self, upload_id: str) -> None:
@@ -210,7 +217,7 @@ class UploadSpool:
                 raise _locked() from None
             if (size := os.fstat(file.fileno()).st_size) != offset:
                 raise ApiError(
-                    "offset_mismatch",
+                    OFFSET_MISMATCH,
                     f"The upload is at {size} bytes, not at {offset}.",
                     hint="Ask for the offset with HEAD, and continue from there.",
                     retryable=True,
@@ -253,7 +260,7 @@ async def _receive(
     try:
         async for data in stream:
             if end + len(data) > length:
-                raise ApiError("content_too_large", f"The upload was announced to have {length} bytes.")
+                raise ApiError(CONTENT_TOO_LARGE, f"The upload was announced to have {length} bytes.")
             pending.append(data)
             end += len(data)
             if sum(map(len, pending)) >= _BLOCK_BYTES or time.monotonic() > written_s + _BLOCK_S:
@@ -289,7 +296,7 @@ def _is_old(path: Path) -> bool:
 def upload_elsewhere() -> ApiError:
     """Error 421 for an upload whose bytes another API process has."""
     return ApiError(
-        "upload_elsewhere",
+        UPLOAD_ELSEWHERE,
         "The bytes of this upload are at another API process.",
         hint="Requests of an upload must reach the process that began it: the operator routes clients to one process "
         "(sticky sessions). Or begin the upload again.",
@@ -297,4 +304,4 @@ def upload_elsewhere() -> ApiError:
 
 
 def _locked() -> ApiError:
-    return ApiError("upload_locked", "Another request is writing to this upload.", retryable=True)
+    return ApiError(UPLOAD_LOCKED, "Another request is writing to this upload.", retryable=True)

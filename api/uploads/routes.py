@@ -23,6 +23,13 @@ from api.http.bodies.form import name_error, too_large
 from api.http.bodies.reading import announced_bytes, drain
 from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.uploads.files import Checksum
+from pipeline.problem_codes.requests import (
+    CHECKSUM_INVALID,
+    HEADER_INVALID,
+    METADATA_INVALID,
+    TUS_VERSION,
+    UNSUPPORTED_MEDIA_TYPE,
+)
 from worker.jobs.model.sessions import Upload
 from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.tenant_records import TenantRecords
@@ -64,7 +71,7 @@ def _require_version(
     """Raise 412 for clients of another version of tus."""
     if tus_resumable != VERSION:
         raise ApiError(
-            "tus_version",
+            TUS_VERSION,
             f"The service uses tus {VERSION}.",
             hint=f"Send Tus-Resumable: {VERSION}.",
             headers={"Tus-Version": VERSION},
@@ -270,13 +277,13 @@ def _common_headers(upload: Upload) -> dict[str, str]:
 
 def _natural(value: str | None, header: str) -> int:
     if value is None or not (value.isascii() and value.isdecimal() and len(value) <= _MAX_DIGITS):
-        raise ApiError("header_invalid", f"The header {header} is required and must be a number of bytes.")
+        raise ApiError(HEADER_INVALID, f"The header {header} is required and must be a number of bytes.")
     return int(value)
 
 
 def _require_piece_type(request: Request) -> None:
     if request.headers.get("content-type") != PIECE_TYPE:
-        raise ApiError("unsupported_media_type", f"A piece must be sent as {PIECE_TYPE}.")
+        raise ApiError(UNSUPPORTED_MEDIA_TYPE, f"A piece must be sent as {PIECE_TYPE}.")
 
 
 def _file_name(metadata: str) -> str:
@@ -299,7 +306,7 @@ def _file_name(metadata: str) -> str:
 
 
 def _metadata_error(message: str) -> ApiError:
-    return ApiError("metadata_invalid", message)
+    return ApiError(METADATA_INVALID, message)
 
 
 def _checksum(header: str | None) -> Checksum | None:
@@ -311,7 +318,7 @@ def _checksum(header: str | None) -> Checksum | None:
     except (KeyError, ValueError):
         names = ", ".join(CHECKSUMS)
         message = f"Upload-Checksum must be one of {names}, a space, and the digest as base64."
-        raise ApiError("checksum_invalid", message) from None
+        raise ApiError(CHECKSUM_INVALID, message) from None
 
 
 RESOURCE = Resource(router=router, parameters={"upload_id": UPLOAD_IDS[0]})

@@ -13,6 +13,15 @@ from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, parse
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.sessions import (
+    CALIBRATION_EMPTY,
+    CALIBRATION_FORMAT,
+    CALIBRATION_MISSING,
+    CALIBRATION_TOO_LARGE,
+    CALIBRATION_UNITS,
+    CALIBRATION_UNREADABLE,
+)
 
 Reader = Callable[[bytes, str], CameraFile]
 
@@ -46,11 +55,11 @@ def _read_file_storage(parser: Callable[[bytes], Mapping[str, object]], content:
         contents = opencv.read_fields(parser(content), file)
     except UnreadableError as error:
         message = "The file is damaged, or not as OpenCV writes it."
-        raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
+        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
     if contents is None:
         message = "The file has no camera: a camera matrix, with a rotation and a translation."
         raise InputError(
-            [Problem("calibration_empty", message, file=file, hint="Send a zip of the files of all cameras.")]
+            [Problem(CALIBRATION_EMPTY, message, file=file, hint="Send a zip of the files of all cameras.")]
         )
     return contents
 
@@ -112,26 +121,26 @@ def read_contents(path: Path, units: Units = "m") -> CameraFile:
     """
     file = path.name
 
-    def refuse(code: str, message: str, hint: str | None = None) -> InputError:
+    def refuse(code: Code, message: str, hint: str | None = None) -> InputError:
         return InputError([Problem(code, message, file=file, hint=hint)])
 
     try:
         if not path.is_file():
-            raise refuse("calibration_missing", "The calibration file does not exist.")
+            raise refuse(CALIBRATION_MISSING, "The calibration file does not exist.")
         num_bytes = path.stat().st_size
         if num_bytes > MAX_BYTES:
             raise refuse(
-                "calibration_too_large",
+                CALIBRATION_TOO_LARGE,
                 f"The file has {num_bytes / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20} MiB are allowed.",
                 "Check that it is the calibration file.",
             )
         content = path.read_bytes()
     except OSError as error:
-        raise refuse("calibration_unreadable", "The file can't be read.", "Check its permissions.") from error
+        raise refuse(CALIBRATION_UNREADABLE, "The file can't be read.", "Check its permissions.") from error
     reader = _reader(file, content)
     if reader is None:
         raise refuse(
-            "calibration_format",
+            CALIBRATION_FORMAT,
             "The format of the calibration file is not supported.",
             SUPPORTED,
         )
@@ -140,7 +149,7 @@ def read_contents(path: Path, units: Units = "m") -> CameraFile:
         return replace(contents, cameras=tuple(scaled(camera, UNITS_M[units]) for camera in contents.cameras))
     if units not in ("m", contents.unit):
         raise refuse(
-            "calibration_units",
+            CALIBRATION_UNITS,
             f"The format determines the unit of lengths, {contents.unit}; it is not {units}.",
             "Omit the units.",
         )

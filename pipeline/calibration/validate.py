@@ -23,6 +23,19 @@ from pipeline.parsing import (
     UnreadableError,
     read_numbers,
 )
+from pipeline.problem_codes.fields import UNKNOWN_FIELD
+from pipeline.problem_codes.sessions import (
+    CALIBRATION_EMPTY,
+    DUPLICATE_CAMERA,
+    INVALID_DISTORTION,
+    INVALID_MATRIX,
+    INVALID_NAME,
+    INVALID_ROTATION,
+    INVALID_SIZE,
+    INVALID_TRANSLATION,
+    TOO_MANY_CAMERAS,
+    UNSUPPORTED_LENS,
+)
 
 MAX_CAMERAS = 128
 _MAX_NAME_LENGTH = 64
@@ -30,6 +43,14 @@ _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 _FISHEYE_LENGTHS = (0, NUM_COEFFICIENTS)
 # The last two of 14 coefficients tilt the sensor.
 _MAX_UNTILTED = 12
+_INVALID = {
+    "name": INVALID_NAME,
+    "size": INVALID_SIZE,
+    "matrix": INVALID_MATRIX,
+    "distortion": INVALID_DISTORTION,
+    "rotation": INVALID_ROTATION,
+    "translation": INVALID_TRANSLATION,
+}
 # Files have 5 to 7 digits: a correct rotation is far within this tolerance, a mistake far outside.
 _ROTATION_TOLERANCE = 1e-3
 
@@ -131,9 +152,9 @@ def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem
     """
     problems = list(earlier)
     if not raw:
-        problems.append(Problem("calibration_empty", "The calibration has no camera.", file=file))
+        problems.append(Problem(CALIBRATION_EMPTY, "The calibration has no camera.", file=file))
     if len(raw) > MAX_CAMERAS:
-        problems.append(Problem("too_many_cameras", f"The calibration has more than {MAX_CAMERAS} cameras.", file=file))
+        problems.append(Problem(TOO_MANY_CAMERAS, f"The calibration has more than {MAX_CAMERAS} cameras.", file=file))
     cameras: list[Camera] = []
     for position, raw_camera in enumerate(raw[:MAX_CAMERAS]):
         camera, camera_problems = _build(raw_camera, position, file)
@@ -142,7 +163,7 @@ def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem
             cameras.append(camera)
     names = Counter(raw_camera.name for raw_camera in raw if isinstance(raw_camera.name, str))
     problems.extend(
-        Problem("duplicate_camera", "Two cameras have this name.", file=file, camera=name, hint="Rename one.")
+        Problem(DUPLICATE_CAMERA, "Two cameras have this name.", file=file, camera=name, hint="Rename one.")
         for name in sorted(name for name, count in names.items() if count > 1)
     )
     if problems:
@@ -154,7 +175,7 @@ def _tilt_problems(distortion: np.ndarray | None, file: str, camera: str) -> lis
     if distortion is None or not distortion[_MAX_UNTILTED:].any():
         return []
     message = "A tilted sensor, coefficients 13 and 14 of the distortion, is not supported."
-    return [Problem("unsupported_lens", message, file=file, camera=camera, field="distortion")]
+    return [Problem(UNSUPPORTED_LENS, message, file=file, camera=camera, field="distortion")]
 
 
 def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
@@ -163,7 +184,7 @@ def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | No
     label = f"number {position + 1}" if fault else str(raw_camera.name)
 
     def complain(field: str, message: str) -> None:
-        problems.append(Problem(f"invalid_{field}", f"The {field} {message}", file=file, camera=label, field=field))
+        problems.append(Problem(_INVALID[field], f"The {field} {message}", file=file, camera=label, field=field))
 
     if fault:
         complain("name", fault)
@@ -222,7 +243,7 @@ def unknown_fields(fields: Any, known: frozenset[str], file: str, camera: str | 
     """Report each field that the format does not have."""
     return [
         Problem(
-            "unknown_field",
+            UNKNOWN_FIELD,
             f"The format has no field '{str(field)[:40]}'.",
             file=file,
             camera=camera,

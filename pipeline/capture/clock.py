@@ -12,6 +12,8 @@ from pipeline.config import MAX_OUTPUT_FRAMES
 from pipeline.data.cameras import FrameTimes
 from pipeline.errors import Problem
 from pipeline.parsing import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.sessions import NO_OVERLAP, SESSION_TOO_LONG, TOO_MANY_FRAMES
 from pipeline.video.frame_rate import measured_rate_hz
 
 
@@ -56,7 +58,7 @@ def _overlap_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> It
         overlaps = any(begin_s <= other_end_s and other_begin_s <= end_s for other_begin_s, other_end_s in others_s)
         if others_s and not overlaps:
             message = f"The camera recorded from {begin_s:.3f} to {end_s:.3f} s; no other camera recorded at that time."
-            yield _camera_problem("no_overlap", message, name, source, "start")
+            yield _camera_problem(NO_OVERLAP, message, name, source, "start")
 
 
 def _length_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> Iterator[Problem]:
@@ -65,7 +67,7 @@ def _length_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> Ite
         length_s = float(camera_times.time_s[-1] - camera_times.time_s[0])
         if not DURATION_S.holds(length_s):
             message = f"The camera recorded for {length_s:,.2f} s; at most {DURATION_S.high:,} s are allowed."
-            yield _camera_problem("session_too_long", message, name, source, "rate")
+            yield _camera_problem(SESSION_TOO_LONG, message, name, source, "rate")
 
 
 def _session_problems(
@@ -80,18 +82,18 @@ def _session_problems(
             f"The camera's last frame is {duration_s:,.2f} s after the session's first one; at most "
             f"{DURATION_S.high:,} s are allowed."
         )
-        yield _camera_problem("session_too_long", message, last, source, "start")
+        yield _camera_problem(SESSION_TOO_LONG, message, last, source, "start")
     elif FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE) and num_frames > MAX_OUTPUT_FRAMES + 0.5:
         fastest = max(times, key=lambda name: measured_rate_hz(times[name].time_s))
         message = (
             f"The session lasts {duration_s:,.2f} s, and its fastest camera has {rate_hz:g} frames a second: that "
             f"is {num_frames:,.0f} output frames; at most {MAX_OUTPUT_FRAMES:,} are allowed."
         )
-        yield _camera_problem("too_many_frames", message, fastest, source, "rate")
+        yield _camera_problem(TOO_MANY_FRAMES, message, fastest, source, "rate")
 
 
 def _camera_problem(
-    code: str, message: str, camera: str, source: TimeSource, quantity: Literal["start", "rate"]
+    code: Code, message: str, camera: str, source: TimeSource, quantity: Literal["start", "rate"]
 ) -> Problem:
     """Report a problem of a camera, with the input field and the remedy of its start or of its rate."""
     field, hint = {

@@ -26,6 +26,9 @@ from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.joints import JointSet
+from pipeline.problem_codes.findings import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
+from pipeline.problem_codes.requests import SESSION_TOO_LARGE
+from pipeline.problem_codes.sessions import INVALID_SIZE, KEYPOINTS_EMPTY, KEYPOINTS_MIXED, TWO_CLOCKS
 from pipeline.video.info import VideoInfo
 from pipeline.video.timeline import cut_timebase, frames_in, recorded_stretches, require_frames, span_s
 
@@ -149,7 +152,7 @@ def open_keypoints(
     try:
         contents = read_contents(calibration, units)
         cameras = contents.cameras
-        findings += [Finding("calibration_note", note, severity="info") for note in contents.notes]
+        findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
         problems += [_unknown_size(camera, calibration) for camera in cameras if camera.size_px == UNKNOWN_SIZE]
     except InputError as error:
         problems.extend(error.problems)
@@ -172,17 +175,17 @@ def open_keypoints(
         left_joints -= contents_of.num_joints
         if left_joints < 0:
             message = f"With this camera's files the session has more than {max_joints:,} joints."
-            problems.append(Problem("session_too_large", message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
+            problems.append(Problem(SESSION_TOO_LARGE, message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
             raise InputError(problems)
     joints = _joint_set(frames, problems)
     if joints is not None and max_joints is not None and _num_joints(frames, joints) > max_joints:
         message = f"With hands for everybody the session has more than {max_joints:,} joints."
-        problems.append(Problem("session_too_large", message, hint=_LARGE_HINT))
+        problems.append(Problem(SESSION_TOO_LARGE, message, hint=_LARGE_HINT))
         raise InputError(problems)
     people_by_camera = {camera: frames[name] for camera, name in pairs.items()}
     if timestamps is not None and frame_rate_hz is not None:
         problems.append(
-            Problem("two_clocks", "There are both timestamps and a frame rate.", hint="Provide only one of them.")
+            Problem(TWO_CLOCKS, "There are both timestamps and a frame rate.", hint="Provide only one of them.")
         )
     times, timebase = (
         times_from_rate(people_by_camera, pairs, frame_rate_hz, findings, problems)
@@ -193,9 +196,9 @@ def open_keypoints(
         raise InputError(problems)
     if forms != {OPENPOSE}:
         message = f"The keypoints are read as those of {' and '.join(sorted(forms))}."
-        findings.append(Finding("keypoints_form", message, severity="info", evidence={"forms": sorted(forms)}))
+        findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"forms": sorted(forms)}))
     findings += [
-        Finding("camera_saw_nobody", f"Camera {camera} saw nobody.", camera, hint="Check the detector's output.")
+        Finding(CAMERA_SAW_NOBODY, f"Camera {camera} saw nobody.", camera, hint="Check the detector's output.")
         for camera, by_frame in people_by_camera.items()
         if not sum(map(len, by_frame.values()))
     ]
@@ -215,7 +218,7 @@ def open_keypoints(
 
 def _unknown_size(camera: Camera, calibration: Path) -> Problem:
     message = "The calibration does not contain the size of the picture, which keypoints need."
-    return Problem("invalid_size", message, file=calibration.name, camera=camera.name, field="size")
+    return Problem(INVALID_SIZE, message, file=calibration.name, camera=camera.name, field="size")
 
 
 def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Problem]) -> JointSet | None:
@@ -225,7 +228,7 @@ def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Proble
     if not used:
         if frames and not problems:
             problems.append(
-                Problem("keypoints_empty", "No camera detected anybody.", hint="Check the detector's output.")
+                Problem(KEYPOINTS_EMPTY, "No camera detected anybody.", hint="Check the detector's output.")
             )
         return None
     joints = joint_set_of(used)
@@ -237,7 +240,7 @@ def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Proble
         )
         problems.append(
             Problem(
-                "keypoints_mixed",
+                KEYPOINTS_MIXED,
                 f"The files have several joint sets ({shown}).",
                 hint="Use one joint set for all files.",
             )

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from pipeline.capture.keypoint_files.folders import MAX_FILE_BYTES
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.sessions import KEYPOINTS_ARCHIVE
 from pipeline.runtime.zips import ArchiveError, list_entries, name_of, read_entry, refusal
 
 _MAX_TOTAL_BYTES = 4 * 2**30
@@ -44,7 +45,7 @@ def _attempt(archive: Path, step: Callable[[], _Found], problems: list[Problem])
             raise
         message = str(refused)
     hint = "Send one zip archive for each camera, with its keypoint files: JSON, or CSV of DeepLabCut."
-    problems.append(Problem("keypoints_archive", message, file=archive.name, hint=hint))
+    problems.append(Problem(KEYPOINTS_ARCHIVE, message, file=archive.name, hint=hint))
     return None
 
 

@@ -45,6 +45,8 @@ from pipeline.capture.preflight_record import (
 from pipeline.capture.session import Recording, Session, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.findings import Finding
+from pipeline.problem_codes.requests import SESSION_TOO_LARGE
+from pipeline.problem_codes.sessions import IMAGES_ARCHIVE
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import is_sequence
 from pipeline.video.properties.regularity import OF_TIMES
@@ -153,7 +155,7 @@ def _with_findings(preflight: Preflight, findings: Sequence[Finding]) -> Preflig
 
 def _no_archive(path: Path) -> Problem:
     message, hint = "The file is no zip archive of photographs.", "Send one zip archive for each camera, named as it."
-    return Problem("images_archive", message, file=path.name, hint=hint)
+    return Problem(IMAGES_ARCHIVE, message, file=path.name, hint=hint)
 
 
 def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
@@ -204,7 +206,7 @@ def _write_record(path: Path, record: bytes, content: str) -> None:
         if error.errno != errno.EFBIG:
             raise
         message = f"The {content} of the session are larger than the service stores."
-        raise InputError([Problem("session_too_large", message, hint="Cut the session into several.")]) from None
+        raise InputError([Problem(SESSION_TOO_LARGE, message, hint="Cut the session into several.")]) from None
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -243,7 +245,7 @@ def main(words: Sequence[str] | None = None) -> int:
         answer = {"problems": [asdict(problem) for problem in listed(error.problems)]}
     except MemoryError:
         message = "The check of the files needs more memory than the service allows."
-        problem = Problem("session_too_large", message, hint="Cut the session into several, or lower its resolution.")
+        problem = Problem(SESSION_TOO_LARGE, message, hint="Cut the session into several, or lower its resolution.")
         answer = {"problems": [asdict(problem)]}
     except OSError as error:
         if error.errno not in DISK_FULL:

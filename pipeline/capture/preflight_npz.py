@@ -19,6 +19,7 @@ from pipeline.data.detections import Detections
 from pipeline.findings import Finding
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet
+from pipeline.problem_codes.findings import SESSION_WARNING
 from pipeline.runtime.npz import decode_arrays, encode_arrays
 from pipeline.video.info import VideoInfo
 
@@ -57,7 +58,7 @@ def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.n
 
 def _decode_findings(head: Mapping[str, Any]) -> tuple[Finding, ...]:
     # Records of earlier versions have sentences only.
-    older = tuple(Finding("session_warning", sentence) for sentence in head.get("warnings", ()))
+    older = tuple(Finding(SESSION_WARNING, sentence) for sentence in head.get("warnings", ()))
     return (*older, *map(Finding.from_json, head.get("findings", ())))
 
 

@@ -20,6 +20,21 @@ from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
+from pipeline.problem_codes.findings import CALIBRATION_ADAPTED, CALIBRATION_NOTE, FILE_IGNORED, FRAMES_REPEATED
+from pipeline.problem_codes.sessions import (
+    CAMERA_WITH_TWO_VIDEOS,
+    DUPLICATE_RECORDING,
+    DUPLICATE_RECORDING_FILE,
+    DUPLICATE_VIDEO,
+    FRAME_RATE,
+    INVALID_NAME,
+    NO_FRAME_RATE,
+    OFFSET_RANGE,
+    RECORDING_CAMERA_UNKNOWN,
+    RECORDING_FILE_UNKNOWN,
+    SIZE_MISMATCH,
+    TOO_FEW_VIDEOS,
+)
 from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 from pipeline.video.images.files import ENDINGS, SEQUENCE
 from pipeline.video.images.probe import at_rate
@@ -168,7 +183,7 @@ def open_session(
         try:
             contents = read_contents(calibration, units)
             cameras = contents.cameras
-            findings += [Finding("calibration_note", note, severity="info") for note in contents.notes]
+            findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
         except InputError as error:
             problems.extend(error.problems)
 
@@ -177,7 +192,7 @@ def open_session(
     if calibration is None:
         cameras = _guessed([result for result in probed if isinstance(result, VideoInfo)], recordings)
         problems += [
-            Problem("invalid_name", f"The name {fault}", camera=camera.name, field="name", hint="Rename the video.")
+            Problem(INVALID_NAME, f"The name {fault}", camera=camera.name, field="name", hint="Rename the video.")
             for camera in cameras
             if (fault := name_problem(camera.name))
         ]
@@ -190,7 +205,7 @@ def open_session(
     names = [camera_of_file.get(path.name, _stem(path)) for path in paths]
     problems += [
         Problem(
-            "camera_with_two_videos",
+            CAMERA_WITH_TWO_VIDEOS,
             f"This video has the name of the camera {name}, but {recording_of_camera[name].file} is assigned to it.",
             file=path.name,
             camera=name,
@@ -235,7 +250,7 @@ def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
     """Report stated offsets and frame rates that are out of range."""
     stated = [
         (
-            "offset_range",
+            OFFSET_RANGE,
             "offset_s",
             OFFSET_S,
             recording.camera,
@@ -246,7 +261,7 @@ def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
     ]
     stated += [
         (
-            "frame_rate",
+            FRAME_RATE,
             "rate",
             FRAME_RATE_HZ,
             recording.camera,
@@ -276,17 +291,17 @@ def _known_recordings(
         hint = f"The calibration's cameras are {', '.join(sorted(names.values()))}."
         if camera is None:
             message = "The calibration has no camera of this name."
-            problems.append(Problem("recording_camera_unknown", message, camera=recording.camera, hint=hint))
+            problems.append(Problem(RECORDING_CAMERA_UNKNOWN, message, camera=recording.camera, hint=hint))
         elif camera in known:
             problems.append(
-                Problem("duplicate_recording", "There is more than one recording for this camera.", camera=camera)
+                Problem(DUPLICATE_RECORDING, "There is more than one recording for this camera.", camera=camera)
             )
         elif recording.file is not None and recording.file not in files:
             message = "There is no video of this name."
-            problems.append(Problem("recording_file_unknown", message, file=recording.file, camera=camera))
+            problems.append(Problem(RECORDING_FILE_UNKNOWN, message, file=recording.file, camera=camera))
         elif recording.file is not None and recording.file in {other.file for other in known.values()}:
             message = "The video is already assigned to another camera."
-            problems.append(Problem("duplicate_recording_file", message, file=recording.file, camera=camera))
+            problems.append(Problem(DUPLICATE_RECORDING_FILE, message, file=recording.file, camera=camera))
         else:
             known[camera] = recording
     return known, problems
@@ -296,7 +311,7 @@ def _without_rate(videos: Mapping[str, VideoInfo], rates_hz: Mapping[str, float 
     """Report sequences of images without a frame rate."""
     message, hint = "Images have no times: their frame rate must be stated.", "State it in frames a second."
     return [
-        Problem("no_frame_rate", message, file=video.path.name, camera=name, field="rate", hint=hint)
+        Problem(NO_FRAME_RATE, message, file=video.path.name, camera=name, field="rate", hint=hint)
         for name, video in videos.items()
         if video.codec == SEQUENCE and rates_hz[name] is None
     ]
@@ -324,7 +339,7 @@ def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoIn
     rates_hz = {name: measured_rate_hz(camera_times.time_s) for name, camera_times in times.items()}
     return [
         Problem(
-            "frame_rate",
+            FRAME_RATE,
             f"By its timestamps the video has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are allowed.",
             file=videos[name].path.name,
             camera=name,
@@ -366,7 +381,7 @@ def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[P
             path for path in listed if path.suffix.lower() == ".zip" or _has_images(path)
         ]
         findings += [
-            Finding("file_ignored", f"{path.name} is ignored: it is not a video.", severity="info")
+            Finding(FILE_IGNORED, f"{path.name} is ignored: it is not a video.", severity="info")
             for path in files
             if path not in paths
         ]
@@ -376,7 +391,7 @@ def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[P
         found, required = ("is one video", "are") if paths else ("are no videos", "are" if min_videos > 1 else "is")
         problems.append(
             Problem(
-                "too_few_videos",
+                TOO_FEW_VIDEOS,
                 f"There {found}; at least {min_videos} {required} required.",
                 hint="Provide one video of each camera.",
             )
@@ -384,7 +399,7 @@ def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[P
     for stem, count in sorted(Counter(_stem(path) for path in paths).items()):
         if count > 1:
             problems.append(
-                Problem("duplicate_video", f"{count} videos have the name {stem}.", file=stem, hint="Rename them.")
+                Problem(DUPLICATE_VIDEO, f"{count} videos have the name {stem}.", file=stem, hint="Rename them.")
             )
     return paths, findings, problems
 
@@ -408,7 +423,7 @@ def _has_images(path: Path) -> bool:
 def _repeated_times(camera: str, video: VideoInfo) -> Finding:
     frames = "1 frame is" if video.num_repeated == 1 else f"{video.num_repeated} frames are"
     return Finding(
-        "frames_repeated",
+        FRAMES_REPEATED,
         f"{video.path.name}: {frames} left out, because another frame has the same timestamp.",
         camera,
         hint="Export the video again at a constant frame rate.",
@@ -431,7 +446,7 @@ def _fitted(
             fitted.append(found[0])
             findings.append(
                 Finding(
-                    "calibration_adapted",
+                    CALIBRATION_ADAPTED,
                     f"{camera.name}: {_sizes(camera, video)}; {found[1]}.",
                     camera.name,
                     hint="Calibrate at the size of the videos if the guess is wrong.",
@@ -463,7 +478,7 @@ def _size_problem(camera: Camera, video: VideoInfo) -> Problem:
         hint = "The principal point of the calibration is not near the middle of the picture: check the sizes."
     message = _sizes(camera, video)
     return Problem(
-        "size_mismatch",
+        SIZE_MISMATCH,
         f"{message[0].upper()}{message[1:]}.",
         file=video.path.name,
         camera=camera.name,

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from pipeline.capture.preflight_record import Clock
 from pipeline.errors import Problem
 from pipeline.findings import Finding
+from pipeline.problem_codes.findings import COARSE_CLOCK
+from pipeline.problem_codes.sessions import NO_CREATION_TIME, NO_TIMECODE
 from pipeline.video.info import VideoInfo
 
 _DAY_S = 86_400.0
@@ -51,12 +53,12 @@ def clock_findings(videos: Mapping[str, VideoInfo], clock: Clock) -> list[Findin
             "The videos are placed by their times of creation, which most cameras state in whole seconds: the cameras "
             "may be off from each other by a second."
         )
-        return [Finding("coarse_clock", message, hint="Use timecode, state offsets, or synchronise by the people.")]
+        return [Finding(COARSE_CLOCK, message, hint="Use timecode, state offsets, or synchronise by the people.")]
     if clock == "declared":
         return []
     return [
         Finding(
-            "coarse_clock",
+            COARSE_CLOCK,
             f"The timecode counts {video.timecode.rate_hz:.6g} frames a second, the video has "
             f"{video.frame_rate_hz:.6g}: its start is known to {1000 / video.timecode.rate_hz:.0f} ms.",
             camera,
@@ -98,10 +100,10 @@ def _across_midnight(times_s: Mapping[str, float]) -> Mapping[str, float]:
 def _without(camera: str, video: VideoInfo, clock: Clock) -> Problem:
     if clock == "timecode":
         return Problem(
-            "no_timecode", "The video has no timecode.", file=video.path.name, camera=camera, field="clock",
+            NO_TIMECODE, "The video has no timecode.", file=video.path.name, camera=camera, field="clock",
             hint=_DECLARED,
         )  # fmt: skip
     return Problem(
-        "no_creation_time", "The video states no time of creation.", file=video.path.name, camera=camera, field="clock",
+        NO_CREATION_TIME, "The video states no time of creation.", file=video.path.name, camera=camera, field="clock",
         hint=_DECLARED,
     )  # fmt: skip

@@ -9,6 +9,7 @@ from pipeline.capture.session import CaptureSession
 from pipeline.data.detections import DamagedVideo, PictureChanges
 from pipeline.detect.doubled import doubled_frames, join_changes
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.sessions import VIDEO_DAMAGED
 from pipeline.video.timeline import frames_in, session_timebase, span_s
 
 MAX_DAMAGED_SHARE = 0.1
@@ -63,7 +64,7 @@ def damaged_videos(session: CaptureSession, pictures: Iterable[CheckedPictures])
 
 def _problem(video: DamagedVideo) -> Problem:
     return Problem(
-        "video_damaged",
+        VIDEO_DAMAGED,
         f"{video.num_damaged} of {video.num_frames} frames are damaged or can't be decoded, from {video.first_s:.1f} "
         f"to {video.last_s:.1f} s of the video; at most {MAX_DAMAGED_SHARE:.0%} may be.",
         file=video.file,

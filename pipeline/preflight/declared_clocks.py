@@ -10,6 +10,7 @@ from pipeline.data.detections import Detections, DetectionsByCamera
 from pipeline.detect.chunk import concatenate
 from pipeline.findings import Finding
 from pipeline.joints import JointSet
+from pipeline.problem_codes.findings import CLOCKS_DISAGREE
 from pipeline.synchronization.remaining import RemainingOffset, remaining_offsets
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.timeline import frames_in
@@ -86,7 +87,7 @@ def _finding(offset: RemainingOffset) -> Finding:
     )
     hint = f"Synchronise by the people (sync: auto), or add {offset.late_s:+.3f} s to the offset of this camera."
     evidence = {"late_s": offset.late_s, "sigma_s": offset.sigma_s, "late_frames": offset.frames}
-    return Finding("clocks_disagree", message, offset.camera, "warning", hint, evidence)
+    return Finding(CLOCKS_DISAGREE, message, offset.camera, "warning", hint, evidence)
 
 
 def _spans(parts: Sequence[range], frame_rate_hz: float) -> list[range]:

@@ -11,6 +11,17 @@ from pipeline.findings import Finding
 from pipeline.preflight.explain import DOUBTFUL, Hypothesis, PairDisagreement, as_given, explain, move_points
 from pipeline.preflight.sightings import SimultaneousPeople
 from pipeline.preflight.world import check_world, locate
+from pipeline.problem_codes.findings import (
+    CALIBRATION_OF_ANOTHER_RIG,
+    CAMERA_SEES_NOBODY,
+    CAMERAS_EXCHANGED,
+    NO_COMMON_PEOPLE,
+    NOBODY_DETECTED,
+    PICTURE_MIRRORED,
+    PICTURE_TURNED,
+    SAME_VIDEO,
+)
+from pipeline.problem_codes.warnings import CAMERA_DISAGREES
 from pipeline.quality.names import first_names
 
 _OTHER_RIG = "Check that the calibration belongs to these videos, and that the videos are synchronised."
@@ -51,12 +62,12 @@ def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> 
             "See whether people are in the pictures, upright, bright and large enough. Choose a more exact profile, or "
             "another detector."
         )
-        yield Finding("nobody_detected", message, None, "error", hint, {"people": counts, "num_instants": num_instants})
+        yield Finding(NOBODY_DETECTED, message, None, "error", hint, {"people": counts, "num_instants": num_instants})
         return
     for name in empty:
         message = f"Nobody was detected at {num_instants} instants, while other cameras see people."
         hint = "See whether the camera looks at the people, and whether its picture is upright, bright and sharp."
-        yield Finding("camera_sees_nobody", message, name, "warning", hint, {"num_instants": num_instants})
+        yield Finding(CAMERA_SEES_NOBODY, message, name, "warning", hint, {"num_instants": num_instants})
 
 
 def _check_copies(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Iterator[Finding]:
@@ -73,7 +84,7 @@ def _check_copies(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> I
             message = f"The people are the same points as those of {first}: one video or folder was given twice."
             evidence = {"other_camera": first, "num_same": same, "num_instants": len(pairs)}
             yield Finding(
-                "same_video", message, cameras[right_camera].name, "error", "Give each camera its own.", evidence
+                SAME_VIDEO, message, cameras[right_camera].name, "error", "Give each camera its own.", evidence
             )
 
 
@@ -91,7 +102,7 @@ def _exchanged(
         other = cameras[best.places[number]].name
         message = f"What {cameras[number].name} sees fits the calibration of {other}: cameras or videos are exchanged."
         yield Finding(
-            "cameras_exchanged",
+            CAMERAS_EXCHANGED,
             message,
             cameras[number].name,
             "error",
@@ -108,12 +119,12 @@ def _moved(
         if move == "mirrored":
             message = "The picture is mirrored against its calibration: left is right."
             hint = "Turn off the mirroring of the camera, or mirror the video back."
-            yield Finding("picture_mirrored", message, cameras[number].name, "error", hint, numbers)
+            yield Finding(PICTURE_MIRRORED, message, cameras[number].name, "error", hint, numbers)
         elif move != "as is":
             message = f"The picture is turned by {move} degrees against its calibration."
             hint = f"Turn the video clockwise by {move} degrees, or calibrate the camera as it is turned."
             turned = {"turn_deg": int(move), **numbers}
-            yield Finding("picture_turned", message, cameras[number].name, "error", hint, turned)
+            yield Finding(PICTURE_TURNED, message, cameras[number].name, "error", hint, turned)
 
 
 def _disagreements(evidence: PairDisagreement, given: Hypothesis, best: Hypothesis, number: int) -> Mapping[str, float]:
@@ -129,7 +140,7 @@ def _check_rest(cameras: Sequence[Camera], evidence: PairDisagreement, best: Hyp
     if by_pair and min(by_pair.values()) > DOUBTFUL:
         numbers = {"disagreement": round(float(np.mean(list(by_pair.values()))), 3), "num_pairs": len(by_pair)}
         message = "No two cameras agree about people: the calibration is that of another rig, or the clocks are wrong."
-        yield Finding("calibration_of_another_rig", message, None, "error", _OTHER_RIG, numbers)
+        yield Finding(CALIBRATION_OF_ANOTHER_RIG, message, None, "error", _OTHER_RIG, numbers)
         return
     disagreeing = _disagreeing(by_pair)
     agreeing = [camera.name for number, camera in enumerate(cameras) if number not in disagreeing]
@@ -139,15 +150,13 @@ def _check_rest(cameras: Sequence[Camera], evidence: PairDisagreement, best: Hyp
             "If the camera was moved, calibrate it again or refine the calibration (`refine_calibration`); else check "
             "its offset, and that its video and its calibration belong together."
         )
-        yield Finding(
-            "camera_disagrees", message, cameras[number].name, "error", hint, {"disagreement": round(value, 3)}
-        )
+        yield Finding(CAMERA_DISAGREES, message, cameras[number].name, "error", hint, {"disagreement": round(value, 3)})
     by_camera = evidence.of_cameras(best)
     for number, value in enumerate(by_camera):
         if np.isnan(value) and evidence.sees_people(number):
             message = "The camera sees people, but never at an instant at which another camera does."
             hint = "Check its offset, and that it looks at the same place as another camera."
-            yield Finding("no_common_people", message, cameras[number].name, "error", hint)
+            yield Finding(NO_COMMON_PEOPLE, message, cameras[number].name, "error", hint)
 
 
 def _disagreeing(by_pair: Mapping[tuple[int, int], float]) -> Mapping[int, float]:

@@ -14,6 +14,14 @@ from pipeline.geometry.triangulation import triangulate
 from pipeline.joints import JointSet
 from pipeline.preflight.agreement import is_same, matches
 from pipeline.preflight.sightings import SimultaneousPeople, ideal_px
+from pipeline.problem_codes.warnings import (
+    CAMERA_BELOW_FLOOR,
+    FLOOR_NOT_AT_ZERO,
+    MIRRORED_WORLD,
+    NOT_UPRIGHT,
+    STATURE_OUT_OF_RANGE,
+    UPSIDE_DOWN,
+)
 from pipeline.quality.report import estimate_stature_m
 from pipeline.quality.world_checks import (
     MAX_LEAN_DEG,
@@ -81,10 +89,10 @@ def _check_upright(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
     evidence = {"lean_deg": lean_deg, "num_people": len(upwards)}
     if lean_deg > 180.0 - MAX_LEAN_DEG:
         message = "Heads are below feet: the calibration's Z axis points down."
-        yield Finding("upside_down", message, None, "error", "Turn the calibration: Z must point up.", evidence)
+        yield Finding(UPSIDE_DOWN, message, None, "error", "Turn the calibration: Z must point up.", evidence)
     elif lean_deg > MAX_LEAN_DEG:
         message = f"People lean {lean_deg:.0f} degrees: the calibration's up axis may not be Z."
-        yield Finding("not_upright", message, None, "error", "Check that the calibration's up axis is Z.", evidence)
+        yield Finding(NOT_UPRIGHT, message, None, "error", "Check that the calibration's up axis is Z.", evidence)
 
 
 def _check_stature(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
@@ -93,7 +101,7 @@ def _check_stature(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
     if np.isfinite(stature_m) and not lowest_m <= stature_m <= highest_m:
         message = f"People are {stature_m:.3g} m tall: the unit of the calibration may not be the metre."
         evidence = {"stature_m": stature_m, "num_people": poses.num_frames}
-        yield Finding("stature_out_of_range", message, None, "error", hint_of_unit(stature_m), evidence)
+        yield Finding(STATURE_OUT_OF_RANGE, message, None, "error", hint_of_unit(stature_m), evidence)
 
 
 def _check_sides(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
@@ -103,7 +111,7 @@ def _check_sides(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
     if share >= MIRRORED_SHARE:
         message = f"Left and right of {100 * share:.0f} % of the people are exchanged: the world is mirrored."
         hint = "Check whether an axis of the calibration has the wrong sign, or the videos are mirrored."
-        yield Finding("mirrored_world", message, None, "error", hint, {"share": share, "num_people": len(sides)})
+        yield Finding(MIRRORED_WORLD, message, None, "error", hint, {"share": share, "num_people": len(sides)})
 
 
 def _check_heights(
@@ -120,10 +128,10 @@ def _check_heights(
         message = f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
         hint = f"Move the calibration's origin by {floor_m:.2f} m along Z."
         evidence = {"height_m": floor_m, "num_people": len(ankles_m)}
-        yield Finding("floor_not_at_zero", message, None, "warning", hint, evidence)
+        yield Finding(FLOOR_NOT_AT_ZERO, message, None, "warning", hint, evidence)
     for camera in cameras:
         height_m = float(center_in_world(camera)[2])
         if height_m < floor_m - _MAX_FLOOR_M:
             message = f"The camera is {floor_m - height_m:.2f} m below the floor that people stand on."
             hint = "Check the calibration's axes."
-            yield Finding("camera_below_floor", message, camera.name, "warning", hint, {"height_m": height_m})
+            yield Finding(CAMERA_BELOW_FLOOR, message, camera.name, "warning", hint, {"height_m": height_m})

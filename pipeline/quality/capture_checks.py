@@ -14,6 +14,21 @@ from pipeline.data.cameras import Refinement, Synchronization
 from pipeline.data.detections import DamagedVideo
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.findings import SessionCheck
+from pipeline.problem_codes.warnings import (
+    APPROXIMATE_ASSOCIATION,
+    CALIBRATION_REFINED,
+    CAMERA_BUMPED,
+    CAMERA_WITHOUT_PEOPLE,
+    DAMAGED_VIDEO,
+    EVERYBODY_REMOVED,
+    FEW_VIEWS,
+    FRAMES_DOUBLED,
+    NOBODY_FOUND,
+    SYNC_UNCERTAIN,
+    TOO_FEW_CAMERAS,
+    UNCERTAIN_IDENTITY,
+    WORLD_LEVELED,
+)
 from pipeline.quality.names import first_names
 
 # With fewer views, a wrong observation can't be detected.
@@ -58,7 +73,7 @@ def capture_checks(
 def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
     if len(names) < _MIN_VIEWS:
         yield (
-            "too_few_cameras",
+            TOO_FEW_CAMERAS,
             f"The session has {len(names)} cameras. With fewer than {_MIN_VIEWS}, errors can't be detected.",
         )
 
@@ -71,7 +86,7 @@ def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     ]
     if described:
         yield (
-            "frames_doubled",
+            FRAMES_DOUBLED,
             f"Frames show the picture before once more in {first_names(described)}. People lag behind by a frame "
             "there; record with a camera that keeps its rate, or export without a constant rate.",
         )
@@ -95,7 +110,7 @@ def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     ]
     subject = "A video is" if len(damaged) == 1 else f"{len(damaged)} videos are"
     yield (
-        "damaged_video",
+        DAMAGED_VIDEO,
         f"{subject} damaged: {first_names(described)}. People may be wrong or missing there, and up to the video's "
         "next keyframe.",
     )
@@ -105,7 +120,7 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
     if seen:
         return
     if take.is_emptied:
-        yield "everybody_removed", "The edits leave nobody of the people who were found. Undo an edit to get them back."
+        yield EVERYBODY_REMOVED, "The edits leave nobody of the people who were found. Undo an edit to get them back."
         return
     check = take.check
     errors = [finding for finding in check.findings if finding.severity == "error"]
@@ -119,7 +134,7 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
         people = first_names([f"{count} in {camera}" for camera, count in check.people.items()])
         detected = f"People were detected ({people}, at {check.num_instants} instants)"
         reason = f"{detected}, but not matched across cameras. {reason}"
-    yield "nobody_found", f"Nobody was found. {reason}"
+    yield NOBODY_FOUND, f"Nobody was found. {reason}"
 
 
 def _why_nobody(check: SessionCheck) -> dict[str, Any]:
@@ -140,12 +155,12 @@ def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator
     unused = [name for name, is_used in zip(names, used, strict=True) if not is_used]
     if len(unused) == 1:
         yield (
-            "camera_without_people",
+            CAMERA_WITHOUT_PEOPLE,
             f"Nobody was matched in {unused[0]}: its video, calibration or timing may be wrong.",
         )
     elif unused:
         yield (
-            "camera_without_people",
+            CAMERA_WITHOUT_PEOPLE,
             f"Nobody was matched in {len(unused)} cameras: {first_names(unused)}. Their videos, calibrations or "
             "timing may be wrong.",
         )
@@ -156,10 +171,10 @@ def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[t
         return
     people = [f"person-{track_id}" for track_id, frames in seen.items() if _has_few_views(frames)]
     if len(people) == 1:
-        yield "few_views", f"{people[0]} was seen by fewer than {_MIN_VIEWS} cameras in most frames."
+        yield FEW_VIEWS, f"{people[0]} was seen by fewer than {_MIN_VIEWS} cameras in most frames."
     elif people:
         yield (
-            "few_views",
+            FEW_VIEWS,
             f"{len(people)} people were seen by fewer than {_MIN_VIEWS} cameras in most frames: {first_names(people)}.",
         )
 
@@ -167,7 +182,7 @@ def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[t
 def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]:
     if reconstruction.num_approximate_frames:
         yield (
-            "approximate_association",
+            APPROXIMATE_ASSOCIATION,
             f"In {reconstruction.num_approximate_frames} of {reconstruction.timebase.num_frames} frames there were too "
             "many people for an exact matching: a simpler rule matched them.",
         )
@@ -182,7 +197,7 @@ def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]
     if doubtful:
         described = [f"person-{track_id} (frame {doubt.frame})" for track_id, doubt in doubtful]
         yield (
-            "uncertain_identity",
+            UNCERTAIN_IDENTITY,
             f"It is uncertain who is who: {first_names(described)}. Look at these moments; `identity.doubts` in "
             "metrics.json lists all of them.",
         )
@@ -194,14 +209,14 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
     if refinement.refined:
         moves = [f"{move.camera} by {move.rotation_deg:.1f} degrees" for move in refinement.moved]
         yield (
-            "calibration_refined",
+            CALIBRATION_REFINED,
             f"The calibration did not fit the people: {refinement.error_before_px:.1f} px. It was refined to "
             f"{refinement.error_after_px:.1f} px, and turned {first_names(moves)}. Use calibration.json for takes of "
             "the same cameras.",
         )
     if refinement.world is not None:
         yield (
-            "world_leveled",
+            WORLD_LEVELED,
             f"The floor was tilted by {refinement.world.tilt_deg:.1f} degrees and at a height of "
             f"{refinement.world.height_m:.2f} m. The world was levelled: feet stand at z = 0. Use calibration.json for "
             "takes of the same cameras.",
@@ -212,7 +227,7 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
             for bump in refinement.bumped
         ]
         yield (
-            "camera_bumped",
+            CAMERA_BUMPED,
             f"A camera was moved during the take: {first_names(bumps)}. Reconstruct the frames before and after it on "
             "their own.",
         )
@@ -222,7 +237,7 @@ def _check_synchronization(synchronization: Synchronization | None) -> Iterator[
     if synchronization is not None and synchronization.warnings:
         described = [f"{warning.camera}: {warning.message.rstrip('.')}" for warning in synchronization.warnings]
         yield (
-            "sync_uncertain",
+            SYNC_UNCERTAIN,
             f"The clocks of the cameras were measured, but not well: {first_names(described)}. Let somebody move where "
             "all cameras see them.",
         )

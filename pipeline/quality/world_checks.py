@@ -16,6 +16,16 @@ from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
+from pipeline.problem_codes.warnings import (
+    CAMERA_BELOW_FLOOR,
+    CAMERA_DISAGREES,
+    FLOOR_NOT_AT_ZERO,
+    FLOOR_TILTED,
+    MIRRORED_WORLD,
+    NOT_UPRIGHT,
+    STATURE_OUT_OF_RANGE,
+    UPSIDE_DOWN,
+)
 from pipeline.quality.epipolar_distances import Pairs
 from pipeline.quality.names import first_names
 from pipeline.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG
@@ -114,20 +124,20 @@ def _check_upright(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Fou
     lean_deg = float(np.median(np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))))
     if lean_deg > 180.0 - MAX_LEAN_DEG:
         message = "Heads are below feet: the calibration's Z axis points down."
-        yield "upside_down", message, None, lean_deg, "Turn the calibration: Z must point up."
+        yield UPSIDE_DOWN, message, None, lean_deg, "Turn the calibration: Z must point up."
     elif lean_deg > MAX_LEAN_DEG:
         message = f"People lean {lean_deg:.0f} degrees in most frames: the calibration's up axis may not be Z."
-        yield "not_upright", message, None, lean_deg, "Check that the calibration's up axis is Z."
+        yield NOT_UPRIGHT, message, None, lean_deg, "Check that the calibration's up axis is Z."
 
 
 def _check_floor(floor: Floor | None, floor_m: float) -> Iterator[_Found]:
     if abs(floor_m) > MAX_HEIGHT_M:
         message = f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
         hint = f"Move the calibration's origin by {floor_m:.2f} m along Z, or level it (`refine_calibration`)."
-        yield "floor_not_at_zero", message, None, floor_m, hint
+        yield FLOOR_NOT_AT_ZERO, message, None, floor_m, hint
     if floor is not None and floor.tilt_deg > MAX_TILT_DEG:
         message = f"The floor that feet stand on is tilted by {floor.tilt_deg:.1f} degrees."
-        yield "floor_tilted", message, None, floor.tilt_deg, _LEVEL
+        yield FLOOR_TILTED, message, None, floor.tilt_deg, _LEVEL
 
 
 def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
@@ -144,11 +154,11 @@ def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
     if len(odd_m) == 1:
         ((person, stature_m),) = odd_m.items()
         message = f"{person} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre."
-        yield "stature_out_of_range", message, None, middle_m, hint
+        yield STATURE_OUT_OF_RANGE, message, None, middle_m, hint
         return
     people = first_names([f"{person} ({stature_m:.2f} m)" for person, stature_m in odd_m.items()])
     yield (
-        "stature_out_of_range",
+        STATURE_OUT_OF_RANGE,
         f"{len(odd_m)} people are not {lowest_m:g} to {highest_m:g} m tall: {people}. The unit of the calibration "
         "may not be the metre.",
         None,
@@ -173,7 +183,7 @@ def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[_Found
     if below:
         lowest = min(below, key=lambda name: heights_m[name])
         message = f"Cameras are below the floor: {first_names(below)}."
-        yield "camera_below_floor", message, lowest, heights_m[lowest], "Check the calibration's axes."
+        yield CAMERA_BELOW_FLOOR, message, lowest, heights_m[lowest], "Check the calibration's axes."
 
 
 def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
@@ -184,7 +194,7 @@ def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_
     share = float(np.mean(sign < 0.0)) if len(sign) else 0.0
     if len(sign) >= MIRRORED_FRAMES and share >= MIRRORED_SHARE:
         yield (
-            "mirrored_world",
+            MIRRORED_WORLD,
             f"People's left and right are exchanged in {100 * share:.0f} % of the frames: the world is mirrored.",
             None,
             share,
@@ -214,7 +224,7 @@ def _check_pairs(cameras: Sequence[Camera], by_pair: Pairs) -> Iterator[_Found]:
         return
     name = cameras[worst].name
     yield (
-        "camera_disagrees",
+        CAMERA_DISAGREES,
         f"{name} and the other cameras disagree about people by {100 * of_camera[worst]:.1f} cm in most frames: its "
         "calibration or its timing is wrong.",
         name,

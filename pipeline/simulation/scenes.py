@@ -12,6 +12,7 @@ from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
+from pipeline.problem_codes.commands import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
 from pipeline.simulation.motion.director import Cast, improvise
 from pipeline.simulation.motion.exchange import Exchange, exchange
 from pipeline.simulation.motion.performance import joints_at, perform
@@ -224,7 +225,7 @@ SCENES: Mapping[str, Scene] = {
 def find_scene(name: str) -> Scene:
     """Look up a scene by name. Raises ``InputError`` if the name is unknown."""
     if name not in SCENES:
-        problem = Problem("unknown_scene", f"There is no scene {name!r}.", hint=f"Known are {', '.join(SCENES)}.")
+        problem = Problem(UNKNOWN_SCENE, f"There is no scene {name!r}.", hint=f"Known are {', '.join(SCENES)}.")
         raise InputError([problem])
     return SCENES[name]
 
@@ -235,7 +236,7 @@ def known_joints(name: str) -> Joints:
         if joints == name:
             return cast(Joints, joints)
     problem = Problem(
-        "unknown_joints",
+        UNKNOWN_JOINTS,
         f"There are no joints {name!r}.",
         field="joints",
         hint=f"Known are {', '.join(get_args(Joints))}.",
@@ -282,9 +283,9 @@ def record(scene: Scene, seed: int, num_views: int | None = None, joints: Joints
     problems = []
     if not 1 <= num_views <= num_cameras:
         message = f"There are {num_cameras} cameras, not {num_views}."
-        problems.append(Problem("wrong_number_of_views", message, field="views", hint="Ask for 1 to all of them."))
+        problems.append(Problem(WRONG_NUMBER_OF_VIEWS, message, field="views", hint="Ask for 1 to all of them."))
     if seed < 0:
-        problems.append(Problem("negative_seed", "A seed can't be negative.", field="seed"))
+        problems.append(Problem(NEGATIVE_SEED, "A seed can't be negative.", field="seed"))
     if problems:
         raise InputError(problems)
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from pipeline.config import ReconstructionConfig
+from pipeline.problem_codes.specs import FRAME_RANGE
 from pipeline.stages.stage import DETECT, LENGTHS, REFINE, SYNCHRONIZE, Context, Output, SessionFacts, Stage, Task
 
 # Rate of the frames in which clustering measures bones.
@@ -40,7 +41,7 @@ STAGE = Stage(
     measure_lengths,
     cut="whole",
     follows=(DETECT, SYNCHRONIZE, REFINE),
-    choices=("frame_range", "clustering"),
+    choices=(FRAME_RANGE, "clustering"),
     is_planned=is_clustering,
     looked_at_hz=_MEASURED_HZ,
 )

@@ -1,5 +1,6 @@
 """Find people: in a range of output frames, each instant by itself. The output is a ``Poses3D``."""
 
+from pipeline.problem_codes.specs import FRAME_RANGE
 from pipeline.stages.lengths import is_clustering
 from pipeline.stages.stage import DETECT, LENGTHS, POSES, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
 
@@ -23,6 +24,6 @@ STAGE = Stage(
     find_poses,
     cut="ranges",
     follows=(DETECT, SYNCHRONIZE, REFINE, LENGTHS),
-    choices=("frame_range", "clustering"),
+    choices=(FRAME_RANGE, "clustering"),
     is_planned=is_clustering,
 )

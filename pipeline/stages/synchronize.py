@@ -1,6 +1,7 @@
 """Synchronise cameras: when the frames of each were taken. The output is a ``Synchronization``."""
 
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.jobs import SYNC_NEEDS_BODIES
 from pipeline.stages.stage import DETECT, SYNCHRONIZE, Context, Output, Stage, Task
 
 
@@ -11,7 +12,7 @@ def synchronize(task: Task, context: Context) -> Output:
 
     if context.detections.finds_fields:
         message = "Cameras are synchronised from whole bodies; this network finds joints."
-        raise InputError([Problem("sync_needs_bodies", message, hint="Choose another detector, or declare offsets.")])
+        raise InputError([Problem(SYNC_NEEDS_BODIES, message, hint="Choose another detector, or declare offsets.")])
     session = context.session()
     bodies, joints = context.detections.bodies(session), context.detections.joints(session)
     sound = listen(session, context.video)

@@ -14,6 +14,7 @@ from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.findings import Finding, from_problem
 from pipeline.joints import JointSet
+from pipeline.problem_codes.findings import CLOCK_MEASURED
 from pipeline.progress import OnShare, ignore
 from pipeline.synchronization.motions import excerpt
 from pipeline.synchronization.sound.combined import synchronize_with_sound
@@ -83,7 +84,7 @@ def clock_findings(synchronization: Synchronization) -> Iterator[Finding]:
         hint = "Reconstruct with sync: auto, which measures the same, or declare this offset."
         evidence = {"offset_s": clock.offset_s, "sigma_s": clock.sigma_s, "rate": clock.rate}
         known = {name: value for name, value in evidence.items() if isfinite(value)}
-        yield Finding("clock_measured", message, clock.camera, "info", hint, known)
+        yield Finding(CLOCK_MEASURED, message, clock.camera, "info", hint, known)
 
 
 def largest_shift_s(declared: Session, measured: Session) -> float:

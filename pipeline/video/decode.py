@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.sessions import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, VIDEO_TIMES, VIDEO_UNREADABLE
 from pipeline.video.decoder import Request
 from pipeline.video.decoder_process import LimitError, UnreadableError, decoded_frames
 from pipeline.video.info import VideoInfo, seek_points
@@ -126,7 +128,7 @@ def _changed_size(video: VideoInfo, number: int, size_px: tuple[int, int]) -> In
     (width, height), (new_width, new_height) = video.stored_size_px, size_px
     return _bad_video(
         video,
-        "video_changes_size",
+        VIDEO_CHANGES_SIZE,
         f"The pictures change their size from {width} x {height} to {new_width} x {new_height} pixels, at or before "
         f"frame {number}.",
         "Cut the video there.",
@@ -135,18 +137,18 @@ def _changed_size(video: VideoInfo, number: int, size_px: tuple[int, int]) -> In
 
 def _times_go_back(video: VideoInfo, number: int) -> InputError:
     message = f"The timestamps go backwards at or before frame {number}."
-    return _bad_video(video, "video_times", message, "Export the video again.")
+    return _bad_video(video, VIDEO_TIMES, message, "Export the video again.")
 
 
 def _undecodable(video: VideoInfo, number: int) -> InputError:
     message = f"Frame {number} of {video.num_frames} can't be decoded."
-    return _bad_video(video, "video_damaged", message, "Copy the file again, or cut it before that frame.")
+    return _bad_video(video, VIDEO_DAMAGED, message, "Copy the file again, or cut it before that frame.")
 
 
 def _beyond_limits(video: VideoInfo, number: int) -> InputError:
     message = f"Frame {number} of {video.num_frames} could not be decoded within the limits on time and memory."
-    return _bad_video(video, "video_unreadable", message, "Convert the video to H.264 in MP4.")
+    return _bad_video(video, VIDEO_UNREADABLE, message, "Convert the video to H.264 in MP4.")
 
 
-def _bad_video(video: VideoInfo, code: str, message: str, hint: str) -> InputError:
+def _bad_video(video: VideoInfo, code: Code, message: str, hint: str) -> InputError:
     return InputError([Problem(code, message, file=video.path.name, hint=hint)])

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.errors import Problem
+from pipeline.problem_codes.model import Code
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ def seek_points(keyframe_pts: Int[np.ndarray, " keyframes"], target_pts: int) ->
 class UnusableError(Exception):
     """The file can't be used: problem code, message and hint."""
 
-    def __init__(self, code: str, message: str, hint: str | None = None) -> None:
+    def __init__(self, code: Code, message: str, hint: str | None = None) -> None:
         super().__init__(code)
         self.code, self.message, self.hint = code, message, hint
 

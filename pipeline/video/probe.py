@@ -19,6 +19,20 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.errors import Problem
+from pipeline.problem_codes.findings import INTERLACED_VIDEO, PIXEL_ASPECT
+from pipeline.problem_codes.sessions import (
+    NO_FRAMES,
+    NO_KEYFRAMES,
+    NO_VIDEO_STREAM,
+    UNSUPPORTED_CODEC,
+    VIDEO_CHANGES_SIZE,
+    VIDEO_EMPTY,
+    VIDEO_MISSING,
+    VIDEO_TIMES,
+    VIDEO_TOO_LARGE,
+    VIDEO_TRUNCATED,
+    VIDEO_UNREADABLE,
+)
 from pipeline.video.children import start_child
 from pipeline.video.container import (
     CODECS,
@@ -62,7 +76,7 @@ def probe(path: Path) -> VideoInfo | Problem:
 
 def _unreadable() -> UnusableError:
     return UnusableError(
-        "video_unreadable",
+        VIDEO_UNREADABLE,
         "The file is not a readable video, or it is damaged.",
         "An interrupted recording has no index. Record or export the video again.",
     )
@@ -74,11 +88,11 @@ def _check_start(path: Path) -> None:
     FFmpeg does not open the file.
     """
     if not path.exists():
-        raise UnusableError("video_missing", "The video file does not exist.")
+        raise UnusableError(VIDEO_MISSING, "The video file does not exist.")
     if path.is_dir():
         return
     if path.stat().st_size == 0:
-        raise UnusableError("video_empty", "The file is empty.", "Copy it again.")
+        raise UnusableError(VIDEO_EMPTY, "The file is empty.", "Copy it again.")
     if not is_container(path) and not is_sequence(path):
         raise _unreadable()
 
@@ -91,14 +105,14 @@ def _probe(path: Path) -> VideoInfo:
         stream = first_video(container)
         if stream is None:
             raise UnusableError(
-                "no_video_stream",
+                NO_VIDEO_STREAM,
                 "The file has no video stream that can be decoded.",
                 "Check that the file is not audio only.",
             )
         codec = stream.codec_context.codec.canonical_name
         if codec not in CODECS:
             raise UnusableError(
-                "unsupported_codec",
+                UNSUPPORTED_CODEC,
                 f"The codec {codec} is not supported.",
                 f"Convert the video to one of {', '.join(sorted(CODECS))}.",
             )
@@ -117,14 +131,14 @@ def _probe(path: Path) -> VideoInfo:
         packets = read_packets(container, stream)
     stored_pts, keyframe_pts, num_read = packets.pts, packets.keyframe_pts, packets.num_read
     if time_base is None or not len(stored_pts):
-        raise UnusableError("no_frames", "The video has no frames.", "Record or export it again.")
+        raise UnusableError(NO_FRAMES, "The video has no frames.", "Record or export it again.")
     if not len(keyframe_pts):
         raise UnusableError(
-            "no_keyframes", "The video has no frame at which decoding can start.", "Record or export it again."
+            NO_KEYFRAMES, "The video has no frame at which decoding can start.", "Record or export it again."
         )
     if announced > num_read + 1:
         raise UnusableError(
-            "video_truncated",
+            VIDEO_TRUNCATED,
             f"The file is truncated: it has {num_read} of {announced} frames.",
             "Copy it again.",
         )
@@ -159,7 +173,7 @@ def _probe(path: Path) -> VideoInfo:
 
 
 def _too_large() -> UnusableError:
-    return UnusableError("video_too_large", f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
+    return UnusableError(VIDEO_TOO_LARGE, f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
 
 
 def _metadata(container: InputContainer) -> dict[str, str]:
@@ -184,22 +198,22 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> list[VideoFrame]:
     """Decode the first pictures and one near the end, all of one size; raise if decoding fails."""
     frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
-        raise UnusableError("no_frames", "No frame of the video can be decoded.", "Record or export it again.")
+        raise UnusableError(NO_FRAMES, "No frame of the video can be decoded.", "Record or export it again.")
     times = [pts for frame in frames if (pts := display_pts(frame)) is not None]
     if times != sorted(times):
-        raise UnusableError("video_times", "The timestamps of the first frames go backwards.", REPAIR_TIMES)
+        raise UnusableError(VIDEO_TIMES, "The timestamps of the first frames go backwards.", REPAIR_TIMES)
     if len(keyframe_pts) > 1:
         last_pts = int(keyframe_pts[-1])
         later = decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)
         last = next((frame for frame in later if (display_pts(frame) or 0) >= last_pts), None)
         if last is None:
-            raise UnusableError("video_truncated", "The end of the video can't be decoded.", "Copy it again.")
+            raise UnusableError(VIDEO_TRUNCATED, "The end of the video can't be decoded.", "Copy it again.")
         frames.append(last)
     first = frames[0]
     for frame in frames:
         if (frame.width, frame.height) != (first.width, first.height):
             raise UnusableError(
-                "video_changes_size",
+                VIDEO_CHANGES_SIZE,
                 f"The pictures change their size from {first.width} x {first.height} to "
                 f"{frame.width} x {frame.height} pixels.",
                 "Cut the video there.",
@@ -226,7 +240,7 @@ def reading_s(path: Path) -> int:
 def limits_problem(name: str) -> Problem:
     """Build the problem of a file that exceeded the limits on time or memory."""
     return Problem(
-        "video_unreadable",
+        VIDEO_UNREADABLE,
         "The video could not be examined within the limits on time and memory.",
         file=name,
         hint="Convert the video to H.264 in MP4.",
@@ -260,18 +274,18 @@ def square_pixels(width_px: int, pixel_aspect: Fraction | None) -> tuple[int, li
     shape = f"{pixel_aspect.numerator}:{pixel_aspect.denominator}"
     if not Fraction(1, _MAX_ASPECT) <= pixel_aspect <= _MAX_ASPECT:
         message = f"The file states pixels of {shape}, which is not plausible. They are taken as square."
-        return width_px, [Problem("pixel_aspect", message, hint="Export the video with square pixels.")]
+        return width_px, [Problem(PIXEL_ASPECT, message, hint="Export the video with square pixels.")]
     square_px = max(1, round(width_px * pixel_aspect))
     message = f"The pixels are not square ({shape}): the pictures are scaled from {width_px} to {square_px} columns."
     return square_px, [
-        Problem("pixel_aspect", message, hint="The calibration may be of the stored or of the scaled pictures.")
+        Problem(PIXEL_ASPECT, message, hint="The calibration may be of the stored or of the scaled pictures.")
     ]
 
 
 def interlaced() -> Problem:
     """Build the warning of a video whose pictures are made of two fields."""
     return Problem(
-        "interlaced_video",
+        INTERLACED_VIDEO,
         "The video is interlaced: each picture shows two instants, and moving people have combed edges.",
         hint="Record progressively, or deinterlace the video before.",
     )

@@ -2,13 +2,16 @@ import json
 
 from pipeline.errors import Problem
 from pipeline.findings import Finding, documents, from_problem, has_error
+from pipeline.problem_codes.findings import FILE_IGNORED, FOCAL_LENGTH
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.sessions import INVALID_MATRIX, INVALID_NAME
 
-DOUBT = Finding("focal_length", "Odd.", "cam\x1b_1", evidence={"angle_deg": 1.23456, "file": "a\x00.mp4", "views": 3})
-NOTE = Finding("file_ignored", "Ignored.", severity="info")
+DOUBT = Finding(FOCAL_LENGTH, "Odd.", "cam\x1b_1", evidence={"angle_deg": 1.23456, "file": "a\x00.mp4", "views": 3})
+NOTE = Finding(FILE_IGNORED, "Ignored.", severity="info")
 
 
 def test_errors_come_first_and_names_are_printable() -> None:
-    problem = Problem("invalid_matrix", "The matrix is missing.", "rig.toml", "cam_2", "matrix", "Add it.")
+    problem = Problem(INVALID_MATRIX, "The matrix is missing.", "rig.toml", "cam_2", "matrix", "Add it.")
     assert documents([NOTE, DOUBT, from_problem(problem)])[:2] == [
         {
             "code": "invalid_matrix",
@@ -30,17 +33,19 @@ def test_errors_come_first_and_names_are_printable() -> None:
 
 
 def test_json_is_read_back() -> None:
-    dark = Finding("video_dark", "The video is dark.", "left", "error", "Open the aperture.", {"luma": 0.02})
+    dark = Finding(Code("video_dark"), "The video is dark.", "left", "error", "Open the aperture.", {"luma": 0.02})
     assert Finding.from_json(json.loads(json.dumps(dark.to_json()))) == dark
 
 
 def test_only_errors_are_errors() -> None:
     assert not has_error([DOUBT, NOTE])
-    assert has_error([DOUBT, from_problem(Problem("invalid_name", "Wrong."))])
+    assert has_error([DOUBT, from_problem(Problem(INVALID_NAME, "Wrong."))])
 
 
 def test_a_finding_names_its_camera_once_and_is_safe_to_print() -> None:
-    assert str(Finding("size", "left: the video is small.", "left")) == "left: the video is small."
-    assert str(Finding("pairs", "left and the others disagree.", "left")) == "left and the others disagree."
-    assert str(Finding("dark", "lefthand walls are dark.", "left")) == "left: lefthand walls are dark."
-    assert str(Finding("dark", "It is dark.", "a\x1b[31m", hint="Light it.")) == "a\ufffd[31m: It is dark. Light it."
+    assert str(Finding(Code("size"), "left: the video is small.", "left")) == "left: the video is small."
+    assert str(Finding(Code("pairs"), "left and the others disagree.", "left")) == "left and the others disagree."
+    assert str(Finding(Code("dark"), "lefthand walls are dark.", "left")) == "left: lefthand walls are dark."
+    assert (
+        str(Finding(Code("dark"), "It is dark.", "a\x1b[31m", hint="Light it.")) == "a\ufffd[31m: It is dark. Light it."
+    )

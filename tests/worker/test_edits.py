@@ -9,6 +9,7 @@ import pytest
 from pipeline.edits import PeopleEdit, Remove, Rename
 from pipeline.errors import PipelineError
 from pipeline.findings import Finding
+from pipeline.problem_codes.warnings import NOBODY_FOUND
 from pipeline.stages.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT, WRITE, Output, ResultFile
 from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, Bench
 from worker.chunk import StoppedError, Work
@@ -225,7 +226,7 @@ def test_edits_take_no_share_of_other_tenants(bench: Bench, done: Job) -> None:
 
 
 def test_warnings_of_the_last_revision_stay_until_the_next_succeeds(bench: Bench) -> None:
-    export, doubt = bench.stages[EXPORT], Finding("nobody_found", "Nobody was found.")
+    export, doubt = bench.stages[EXPORT], Finding(NOBODY_FOUND, "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=() if work.claim.edits else (doubt,))
     job = bench.create_job()
     bench.runner().work(60.0)

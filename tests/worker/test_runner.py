@@ -14,6 +14,8 @@ import pytest
 from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
 from pipeline.findings import Finding
+from pipeline.problem_codes.sessions import VIDEO_EMPTY, VIDEO_TRUNCATED
+from pipeline.problem_codes.warnings import NOBODY_FOUND
 from pipeline.stages.stage import ASSOCIATE, CHECK, DETECT, EXPORT, FIT, IDENTIFY, LOOK, Output
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.chunk import Work
@@ -290,7 +292,7 @@ def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: Bench) -> 
 
 def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:
     problem = InputProblem(
-        "video_truncated", "Frame 7 can't be decoded.", file="left.mp4", camera="left", hint="Copy it."
+        VIDEO_TRUNCATED, "Frame 7 can't be decoded.", file="left.mp4", camera="left", hint="Copy it."
     )
     bench.stages[DETECT] = fail_with(InputError([problem]))
     job = bench.create_job()
@@ -304,7 +306,7 @@ def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:
 
 
 def test_several_problems_are_all_told(bench: Bench) -> None:
-    problems = [InputProblem("video_empty", "The file is empty.", file=name) for name in ("left.mp4", "right.mp4")]
+    problems = [InputProblem(VIDEO_EMPTY, "The file is empty.", file=name) for name in ("left.mp4", "right.mp4")]
     bench.stages[DETECT] = fail_with(InputError(problems))
     job = bench.create_job()
     bench.runner().work(60.0)
@@ -466,7 +468,7 @@ def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: Bench, tmp_path: P
 
 
 def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Bench) -> None:
-    warning = Finding("nobody_found", "Nobody was found.")
+    warning = Finding(NOBODY_FOUND, "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(warning,))
     spec = JobSpec(callback_url="https://example.com/hook")
     job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, CHUNK_FRAMES))

@@ -11,6 +11,8 @@ from rich.text import Text
 from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, JsonOption, byte_bar, console, emit
 from api.cli.store import settings_in
 from api.settings import Settings
+from pipeline.problem_codes.commands import BACKUP_FAILED, BAD_USAGE
+from pipeline.problem_codes.requests import DATABASE_DAMAGED
 from worker.jobs.backup.contents import Report
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.errors import BackupError, BackupUsageError
@@ -80,13 +82,13 @@ def _reported(as_json: bool) -> Iterator[None]:
 def _code_and_faults(error: BackupError | DamagedDatabase | NewerDatabase) -> tuple[str, tuple[str, ...]]:
     match error:
         case BackupUsageError():
-            return "bad_usage", error.faults
+            return BAD_USAGE, error.faults
         case BackupError():
-            return "backup_failed", error.faults
+            return BACKUP_FAILED, error.faults
         case DamagedDatabase():
-            return "database_damaged", (f"{error}\n{error.instructions()}",)
+            return DATABASE_DAMAGED, (f"{error}\n{error.instructions()}",)
         case _:
-            return "backup_failed", (str(error),)
+            return BACKUP_FAILED, (str(error),)
 
 
 def _finish(report: Report, sentence: str, archive: Path, as_json: bool) -> None:

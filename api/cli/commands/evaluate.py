@@ -33,6 +33,7 @@ from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_
 from pipeline.identity.identify import identify
 from pipeline.job_choices import MAX_STATURE_M, MIN_STATURE_M
 from pipeline.joints import COCO_17, COCO_18, FINGER_JOINTS, JointSet
+from pipeline.problem_codes.commands import NO_ABLATION, NO_REFINEMENT, UNKNOWN_EVIDENCE, WRONG_NUMBER_OF_VIEWS
 from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 from pipeline.skeleton.animate import animate
@@ -263,7 +264,7 @@ def simulated(
         is_refined = config.refine_calibration != "off"
         if checked_evidence == "fields" and (turn or shift or stature_m or is_refined):
             hint = "Use --evidence bodies, or omit --turn, --shift, --stature-m and --refine-calibration."
-            raise InputError([Problem("no_refinement", "Calibrations are refined here from whole bodies.", hint=hint)])
+            raise InputError([Problem(NO_REFINEMENT, "Calibrations are refined here from whole bodies.", hint=hint)])
         checked_joints = known_joints(joints)
         found = find_scene(scene)
         if ablation and views is None:
@@ -306,14 +307,14 @@ def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str
     chosen = evidence or ("fields" if method == "clustering" else "bodies")
     problems = []
     if chosen not in {"fields", "bodies"}:
-        problems.append(Problem("unknown_evidence", f"There is no evidence {chosen!r}.", hint="Known: fields, bodies."))
+        problems.append(Problem(UNKNOWN_EVIDENCE, f"There is no evidence {chosen!r}.", hint="Known: fields, bodies."))
     elif chosen == "fields" and method != "clustering":
         problems.append(
-            Problem("unknown_evidence", "Tracking needs whole bodies.", hint="Omit --evidence, or use clustering.")
+            Problem(UNKNOWN_EVIDENCE, "Tracking needs whole bodies.", hint="Omit --evidence, or use clustering.")
         )
     if ablation and chosen != "fields":
         hint = "Omit --ablation, or evaluate clustering of fields."
-        problems.append(Problem("no_ablation", "Only clustering of fields has an ablation here.", hint=hint))
+        problems.append(Problem(NO_ABLATION, "Only clustering of fields has an ablation here.", hint=hint))
     if problems:
         raise InputError(problems)
     return chosen
@@ -437,9 +438,7 @@ def _shown(value: float | None) -> str:
 
 def _refuse_ablation(method: Method, ablation: bool) -> None:
     if ablation and method != "tracking":
-        problem = Problem(
-            "no_ablation", f"There is no ablation of the method '{method}' here.", hint="Omit --ablation."
-        )
+        problem = Problem(NO_ABLATION, f"There is no ablation of the method '{method}' here.", hint="Omit --ablation.")
         raise InputError([problem])
 
 
@@ -449,5 +448,5 @@ def _numbers(views: str | None) -> list[int | None]:
     try:
         return [int(number) for number in views.split(",")]
     except ValueError:
-        problem = Problem("wrong_number_of_views", f"{views!r} is not a list of numbers.", hint="Write them as 4,8,16.")
+        problem = Problem(WRONG_NUMBER_OF_VIEWS, f"{views!r} is not a list of numbers.", hint="Write them as 4,8,16.")
         raise InputError([problem]) from None

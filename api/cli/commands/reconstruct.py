@@ -23,6 +23,7 @@ from pipeline.capture.preflight_record import Clock
 from pipeline.capture.session import Recording, Session, open_session
 from pipeline.config import method_warnings
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.commands import PARAMETER_UNREADABLE, SOURCES
 from pipeline.quality.report import all_checks
 from pipeline.stages.local import reconstruct_to_files
 from pipeline.stages.output_folder import default_cache, is_usable
@@ -93,13 +94,13 @@ def check_sources(
     """Raise ``InputError`` if options of videos and of keypoints are mixed, or neither is given."""
     problems = []
     if (videos is None) == (keypoints is None):
-        problems.append(Problem("sources", "A session has either videos or keypoints.", hint="Give one of them."))
+        problems.append(Problem(SOURCES, "A session has either videos or keypoints.", hint="Give one of them."))
     if keypoints is None and timestamps is not None:
         message = "Timestamps belong to keypoints; videos have their own times."
-        problems.append(Problem("sources", message, hint="Omit --timestamps."))
+        problems.append(Problem(SOURCES, message, hint="Omit --timestamps."))
     if keypoints is not None and offsets:
         message = "Offsets belong to videos; keypoints have timestamps."
-        problems.append(Problem("sources", message, hint="Omit --offset."))
+        problems.append(Problem(SOURCES, message, hint="Omit --offset."))
     if problems:
         raise InputError(problems)
 
@@ -114,7 +115,7 @@ def parameters(said: Sequence[str], example: str) -> dict[str, float]:
             changes[name.strip()] = float(value)
         except ValueError:
             hint = f"Write it as {example}."
-            problems.append(Problem("parameter_unreadable", f"{text!r} is not NAME=NUMBER.", hint=hint))
+            problems.append(Problem(PARAMETER_UNREADABLE, f"{text!r} is not NAME=NUMBER.", hint=hint))
     if problems:
         raise InputError(problems)
     return changes
@@ -199,7 +200,7 @@ def command(
             )
             if frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
                 message = "A frame rate belongs to keypoints and to images; videos have their own times."
-                raise InputError([Problem("sources", message, hint="Omit --frame-rate.")])
+                raise InputError([Problem(SOURCES, message, hint="Omit --frame-rate.")])
         for warning in session.warnings:
             warn(warning)
         sources = (calibration, *([] if timestamps is None else [timestamps]))

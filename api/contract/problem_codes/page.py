@@ -5,9 +5,23 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from api.contract.documentation import write_or_check
-from api.contract.problem_codes import GROUPS, CodeGroup
+from pipeline.problem_codes.commands import COMMANDS
+from pipeline.problem_codes.fields import FIELDS
+from pipeline.problem_codes.findings import FILES, FINDINGS, PEOPLE
+from pipeline.problem_codes.jobs import EDITS, JOBS, READINESS
+from pipeline.problem_codes.model import CodeGroup
+from pipeline.problem_codes.requests import ANSWERS, PARTS
+from pipeline.problem_codes.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
+from pipeline.problem_codes.specs import SPECS
+from pipeline.problem_codes.warnings import WARNINGS
 
 PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
+
+GROUPS: tuple[CodeGroup, ...] = (
+    *(ANSWERS, FIELDS, PARTS, SPECS, CALIBRATIONS, VIDEOS, KEYPOINTS, TIMES),
+    *(FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, COMMANDS, FINDINGS),
+)
+"""All problem codes, in the order of the page."""
 
 _INTRODUCTION = """\
 # Problem codes

@@ -12,17 +12,41 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from io import BufferedWriter
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 from api.errors import ApiError, ErrorItem, pointer_to
 from api.http.bodies.field_places import FieldPlaces
 from api.http.bodies.form_kinds import IMAGES, KEYPOINTS, VIDEOS, VIEWS, FormKind
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import (
+    CONTENT_TOO_LARGE,
+    DUPLICATE_FILE_NAME,
+    DUPLICATE_PART,
+    FILE_NAME_INVALID,
+    FILE_TOO_LARGE,
+    MISSING_PART,
+    PART_TOO_LARGE,
+    PIECE_TOO_LARGE,
+    SESSION_TOO_LARGE,
+    TOO_MANY_IMAGES,
+    TOO_MANY_KEYPOINTS,
+    TOO_MANY_PARTS,
+    TOO_MANY_VIDEOS,
+    UNKNOWN_PART,
+)
 
 _MAX_NAME_BYTES = 200
 _MAX_SHOWN = 100
 # Limit on the parts beside the files of cameras: the errors of any number of wrong parts would fill the memory.
 _MAX_OTHER_PARTS = 32
 _BLOCK_BYTES = 2**20
+_TOO_MANY = {VIDEOS: TOO_MANY_VIDEOS, IMAGES: TOO_MANY_IMAGES, KEYPOINTS: TOO_MANY_KEYPOINTS}
+_TOO_LARGE = {
+    "file": FILE_TOO_LARGE,
+    "part": PART_TOO_LARGE,
+    "piece": PIECE_TOO_LARGE,
+    "session": SESSION_TOO_LARGE,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +153,7 @@ class Parts:
         """Begin a part."""
         self._num_parts += 1
         if self._num_parts > self._limits.max_videos + _MAX_OTHER_PARTS:
-            raise ApiError("too_many_parts", "The form has too many parts.")
+            raise ApiError(TOO_MANY_PARTS, "The form has too many parts.")
         self._part, self._file_name, self._part_bytes = part, file_name or "", 0
         # A refused part is read to its end: the response states why it is refused, not that it is large.
         self._max_bytes = self._limits.max_session_bytes
@@ -143,12 +167,12 @@ class Parts:
             self._max_bytes = self._limits.max_json_bytes
             self._write = self._documents.setdefault(part, bytearray()).extend
         elif part in self._documents:
-            self._add_error("duplicate_part", "The form has this part more than once.", f"/{part}")
+            self._add_error(DUPLICATE_PART, "The form has this part more than once.", f"/{part}")
         else:
             known = ", ".join([*self._files, *self._kind.documents])
             message, name = f"The form has a part that is not one of: {known}.", part[:_MAX_SHOWN]
             hint = self._places.hint(name, "")
-            self._errors.append(ErrorItem(code="unknown_part", message=message, pointer=pointer_to(name), hint=hint))
+            self._errors.append(ErrorItem(code=UNKNOWN_PART, message=message, pointer=pointer_to(name), hint=hint))
 
     def write(self, data: bytes) -> None:
         """Receive the next bytes of the part."""
@@ -196,12 +220,12 @@ class Parts:
         """Whether the client sent a file of a part, even a refused one."""
         return self._counts[part] > 0
 
-    def reject_field(self, field: str, code: str, message: str, hint: str) -> None:
+    def reject_field(self, field: str, code: Code, message: str, hint: str) -> None:
         """Record an error about a field that stands for files, which are not reported as missing then."""
         self._errors.append(ErrorItem(code=code, message=message, pointer=pointer_to(field), hint=hint))
         self._refused = True
 
-    def lack(self, part: str, code: str, message: str, hint: str, file: str | None = None) -> None:
+    def lack(self, part: str, code: Code, message: str, hint: str, file: str | None = None) -> None:
         """Record an error about a missing or unusable file of a part."""
         self._errors.append(
             ErrorItem(code=code, message=message, pointer=self._next_pointer(part), file=file, hint=hint)
@@ -211,7 +235,7 @@ class Parts:
         """Return all parts, for the end of the body; ``documents`` are names of further documents that were sent."""
         sent = dict.fromkeys((*self._documents, *documents), 1) | {name: n for name, n in self._counts.items() if n}
         for code, message, part in self._kind.faults(Counter(sent)):
-            if not (self._refused and code == "missing_part" and part in VIEWS):
+            if not (self._refused and code == MISSING_PART and part in VIEWS):
                 self._add_error(code, message, f"/{part}")
         return Form(
             files={part: tuple(files) for part, files in self._files.items()},
@@ -232,13 +256,13 @@ class Parts:
         if part in VIEWS and index >= self._limits.max_videos:
             if index == self._limits.max_videos:
                 limit = f"A {self._kind.noun} has {self._limits.max_videos} {part} at most."
-                self._add_error(f"too_many_{part}", limit, pointer)
+                self._add_error(_TOO_MANY[part], limit, pointer)
         elif part not in VIEWS and index > 0:
-            self._add_error("duplicate_part", f"A {self._kind.noun} has one file of {part}.", pointer)
+            self._add_error(DUPLICATE_PART, f"A {self._kind.noun} has one file of {part}.", pointer)
         elif message := name_error(name):
-            self._add_error("file_name_invalid", message, pointer)
+            self._add_error(FILE_NAME_INVALID, message, pointer)
         elif _folded(name) in self._names:
-            self._add_error("duplicate_file_name", f"Two files of the {self._kind.noun} have this name.", pointer, name)
+            self._add_error(DUPLICATE_FILE_NAME, f"Two files of the {self._kind.noun} have this name.", pointer, name)
         else:
             self._names.add(_folded(name))
             return True
@@ -250,7 +274,7 @@ class Parts:
         self._counts[part] += 1
         return f"/{part}/{index}" if part in VIEWS else f"/{part}"
 
-    def _add_error(self, code: str, message: str, pointer: str | None, file: str | None = None) -> None:
+    def _add_error(self, code: Code, message: str, pointer: str | None, file: str | None = None) -> None:
         self._errors.append(ErrorItem(code=code, message=message, pointer=pointer, file=file))
 
 
@@ -281,12 +305,14 @@ def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-def too_large(what: str, max_bytes: int, part: str | None = None, file: str | None = None) -> ApiError:
+def too_large(
+    what: Literal["file", "part", "piece", "session"], max_bytes: int, part: str | None = None, file: str | None = None
+) -> ApiError:
     """Error 413 for a file, part, piece or session above its limit."""
     item = ErrorItem(
-        code=f"{what}_too_large",
+        code=_TOO_LARGE[what],
         message=f"The {what} is larger than {max_bytes} bytes.",
         pointer=f"/{part}" if part else None,
         file=file if file and not name_error(file) else None,
     )
-    return ApiError("content_too_large", f"The {what} is larger than the service accepts.", errors=(item,))
+    return ApiError(CONTENT_TOO_LARGE, f"The {what} is larger than the service accepts.", errors=(item,))

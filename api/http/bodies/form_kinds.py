@@ -7,6 +7,8 @@ from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.problem_codes.model import Code
+
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
 INTRINSICS, IMAGES = "intrinsics", "images"
 VIEWS = (VIDEOS, KEYPOINTS, IMAGES)
@@ -82,7 +84,7 @@ class FormKind:
     uploaded: type[UploadedFiles]
     form_example: Mapping[str, Any]
     uploaded_example: Mapping[str, Any]
-    faults: Callable[[Mapping[str, int]], Iterable[tuple[str, str, str]]] = lambda counts: ()
+    faults: Callable[[Mapping[str, int]], Iterable[tuple[Code, str, str]]] = lambda counts: ()
     has_job: bool = False
 
     @property

@@ -16,6 +16,7 @@ from api.http.bodies.field_places import FieldPlaces
 from api.http.bodies.form import Form, Limits, Parts, too_large
 from api.http.bodies.form_kinds import FORM_TYPE, FormKind
 from api.http.bodies.reading import announced_bytes, blocks, drain
+from pipeline.problem_codes.requests import MALFORMED_MULTIPART, UNSUPPORTED_MEDIA_TYPE
 from worker.jobs.files.disk import DiskSpace
 
 # Boundaries and headers of the parts, in addition to the bytes of the files.
@@ -69,7 +70,7 @@ async def receive_form(
 def _boundary_of(request: Request) -> str:
     content_type, options = parse_options_header(request.headers.get("content-type"))
     if content_type != FORM_TYPE.encode():
-        raise ApiError("unsupported_media_type", f"Files are sent as {FORM_TYPE}.")
+        raise ApiError(UNSUPPORTED_MEDIA_TYPE, f"Files are sent as {FORM_TYPE}.")
     boundary = options.get(b"boundary", b"").decode("latin-1")
     if not boundary:
         raise _malformed()
@@ -163,4 +164,4 @@ def _decoded(value: bytes) -> str:
 
 
 def _malformed() -> ApiError:
-    return ApiError("malformed_multipart", "The body is not a complete multipart form.")
+    return ApiError(MALFORMED_MULTIPART, "The body is not a complete multipart form.")

@@ -20,31 +20,42 @@ from starlette.responses import Response
 
 from api.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
 from api.http.bodies.field_places import FieldPlaces, path_of
+from pipeline.problem_codes.fields import (
+    INVALID_VALUE,
+    MALFORMED_JSON,
+    MISSING_FIELD,
+    OUT_OF_RANGE,
+    UNKNOWN_FIELD,
+    VALUE_NOT_ALLOWED,
+    WRONG_FORMAT,
+    WRONG_LENGTH,
+    WRONG_TYPE,
+)
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import UNSUPPORTED_MEDIA_TYPE
 from pipeline.requirements import Schema, Steps, branches_of, path_text, requirement, resolve
 
-UNKNOWN, MISSING, MALFORMED = "unknown_field", "missing_field", "malformed_json"
-
-_CODES: Mapping[str, str] = {
-    "extra_forbidden": UNKNOWN,
-    "unexpected_keyword_argument": UNKNOWN,
-    "missing": MISSING,
-    "json_invalid": MALFORMED,
-    "literal_error": "value_not_allowed",
-    "enum": "value_not_allowed",
-    "greater_than": "out_of_range",
-    "greater_than_equal": "out_of_range",
-    "less_than": "out_of_range",
-    "less_than_equal": "out_of_range",
-    "finite_number": "out_of_range",
-    "int_parsing_size": "out_of_range",
-    "string_too_short": "wrong_length",
-    "string_too_long": "wrong_length",
-    "too_short": "wrong_length",
-    "too_long": "wrong_length",
-    "string_pattern_mismatch": "wrong_format",
-    "uuid_parsing": "wrong_format",
-    "int_from_float": "wrong_type",
-    "model_attributes_type": "wrong_type",
+_CODES: Mapping[str, Code] = {
+    "extra_forbidden": UNKNOWN_FIELD,
+    "unexpected_keyword_argument": UNKNOWN_FIELD,
+    "missing": MISSING_FIELD,
+    "json_invalid": MALFORMED_JSON,
+    "literal_error": VALUE_NOT_ALLOWED,
+    "enum": VALUE_NOT_ALLOWED,
+    "greater_than": OUT_OF_RANGE,
+    "greater_than_equal": OUT_OF_RANGE,
+    "less_than": OUT_OF_RANGE,
+    "less_than_equal": OUT_OF_RANGE,
+    "finite_number": OUT_OF_RANGE,
+    "int_parsing_size": OUT_OF_RANGE,
+    "string_too_short": WRONG_LENGTH,
+    "string_too_long": WRONG_LENGTH,
+    "too_short": WRONG_LENGTH,
+    "too_long": WRONG_LENGTH,
+    "string_pattern_mismatch": WRONG_FORMAT,
+    "uuid_parsing": WRONG_FORMAT,
+    "int_from_float": WRONG_TYPE,
+    "model_attributes_type": WRONG_TYPE,
 }
 _LIBRARY_TYPES = frozenset(get_args(ErrorType))
 
@@ -84,10 +95,10 @@ def _handle(request: Request, error: Exception) -> Response:
 def _from_validation(request: Request, error: RequestValidationError) -> ApiError:
     details = error.errors()
     if any(detail["type"] == "json_invalid" for detail in details):
-        return ApiError("malformed_json", "The body is not JSON.")
+        return ApiError(MALFORMED_JSON, "The body is not JSON.")
     if isinstance(error.body, bytes):  # a body of another type, which the framework does not parse
         message = "This address accepts application/json."
-        return ApiError("unsupported_media_type", message, hint="Send Content-Type: application/json.")
+        return ApiError(UNSUPPORTED_MEDIA_TYPE, message, hint="Send Content-Type: application/json.")
     contract = request.app.openapi()
     operation = contract["paths"][request.scope["route"].path][request.scope["method"].lower()]
     in_body = [detail | {"loc": detail["loc"][1:]} for detail in details if detail["loc"][0] == "body"]
@@ -130,10 +141,10 @@ def _items(
     items = []
     for steps, of_field in islice(by_field.items(), MAX_LISTED):
         codes = {_code(error) for error in of_field}
-        if codes == {"value_not_allowed", "wrong_format"}:  # neither a named value nor a name of the user's own
-            code = "value_not_allowed"
+        if codes == {VALUE_NOT_ALLOWED, WRONG_FORMAT}:  # neither a named value nor a name of the user's own
+            code = VALUE_NOT_ALLOWED
         else:
-            code = codes.pop() if len(codes) == 1 else "invalid_value"
+            code = codes.pop() if len(codes) == 1 else INVALID_VALUE
         items.append(_item(of_field[0], code, steps, fields, places, part))
     return [*items, more_problems(more)] if (more := num_fields - len(items)) else items
 
@@ -147,7 +158,7 @@ class _Fields:
 
     def of(self, error: ErrorDetails) -> Steps:
         """Steps to the field of an error."""
-        if _code(error) == UNKNOWN:
+        if _code(error) == UNKNOWN_FIELD:
             *holder, name = error["loc"]
             return (*self.follow(tuple(holder))[0], name)
         return self.follow(_where(error))[0]
@@ -161,22 +172,22 @@ class _Fields:
         return self._followed[where]
 
 
-def _item(error: ErrorDetails, code: str, steps: Steps, fields: _Fields, places: FieldPlaces, part: str) -> ErrorItem:
+def _item(error: ErrorDetails, code: Code, steps: Steps, fields: _Fields, places: FieldPlaces, part: str) -> ErrorItem:
     """Entry for a wrong field, by one of its errors."""
     start = (part,) if part else ()
     pointer, hint = pointer_to(*start, *steps), None
-    if _code(error) == UNKNOWN:
+    if _code(error) == UNKNOWN_FIELD:
         unknown = str(steps[-1])[:_MAX_SHOWN]
         known = ", ".join(_properties(fields.follow(error["loc"][:-1])[1], fields.root))
         message = f"There is no field {_name((*steps[:-1], unknown), '')} here. The fields are {known}."
         hint = places.hint(unknown, path_of((*start, *steps[:-1])))
     elif error["type"] not in _LIBRARY_TYPES:  # raised by our own validators with a code and a sentence
         message = error["msg"]
-    elif _code(error) == MALFORMED:
+    elif _code(error) == MALFORMED_JSON:
         message = f"{_name(steps, part)} is not JSON."
     else:
         allowed = requirement(fields.follow(_where(error))[1], fields.root)
-        missing = " is missing. It" if _code(error) == MISSING else ""
+        missing = " is missing. It" if _code(error) == MISSING_FIELD else ""
         message = f"{_name(steps, part)}{missing} must be {allowed}."
     return ErrorItem(code=code, message=message, pointer=pointer, hint=hint)
 
@@ -192,12 +203,12 @@ def _lacks_item(error: ErrorDetails) -> bool:
     return error["type"] == "missing" and bool(error["loc"]) and isinstance(error["loc"][-1], int)
 
 
-def _code(error: ErrorDetails) -> str:
+def _code(error: ErrorDetails) -> Code:
     kind = "too_short" if _lacks_item(error) else error["type"]
     if kind not in _LIBRARY_TYPES:
-        return kind
+        return Code(kind)
     is_type = kind.endswith(("_type", "_parsing"))
-    return _CODES.get(kind, "wrong_type" if is_type else "invalid_value")
+    return _CODES.get(kind, WRONG_TYPE if is_type else INVALID_VALUE)
 
 
 def _inner(schema: Schema, step: str | int, root: Schema) -> Schema | None:

@@ -38,6 +38,7 @@ from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3
 from pipeline.job_choices import KnownPoint
+from pipeline.problem_codes.sessions import KNOWN_POINTS_INVALID
 from pipeline.progress import OnShare, ignore
 
 # Instants to which the whole rig is fitted.
@@ -137,7 +138,7 @@ def _point_problems(views: Sequence[BoardViews], known_points: Sequence[KnownPoi
     """Problems of the known points that can be told before anything is calibrated."""
     if len(views) == 1 or not has_times:
         message = "Photographs and single cameras give intrinsics only: there is no world for known points."
-        return [Problem("known_points_invalid", message, field="known_points", hint="Give videos of all cameras.")]
+        return [Problem(KNOWN_POINTS_INVALID, message, field="known_points", hint="Give videos of all cameras.")]
     return point_problems(known_points, {camera_views.camera: camera_views.size_px for camera_views in views})
 
 

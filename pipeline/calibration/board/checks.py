@@ -10,6 +10,15 @@ from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, covered_share
 from pipeline.calibration.board.world import Places
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.sessions import BOARD_EXCHANGED, BOARD_NOT_FOUND, BOARD_UNLINKED, BOARD_UNSYNCHRONISED
+from pipeline.problem_codes.warnings import (
+    BOARD_AMBIGUOUS,
+    BOARD_FEW_SHARED,
+    BOARD_FEW_VIEWS,
+    BOARD_FLOOR_UNCERTAIN,
+    BOARD_MIRRORED,
+    BOARD_POOR_COVERAGE,
+)
 
 # Two cameras are linked by at least this many instants that agree, and this share of the instants that they share.
 _MIN_AGREEING, _MIN_AGREEING_SHARE = 3, 0.4
@@ -37,13 +46,13 @@ def _too_few(views: BoardViews, board: Board, least: int) -> Problem:
         message = (
             f"The board has {shown.cols} columns and {shown.rows} rows of squares, not {board.cols} and {board.rows}."
         )
-        return Problem("board_exchanged", message, camera=views.camera, hint=f"State {shown}.")
+        return Problem(BOARD_EXCHANGED, message, camera=views.camera, hint=f"State {shown}.")
     if views.num_mirrored:
         hint = f"In {views.num_mirrored} pictures the board is mirrored: turn off the mirroring of the camera."
     elif board.kind == "chessboard":
         others = f"{board.rows}x{board.cols}, {board.cols - 1}x{board.rows - 1} or {board.cols + 1}x{board.rows + 1}"
         hint = f"{hint} COLSxROWS counts inner corners: {others} may be right."
-    return Problem("board_not_found", message, camera=views.camera, hint=hint)
+    return Problem(BOARD_NOT_FOUND, message, camera=views.camera, hint=hint)
 
 
 def require_linked_by_board(rig: BoardRig, pairs: Sequence[BoardPair], frame_rate_hz: float) -> list[BoardPair]:
@@ -73,7 +82,7 @@ def _unlinked(rig: BoardRig, number: int, pairs: Sequence[BoardPair], frame_rate
         shared = 0 if best is None else best.num_shared
         message = f"The camera shares {shared} views of the board with another camera; too few to link it."
         hint = "Film the board where this camera and a neighbour both see it, and hold it still there."
-        return Problem("board_unlinked", message, camera=name, hint=hint)
+        return Problem(BOARD_UNLINKED, message, camera=name, hint=hint)
     other = rig.views[best.second if best.first == number else best.first].camera
     message = (
         f"The camera and {other} disagree: of {best.num_shared} views at the same time, {best.num_agreeing} give the "
@@ -83,7 +92,7 @@ def _unlinked(rig: BoardRig, number: int, pairs: Sequence[BoardPair], frame_rate
     hint = "Check that the videos are synchronised and that no camera moved."
     if offset_s is not None:
         hint = f"The clocks seem to differ: with an offset of {offset_s:+.3f} s for {name} the views agree."
-    return Problem("board_unsynchronised", message, camera=name, hint=hint)
+    return Problem(BOARD_UNSYNCHRONISED, message, camera=name, hint=hint)
 
 
 def _offset_s(rig: BoardRig, number: int, other: int, frame_rate_hz: float) -> float | None:
@@ -112,15 +121,15 @@ def view_warnings(views: Sequence[BoardViews]) -> Iterator[Problem]:
         if len(camera_views) < _FEW_VIEWS:
             message = f"The board was found in {len(camera_views)} of {camera_views.num_pictures} pictures."
             hint = "Film it longer, at several distances and tilts."
-            yield Problem("board_few_views", message, camera=camera_views.camera, hint=hint)
+            yield Problem(BOARD_FEW_VIEWS, message, camera=camera_views.camera, hint=hint)
         if (share := covered_share(camera_views)) < _POOR_COVERAGE:
             message = f"The board covers {share:.0%} of the picture."
             hint = "Film it near the edges and the corners of the picture too, as the coverage picture shows."
-            yield Problem("board_poor_coverage", message, camera=camera_views.camera, hint=hint)
+            yield Problem(BOARD_POOR_COVERAGE, message, camera=camera_views.camera, hint=hint)
         if camera_views.num_mirrored:
             message = f"The board is mirrored in {camera_views.num_mirrored} pictures."
             hint = "Turn off the mirroring of the camera: its videos would be mirrored too."
-            yield Problem("board_mirrored", message, camera=camera_views.camera, hint=hint)
+            yield Problem(BOARD_MIRRORED, message, camera=camera_views.camera, hint=hint)
 
 
 def link_warnings(views: Sequence[BoardViews], pairs: Sequence[BoardPair]) -> Iterator[Problem]:
@@ -130,7 +139,7 @@ def link_warnings(views: Sequence[BoardViews], pairs: Sequence[BoardPair]) -> It
         if most < _FEW_SHARED:
             message = f"The camera is linked by {most} views of the board that another camera shares."
             hint = "Film the board where this camera and a neighbour both see it."
-            yield Problem("board_few_shared", message, camera=camera_views.camera, hint=hint)
+            yield Problem(BOARD_FEW_SHARED, message, camera=camera_views.camera, hint=hint)
 
 
 def floor_warnings(places: Places, time_s: float, board: Board) -> Iterator[Problem]:
@@ -141,8 +150,8 @@ def floor_warnings(places: Places, time_s: float, board: Board) -> Iterator[Prob
             "directions of x and y may be those of the opposite corner."
         )
         hint = "Use a board with an odd and an even number, a ChArUco board, or known points."
-        yield Problem("board_ambiguous", message, hint=hint)
+        yield Problem(BOARD_AMBIGUOUS, message, hint=hint)
     if not places.is_certain:
         message = f"The board never lies still on the floor; the floor is taken as the board is at {time_s:.2f} s."
         hint = "Lay the board flat on the floor for a second, or state the time at which it lies there."
-        yield Problem("board_floor_uncertain", message, hint=hint)
+        yield Problem(BOARD_FLOOR_UNCERTAIN, message, hint=hint)

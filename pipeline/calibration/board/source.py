@@ -16,6 +16,7 @@ from pipeline.calibration.board.views import BoardViews
 from pipeline.data.arrays import read_only
 from pipeline.errors import InputError, Problem
 from pipeline.job_choices import BOARD_FRAMES
+from pipeline.problem_codes.sessions import IMAGE_SIZE, IMAGE_UNREADABLE, IMAGES_MISSING
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 
@@ -96,7 +97,7 @@ def find_photographs(folder: Path) -> Mapping[str, Sequence[Path]]:
     if not photographs:
         hint = "Name a folder with photographs, or with a folder of photographs for each camera."
         message = "There are no photographs in the folder."
-        raise InputError([Problem("images_missing", message, file=folder.name, hint=hint)])
+        raise InputError([Problem(IMAGES_MISSING, message, file=folder.name, hint=hint)])
     return photographs
 
 
@@ -115,13 +116,13 @@ def look_in_photographs(
             image_bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
             if image_bgr is None or max(image_bgr.shape) > _MAX_SIDE_PX:
                 message = "The photograph can't be read, or is too large."
-                problems.append(Problem("image_unreadable", message, file=path.name, camera=camera))
+                problems.append(Problem(IMAGE_UNREADABLE, message, file=path.name, camera=camera))
             else:
                 sizes.append((image_bgr.shape[1], image_bgr.shape[0]))
                 if sizes[-1] != sizes[0]:
                     message = f"The photograph has {sizes[-1][0]} x {sizes[-1][1]} pixels, others {sizes[0]}."
                     hint = "Leave out photographs of another size."
-                    problems.append(Problem("image_size", message, file=path.name, camera=camera, hint=hint))
+                    problems.append(Problem(IMAGE_SIZE, message, file=path.name, camera=camera, hint=hint))
                 yield np.nan, cv2.cvtColor(image_bgr, cv2.COLOR_BGR2RGB)
             on_picture()
 

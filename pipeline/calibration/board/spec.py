@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 
 from pipeline.data.arrays import read_only
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.sessions import BOARD_INVALID
 
 FORMS = "chessboard:COLSxROWS:SQUARE_M or charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY"
 _SPEC = re.compile(
@@ -129,7 +130,7 @@ def _length_m(text: str) -> float:
 
 
 def _problem(message: str, hint: str | None = None) -> Problem:
-    return Problem("board_invalid", message, field="board", hint=hint)
+    return Problem(BOARD_INVALID, message, field="board", hint=hint)
 
 
 def draw_pattern(board: Board, square: int) -> UInt8[np.ndarray, "height width"]:

@@ -12,6 +12,8 @@ from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
+from pipeline.problem_codes.findings import NO_COMMON_VIEW
+from pipeline.problem_codes.warnings import TOO_FEW_CAMERAS
 
 MIN_CAMERAS = 2
 # Places in the view of a camera: a grid on the picture, and distances at which people are, up to three times the
@@ -48,7 +50,7 @@ def _check_number(cameras: Sequence[Camera]) -> list[Finding]:
         return []
     message = f"The calibration has {len(cameras)} camera{'s' * (len(cameras) != 1)}: nobody can be located."
     hint = "Give a calibration of at least two cameras."
-    return [Finding("too_few_cameras", message, None, "error", hint, {"num_cameras": len(cameras)})]
+    return [Finding(TOO_FEW_CAMERAS, message, None, "error", hint, {"num_cameras": len(cameras)})]
 
 
 def check_views(cameras: Sequence[Camera]) -> list[Finding]:
@@ -66,7 +68,7 @@ def check_views(cameras: Sequence[Camera]) -> list[Finding]:
         if others and not any(sees(cameras[other], places_m).any() for other in others):
             message = "No other camera sees any place that the camera sees: people there can't be located."
             hint = "Check the camera's pose and the axes of the calibration, or turn the camera to the others' view."
-            findings.append(Finding("no_common_view", message, camera.name, "error", hint))
+            findings.append(Finding(NO_COMMON_VIEW, message, camera.name, "error", hint))
     return findings
 
 

@@ -10,6 +10,7 @@ from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.fisheye import MAX_ANGLE_RAD, angle_limit_rad, radius
+from pipeline.problem_codes.findings import DISTORTION_FOLDS, FOCAL_LENGTH, PIXELS_NOT_SQUARE, PRINCIPAL_POINT
 
 # Angle of view along the longer side of the picture.
 _ANGLE_RANGE_DEG = (3.0, 140.0)
@@ -44,12 +45,12 @@ def _check_focal_length(camera: Camera) -> Iterator[Finding]:
             f"{angle_deg:.3g} degrees."
         )
         hint = "Check that the camera matrix belongs to this size of the picture, in pixels."
-        yield Finding("focal_length", message, camera.name, "warning", hint, {"angle_deg": angle_deg})
+        yield Finding(FOCAL_LENGTH, message, camera.name, "warning", hint, {"angle_deg": angle_deg})
     aspect = float(focal_px[1] / focal_px[0])
     if abs(np.log(aspect)) > _MAX_ASPECT:
         message = f"The focal lengths along x and y, {focal_px[0]:.0f} and {focal_px[1]:.0f} px, differ."
         hint = "Check the camera matrix: pixels are square, unless the picture was stretched."
-        yield Finding("pixels_not_square", message, camera.name, "warning", hint, {"aspect": aspect})
+        yield Finding(PIXELS_NOT_SQUARE, message, camera.name, "warning", hint, {"aspect": aspect})
 
 
 def _check_principal_point(camera: Camera) -> Iterator[Finding]:
@@ -62,7 +63,7 @@ def _check_principal_point(camera: Camera) -> Iterator[Finding]:
             f"({size_px[0] / 2:.0f}, {size_px[1] / 2:.0f}) px."
         )
         hint = "Check that the camera matrix belongs to this size of the picture, and that the picture was not cropped."
-        yield Finding("principal_point", message, camera.name, "warning", hint, {"share": share})
+        yield Finding(PRINCIPAL_POINT, message, camera.name, "warning", hint, {"share": share})
 
 
 def _check_distortion(camera: Camera) -> Iterator[Finding]:
@@ -78,7 +79,7 @@ def _check_distortion(camera: Camera) -> Iterator[Finding]:
     )
     hint = "Calibrate the lens again with views of the board near the edges, or with fewer coefficients."
     yield Finding(
-        "distortion_folds", message, camera.name, "error" if limit < inner else "warning", hint, {"share": share}
+        DISTORTION_FOLDS, message, camera.name, "error" if limit < inner else "warning", hint, {"share": share}
     )
 
 

@@ -9,6 +9,9 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.geometry.camera import center_in_world
+from pipeline.problem_codes.findings import SAME_PLACE, WORLD_UNIT
+from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
+from pipeline.problem_codes.warnings import CAMERA_BELOW_FLOOR, NOT_UPRIGHT, UPSIDE_DOWN
 
 # Distance in metres of the cameras that are farthest apart, in rigs for people.
 _EXTENT_RANGE_M = (0.05, 300.0)
@@ -32,7 +35,7 @@ def check_places(cameras: Sequence[Camera]) -> list[Finding]:
     if (apart_m < _SAME_PLACE_M).all() and (turn_deg < _SAME_TURN_DEG).all():
         message = "All cameras have the same pose: the calibration has intrinsics only."
         hint = "Calibrate the poses: film a board, or people, with all cameras at the same time."
-        return [Finding("calibration_unposed", message, None, "error", hint)]
+        return [Finding(CALIBRATION_UNPOSED, message, None, "error", hint)]
     wrong_world = [*_unit(float(apart_m.max())), *_up_axis(cameras)]
     # Heights mean nothing in another unit, or along another axis.
     return [*_same_places(cameras, apart_m, turn_deg), *(wrong_world or _below_floor(cameras, centers_m))]
@@ -60,11 +63,11 @@ def _same_places(
         if turn_deg[later, first] < _SAME_TURN_DEG:
             message = f"The camera has the same pose as {cameras[first].name}."
             hint = "Check whether one camera stands twice in the file."
-            yield Finding("same_place", message, camera.name, "error", hint, evidence)
+            yield Finding(SAME_PLACE, message, camera.name, "error", hint, evidence)
         else:
             message = f"The camera is at the same place as {cameras[first].name}: the two alone can't locate anybody."
             hint = "Check the positions, or let other cameras see the same people."
-            yield Finding("same_place", message, camera.name, "warning", hint, evidence)
+            yield Finding(SAME_PLACE, message, camera.name, "warning", hint, evidence)
 
 
 def _unit(extent_m: float) -> Iterator[Finding]:
@@ -72,7 +75,7 @@ def _unit(extent_m: float) -> Iterator[Finding]:
     if lowest_m <= extent_m <= highest_m:
         return
     message = f"The cameras are up to {extent_m:,.3g} m apart: the unit of the calibration may not be the metre."
-    yield Finding("world_unit", message, None, "error", _hint_of_unit(extent_m), {"extent_m": extent_m})
+    yield Finding(WORLD_UNIT, message, None, "error", _hint_of_unit(extent_m), {"extent_m": extent_m})
 
 
 def _hint_of_unit(extent_m: float) -> str:
@@ -98,20 +101,20 @@ def _up_axis(cameras: Sequence[Camera]) -> Iterator[Finding]:
     if angle_deg > 180.0 - _MAX_ANGLE_DEG:
         message = "The cameras are upside down: the calibration's Z axis points down."
         hint = "Turn the calibration: Z must point up."
-        yield Finding("upside_down", message, None, "error", hint, {"angle_deg": angle_deg})
+        yield Finding(UPSIDE_DOWN, message, None, "error", hint, {"angle_deg": angle_deg})
     elif angle_deg > _MAX_ANGLE_DEG:
         message = (
             f"The cameras' up direction is {angle_deg:.0f} degrees from Z: the calibration's up axis may not be Z."
         )
         hint = "Check that the calibration's up axis is Z, and not the axes of a camera."
-        yield Finding("not_upright", message, None, "warning", hint, {"angle_deg": angle_deg})
+        yield Finding(NOT_UPRIGHT, message, None, "warning", hint, {"angle_deg": angle_deg})
 
 
 def _below_floor(cameras: Sequence[Camera], centers_m: Float[np.ndarray, "cameras 3"]) -> list[Finding]:
     hint = "Check the calibration's axes and origin: the floor is z = 0."
     return [
         Finding(
-            "camera_below_floor",
+            CAMERA_BELOW_FLOOR,
             f"The camera is {-height_m:.2f} m below z = 0.",
             camera.name,
             "warning",

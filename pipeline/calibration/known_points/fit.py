@@ -16,6 +16,8 @@ from pipeline.geometry.camera import center_in_world, project, projection_matric
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views
 from pipeline.job_choices import KnownPoint
+from pipeline.problem_codes.sessions import KNOWN_POINTS_FEW, KNOWN_POINTS_MISFIT
+from pipeline.problem_codes.warnings import KNOWN_POINTS_DOUBTFUL
 
 # Distances of the points from where cameras see them, as metres and as a share of the points' extent: above the first
 # limit a warning, above the second one an error.
@@ -56,7 +58,7 @@ def place_by_points(cameras: Sequence[Camera], points: Sequence[KnownPoint], kee
     if is_found.sum() < MIN_POINTS:
         message = f"{is_found.sum()} of the points have a place in space: the rays of the others are parallel."
         hint = "Mark the points in cameras that see them from different sides."
-        raise InputError([Problem("known_points_few", message, field="known_points", hint=hint)])
+        raise InputError([Problem(KNOWN_POINTS_FEW, message, field="known_points", hint=hint)])
     goal_m = np.array([point.xyz_m for point in points])
     names = [point.name for point, is_located in zip(points, is_found, strict=True) if is_located]
     problems = _misfits(found_m[is_found], goal_m[is_found], names, keeps_scale)
@@ -133,7 +135,7 @@ def _is_near(ratio: float, factor: float) -> bool:
 
 
 def _misfit(message: str, hint: str) -> Problem:
-    return Problem("known_points_misfit", message, field="known_points", hint=hint)
+    return Problem(KNOWN_POINTS_MISFIT, message, field="known_points", hint=hint)
 
 
 def _error_m(
@@ -183,10 +185,10 @@ def _doubts(
     if np.nanmax(distance_m) > _limit_m(goal_m, _DOUBTFUL):
         message = f"The point {worst} is seen {np.nanmax(distance_m):.3f} m from its coordinates."
         hint = "Check its coordinates and its marked pixels."
-        doubts.append(Problem("known_points_doubtful", message, field="known_points", hint=hint))
+        doubts.append(Problem(KNOWN_POINTS_DOUBTFUL, message, field="known_points", hint=hint))
     heights_m = np.array([center_in_world(camera)[2] for camera in cameras])
     if (heights_m < goal_m[:, 2].min()).all():
         message = "All cameras are below the points."
         hint = "Z must point up and the axes must be right-handed: exchange x and y if the world is mirrored."
-        doubts.append(Problem("known_points_doubtful", message, field="known_points", hint=hint))
+        doubts.append(Problem(KNOWN_POINTS_DOUBTFUL, message, field="known_points", hint=hint))
     return tuple(doubts)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.errors import InputError, Problem
 from pipeline.job_choices import MAX_KNOWN_POINTS, MAX_POINT_M, KnownPoint
+from pipeline.problem_codes.sessions import KNOWN_POINTS_INVALID
 
 COLUMNS = ("name", "x_m", "y_m", "z_m", "camera", "x_px", "y_px")
 _MAX_BYTES = 4 << 20
@@ -19,11 +20,11 @@ def read_known_points(path: Path) -> tuple[KnownPoint, ...]:
     points: dict[str, KnownPoint] = {}
 
     def invalid(message: str, hint: str | None = _HINT) -> None:
-        problems.append(Problem("known_points_invalid", message, file=path.name, hint=hint))
+        problems.append(Problem(KNOWN_POINTS_INVALID, message, file=path.name, hint=hint))
 
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise InputError([Problem("known_points_invalid", "The table is too large.", file=path.name)])
+            raise InputError([Problem(KNOWN_POINTS_INVALID, "The table is too large.", file=path.name)])
         rows = csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True)
         if missing := [name for name in COLUMNS if name not in (rows.fieldnames or ())]:
             invalid(f"The table lacks the columns {', '.join(missing)}.")

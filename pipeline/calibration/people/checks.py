@@ -11,6 +11,21 @@ from pipeline.calibration.report import CameraReport
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
+from pipeline.problem_codes.sessions import (
+    PEOPLE_DISAGREE,
+    PEOPLE_NOT_FOUND,
+    PEOPLE_NOT_WHOLE,
+    PEOPLE_ONE_CAMERA,
+    PEOPLE_UNLINKED,
+)
+from pipeline.problem_codes.warnings import (
+    PEOPLE_FEW_VIEWS,
+    PEOPLE_POOR_FIT,
+    PEOPLE_SAME_PLACE,
+    PEOPLE_UNCERTAIN_FLOOR,
+    PEOPLE_UNCERTAIN_FOCAL,
+    PEOPLE_UNCERTAIN_POSE,
+)
 
 _FILM = "Let one or two people walk about for a minute where several cameras see them whole."
 _CHECK = "Check that the videos are synchronised, that no camera moved, and that the intrinsics are its own."
@@ -27,14 +42,14 @@ def require_people(cameras: Sequence[Camera], tracklets: Sequence[ViewTracklet],
     """Raise ``InputError`` if there is one camera only, or with all cameras that see people too briefly."""
     if len(cameras) < 2:
         message = "People calibrate two cameras or more."
-        raise InputError([Problem("people_one_camera", message, hint="For one camera, film a board.")])
+        raise InputError([Problem(PEOPLE_ONE_CAMERA, message, hint="For one camera, film a board.")])
     problems = []
     for number, camera in enumerate(cameras):
         seen = sum(len(tracklet.points_px) for tracklet in tracklets if tracklet.camera == number)
         if seen < _MIN_INSTANTS:
             least_s = _MIN_INSTANTS / rate_hz
             message = f"The camera sees people for {seen / rate_hz:.1f} s; at least {least_s:.0f} s are required."
-            problems.append(Problem("people_not_found", message, camera=camera.name, hint=_FILM))
+            problems.append(Problem(PEOPLE_NOT_FOUND, message, camera=camera.name, hint=_FILM))
     if problems:
         raise InputError(problems)
 
@@ -50,10 +65,10 @@ def require_linked_by_people(
         own = [pose for pose in relatives if number in (pose.first, pose.second)]
         if own:
             message = "What the camera sees of the people disagrees with the other cameras."
-            problems.append(Problem("people_disagree", message, camera=camera.name, hint=_CHECK))
+            problems.append(Problem(PEOPLE_DISAGREE, message, camera=camera.name, hint=_CHECK))
         else:
             message = "The camera sees nobody at the same time as another camera, or can't be told to."
-            problems.append(Problem("people_unlinked", message, camera=camera.name, hint=_FILM))
+            problems.append(Problem(PEOPLE_UNLINKED, message, camera=camera.name, hint=_FILM))
     if problems:
         raise InputError(problems)
     return [posed[number] for number in range(len(cameras))]
@@ -63,7 +78,7 @@ def world_or_refused(world: PeopleWorld | None) -> PeopleWorld:
     """World. Raises ``InputError`` if there is none."""
     if world is None:
         message = "Nobody is seen from the shoulders to the ankles for a second; scale and vertical are unknown."
-        raise InputError([Problem("people_not_whole", message, hint=_FILM)])
+        raise InputError([Problem(PEOPLE_NOT_WHOLE, message, hint=_FILM)])
     return world
 
 
@@ -77,20 +92,20 @@ def people_warnings(reports: Sequence[CameraReport], world: PeopleWorld, rate_hz
                 f"The reprojection error, {report.reprojection_error_px:.1f} px, is larger than that of the other "
                 f"cameras ({median_px:.1f} px)."
             )
-            yield Problem("people_poor_fit", message, camera=report.name, hint=_CHECK)
+            yield Problem(PEOPLE_POOR_FIT, message, camera=report.name, hint=_CHECK)
         if report.num_views < _FEW_INSTANTS:
             message = f"The camera shares people with another camera for {report.num_views / rate_hz:.1f} s."
-            yield Problem("people_few_views", message, camera=report.name, hint=_FILM)
+            yield Problem(PEOPLE_FEW_VIEWS, message, camera=report.name, hint=_FILM)
         if report.rotation_sigma_deg > _MAX_ROTATION_DEG:
             message = f"The camera's rotation is known to {report.rotation_sigma_deg:.1f} degrees."
-            yield Problem("people_uncertain_pose", message, camera=report.name, hint=_FILM)
+            yield Problem(PEOPLE_UNCERTAIN_POSE, message, camera=report.name, hint=_FILM)
         if np.isfinite(report.focal_sigma_percent) and report.focal_sigma_percent > _MAX_FOCAL_PERCENT:
             message = f"The focal length is known to {report.focal_sigma_percent:.1f} %."
             hint = "Give the intrinsics, or calibrate them from a board."
-            yield Problem("people_uncertain_focal", message, camera=report.name, hint=hint)
+            yield Problem(PEOPLE_UNCERTAIN_FOCAL, message, camera=report.name, hint=hint)
     if not world.has_floor:
         message = "The feet reach too little ground to find its slope; the vertical is that of upright standing."
-        yield Problem("people_uncertain_floor", message, hint="Let the people walk all over the place.")
+        yield Problem(PEOPLE_UNCERTAIN_FLOOR, message, hint="Let the people walk all over the place.")
 
 
 def _same_places(cameras: Sequence[Camera]) -> Iterator[Problem]:
@@ -100,4 +115,4 @@ def _same_places(cameras: Sequence[Camera]) -> Iterator[Problem]:
     for number, neighbour in zip(*np.nonzero(np.tril(apart_m < limit_m, -1)), strict=True):
         message = f"The camera is at nearly the same place as {cameras[neighbour].name}."
         hint = "Check whether one video was given twice."
-        yield Problem("people_same_place", message, camera=cameras[number].name, hint=hint)
+        yield Problem(PEOPLE_SAME_PLACE, message, camera=cameras[number].name, hint=hint)

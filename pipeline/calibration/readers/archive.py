@@ -13,6 +13,7 @@ from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, parse
+from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, CALIBRATION_UNREADABLE
 
 _MAX_ENTRIES = 2 * MAX_CAMERAS
 _MAX_UNPACKED_BYTES = 16 * 2**20
@@ -29,12 +30,12 @@ def read(content: bytes, file: str) -> CameraFile:
         contents = _read_members(members, file)
     except UnreadableError as error:
         message = "The archive, or a file in it, is damaged, not in its format, or too large."
-        raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
+        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
     if contents is None:
         message = "The archive has no calibration of a supported format."
         files = "a file of OpenCV, OpenCap or bioCV for each camera"
         hint = f"Pack intri.yml and extri.yml, cameras.txt and images.txt, or {files}."
-        raise InputError([Problem("calibration_format", message, file=file, hint=hint)])
+        raise InputError([Problem(CALIBRATION_FORMAT, message, file=file, hint=hint)])
     return contents
 
 

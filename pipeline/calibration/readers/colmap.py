@@ -16,6 +16,7 @@ from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError
+from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
 
 CAMERAS_HEAD = "CAMERA_ID, MODEL, WIDTH, HEIGHT"
 IMAGES_HEAD = "IMAGE_ID, QW, QX, QY, QZ"
@@ -59,7 +60,7 @@ def read_parts(cameras_text: str, images_text: str, file: str) -> CameraFile:
             raw.append(_raw(name, words, lenses, file, problems))
         except (UnreadableError, ValueError) as error:
             message = "The line of the image or of its camera is malformed."
-            problem = Problem("calibration_unreadable", message, file=file, camera=name)
+            problem = Problem(CALIBRATION_UNREADABLE, message, file=file, camera=name)
             raise InputError([*problems, problem]) from error
     return CameraFile("COLMAP text", build_cameras(raw, file, problems), None, axes="arbitrary; Z must point up")
 
@@ -98,7 +99,7 @@ def _raw(name: str, image: list[str], lenses: Mapping[str, list[str]], file: str
     if model not in _MODELS:
         message = f"The lens model {model[:40]} is not supported."
         hint = f"Undistort the videos, or use one of {', '.join(_MODELS)}."
-        problems.append(Problem("unsupported_lens", message, file=file, camera=name, hint=hint))
+        problems.append(Problem(UNSUPPORTED_LENS, message, file=file, camera=name, hint=hint))
     places, num_coefficients = _MODELS.get(model, _MODELS["PINHOLE"])
     parameters = [float(word) for word in lens[_NUM_CAMERA_WORDS:]]
     if model in _MODELS and len(parameters) != max(places) + 1 + num_coefficients:

@@ -10,6 +10,7 @@ from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras,
 from pipeline.data.cameras import LensModel
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, read_unique_json
+from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, UNKNOWN_VERSION, UNSUPPORTED_LENS
 
 SCHEMA_VERSION = 1
 
@@ -27,7 +28,7 @@ def read(content: bytes, file: str) -> CameraFile:
         raise InputError(
             [
                 Problem(
-                    "calibration_unreadable",
+                    CALIBRATION_UNREADABLE,
                     "The file is not valid JSON, or repeats a key.",
                     file=file,
                     hint="Export it again.",
@@ -39,7 +40,7 @@ def read(content: bytes, file: str) -> CameraFile:
     listed = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(listed, list) or not all(isinstance(camera, dict) for camera in listed):
         raise InputError(
-            [Problem("calibration_unreadable", "The file has no list of cameras.", file=file, field="cameras")]
+            [Problem(CALIBRATION_UNREADABLE, "The file has no list of cameras.", file=file, field="cameras")]
         )
     # One camera above the limit suffices to report that there are too many.
     listed = listed[: MAX_CAMERAS + 1]
@@ -47,7 +48,7 @@ def read(content: bytes, file: str) -> CameraFile:
     problems = unknown_fields(document, frozenset({"cameras", "convention" if short else "schema_version"}), file, None)
     if not short and document.get("schema_version") != SCHEMA_VERSION:
         problems.append(
-            Problem("unknown_version", f"schema_version must be {SCHEMA_VERSION}.", file=file, field="schema_version")
+            Problem(UNKNOWN_VERSION, f"schema_version must be {SCHEMA_VERSION}.", file=file, field="schema_version")
         )
     known, raw = (_SHORT, _raw_short) if short else (_OWN, _raw_own)
     for camera in listed:
@@ -55,7 +56,7 @@ def read(content: bytes, file: str) -> CameraFile:
         if not short and camera.get("lens", "standard") not in _LENSES:
             message = f"The lens must be one of {', '.join(_LENSES)}."
             name = str(camera.get("name"))
-            problems.append(Problem("unsupported_lens", message, file=file, camera=name, field="lens"))
+            problems.append(Problem(UNSUPPORTED_LENS, message, file=file, camera=name, field="lens"))
     cameras = build_cameras([raw(camera) for camera in listed], file, problems)
     return CameraFile("JSON with K, R and t", cameras, None) if short else CameraFile("Multicap JSON", cameras, "m")
 

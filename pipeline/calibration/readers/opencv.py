@@ -16,6 +16,7 @@ from pipeline.calibration.readers.rotations import rotation_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import Problem
 from pipeline.parsing import UnreadableError, read_numbers
+from pipeline.problem_codes.sessions import IMAGE_SIZE, INVALID_ROTATION, UNSUPPORTED_LENS
 
 _MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "intrinsics", "mtx", "matrix", "K")
 _DISTORTION = (
@@ -31,7 +32,7 @@ _DISTORTION = (
 _ROTATION = ("rotation_matrix", "rotation", "rvec", "R")
 _TRANSLATION = ("translation_vector", "translation", "tvec", "T", "t")
 _TRANSFORM = ("extrinsic_matrix", "extrinsics", "extrinsic", "RT")
-_SIZE = ("image_size", "imageSize", "img_size", "resolution", "size")
+_SIZE = (IMAGE_SIZE, "imageSize", "img_size", "resolution", "size")
 _WIDTH = ("image_width", "image_Width", "imageWidth", "width", "W")
 _HEIGHT = ("image_height", "image_Height", "imageHeight", "height", "H")
 _LENS = ("distortion_model", "camera_model", "lens_model", "model")
@@ -99,7 +100,7 @@ def _raw(name: str, fields: Mapping[str, Any], file: str, problems: list[Problem
     if _model(fields) in _UNSUPPORTED_MODELS:
         problems.append(
             Problem(
-                "unsupported_lens",
+                UNSUPPORTED_LENS,
                 "Omnidirectional lens models are not supported.",
                 file=file,
                 camera=name,
@@ -114,7 +115,7 @@ def _raw(name: str, fields: Mapping[str, Any], file: str, problems: list[Problem
         rotation = rotation_matrix(rotation)
     except UnreadableError:
         message = "The rotation is neither a matrix of 3 x 3 numbers nor a vector of 3 numbers."
-        problems.append(Problem("invalid_rotation", message, file=file, camera=name, field="rotation"))
+        problems.append(Problem(INVALID_ROTATION, message, file=file, camera=name, field="rotation"))
         rotation = np.eye(3)  # so that the problem is reported only once
     distortion = _first(fields, _DISTORTION)
     return RawCamera(

@@ -15,6 +15,7 @@ from pipeline.calibration.contents import CameraFile, in_metres
 from pipeline.calibration.readers.xml_files import read_number, read_root
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import Problem
+from pipeline.problem_codes.sessions import UNSUPPORTED_LENS
 
 _SUBPIXELS = 64.0
 _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
@@ -41,9 +42,7 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
 
     if element.get("model") not in {None, "none"} or not math.isclose(intrinsic("skew"), 0.0):
         problems.append(
-            Problem(
-                "unsupported_lens", "Only the standard lens model without skew is supported.", file=file, camera=name
-            )
+            Problem(UNSUPPORTED_LENS, "Only the standard lens model without skew is supported.", file=file, camera=name)
         )
     rotation = np.array([[number("transform", f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)])
     center_mm = np.array([number("transform", axis) for axis in "xyz"])

@@ -18,6 +18,7 @@ from pipeline.calibration.readers.rotations import rodrigues_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import ROTATION_VECTOR_RAD, UnreadableError, parse
+from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, INVALID_ROTATION, UNSUPPORTED_LENS
 
 _KNOWN = frozenset({"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"})
 # Fields of newer FreeMoCap: the same extrinsics once more.
@@ -37,7 +38,7 @@ def read(content: bytes, file: str) -> CameraFile:
         sections = parse(_loads, content)
     except UnreadableError as error:
         message = "The file is not valid TOML, or a number in it is too long."
-        raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
+        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
     problems: list[Problem] = []
     arrayed = sections.get("cameras")
     if isinstance(arrayed, dict) and all(isinstance(section, dict) for section in arrayed.values()):
@@ -92,12 +93,12 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
     problems.extend(unknown_fields(section, _KNOWN | _FREEMOCAP_FIELDS, file, str(name)))
     if not isinstance(section.get("fisheye", False), bool):
         message = "The field fisheye must be true or false."
-        problems.append(Problem("unsupported_lens", message, file=file, camera=str(name), field="fisheye"))
+        problems.append(Problem(UNSUPPORTED_LENS, message, file=file, camera=str(name), field="fisheye"))
     try:
         rotation = rodrigues_matrix(section.get("rotation"))
     except UnreadableError:
         message = f"The rotation must be a Rodrigues vector: 3 numbers from {ROTATION_VECTOR_RAD}."
-        problems.append(Problem("invalid_rotation", message, file=file, camera=str(name), field="rotation"))
+        problems.append(Problem(INVALID_ROTATION, message, file=file, camera=str(name), field="rotation"))
         rotation = np.eye(3)  # so that the problem is reported only once
     return RawCamera(
         name=name,

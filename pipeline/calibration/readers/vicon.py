@@ -17,6 +17,7 @@ from pipeline.calibration.readers.xml_files import NUMBER, read_root
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import Problem
 from pipeline.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError
+from pipeline.problem_codes.sessions import INVALID_NUMBER, INVALID_ROTATION, UNSUPPORTED_LENS
 
 ROOT = "Cameras"
 
@@ -48,7 +49,7 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
         if values.shape == (count,) and allowed.holds(values):
             return values
         message = f"The attribute {attribute} must be {count} numbers, each {allowed}."
-        problems.append(Problem("invalid_number", message, file=file, camera=name, field=attribute))
+        problems.append(Problem(INVALID_NUMBER, message, file=file, camera=name, field=attribute))
         # Finite numbers, so that the problem is reported only once.
         return np.ones(count)
 
@@ -60,14 +61,14 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
         rotation = quaternion_matrix(numbers(frame, "ORIENTATION", 4))
     except UnreadableError:
         message = "The attribute ORIENTATION is not a rotation."
-        problems.append(Problem("invalid_rotation", message, file=file, camera=name, field="ORIENTATION"))
+        problems.append(Problem(INVALID_ROTATION, message, file=file, camera=name, field="ORIENTATION"))
         rotation = np.eye(3)
     matrix = np.array([[focal_px, 0.0, centre_px[0]], [0.0, focal_px / aspect, centre_px[1]], [0.0, 0.0, 1.0]])
     lens = _lens(frame, centre_px)
     distortion = None if lens is None else _fitted(*lens, size_px, matrix)
     if distortion is None:
         message = "The lens model is not Vicon's radial one, or its coefficients are not plausible."
-        problems.append(Problem("unsupported_lens", message, file=file, camera=name, field="VICON_RADIAL2"))
+        problems.append(Problem(UNSUPPORTED_LENS, message, file=file, camera=name, field="VICON_RADIAL2"))
         distortion = np.zeros(5)
     return RawCamera(
         name=name,

@@ -7,6 +7,7 @@ from defusedxml.ElementTree import fromstring
 
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import Quantity, UnreadableError, parse
+from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, INVALID_NUMBER
 
 NUMBER = Quantity(-1e9, 1e9, "")
 """Range of every number in a file, so that the arithmetic of the readers does not overflow."""
@@ -18,7 +19,7 @@ def read_root(content: bytes, file: str) -> Any:
         return parse(fromstring, content)
     except UnreadableError as error:
         message = "The file is not valid XML."
-        raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
+        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
 
 
 def read_number(
@@ -34,6 +35,6 @@ def read_number(
         message = f"The attribute {attribute} of {tag} is missing or not a number."
     if NUMBER.holds(value):
         return value
-    problems.append(Problem("invalid_number", message, file=file, camera=camera, field=attribute))
+    problems.append(Problem(INVALID_NUMBER, message, file=file, camera=camera, field=attribute))
     # A finite number, so that a missing number is reported only once.
     return 0.0

@@ -13,6 +13,15 @@ from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.errors import Problem
 from pipeline.findings import Finding
 from pipeline.parsing import UnreadableError, read_json
+from pipeline.problem_codes.findings import FILE_IGNORED
+from pipeline.problem_codes.sessions import (
+    DUPLICATE_KEYPOINTS,
+    KEYPOINTS_MISSING,
+    KEYPOINTS_NONE,
+    KEYPOINTS_UNREADABLE,
+    TOO_FEW_FOLDERS,
+    TOO_MANY_PEOPLE,
+)
 
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _NUMBERED = re.compile(r"(?:.*\D)?(\d{1,15})\.json", re.ASCII)
@@ -32,11 +41,11 @@ _Value = TypeVar("_Value")
 def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem]) -> dict[str, Path]:
     """List the folders by name; report if there are too few, and tell of ignored files."""
     if not folder.is_dir():
-        problems.append(Problem("keypoints_missing", "The folder does not exist.", file=folder.name))
+        problems.append(Problem(KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name))
         return {}
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     findings += [
-        Finding("file_ignored", f"{path.name} is ignored: it is not a folder.", severity="info")
+        Finding(FILE_IGNORED, f"{path.name} is ignored: it is not a folder.", severity="info")
         for path in entries
         if not path.is_dir()
     ]
@@ -44,7 +53,7 @@ def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem
     if len(folders) < MIN_CAMERAS:
         problems.append(
             Problem(
-                "too_few_folders",
+                TOO_FEW_FOLDERS,
                 f"There are {len(folders)} folders; at least {MIN_CAMERAS} are required.",
                 file=folder.name,
                 hint="Provide a folder of keypoint files for each camera.",
@@ -80,7 +89,7 @@ def read_folder(
     if files.others:
         some = ", ".join(path.name for path in files.others[:3]) + (", ..." if len(files.others) > 3 else "")
         message = f"{len(files.others)} other files in {folder.name} are ignored: {some}."
-        findings.append(Finding("file_ignored", message, severity="info", evidence={"num_files": len(files.others)}))
+        findings.append(Finding(FILE_IGNORED, message, severity="info", evidence={"num_files": len(files.others)}))
     forms: set[str] = set()
     form_in = partial(_form_in, forms, size_px)
     frames: dict[int, People] = {}
@@ -119,7 +128,7 @@ class _Problems:
         if not self._num_more:
             return self._first
         message = f"{self._num_more} more {things} have problems."
-        return [*self._first, Problem("keypoints_unreadable", message, file=self._folder.name)]
+        return [*self._first, Problem(KEYPOINTS_UNREADABLE, message, file=self._folder.name)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +158,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
             others.append(path)
         elif (number := int(match[1])) in numbered:
             message = f"{numbered[number].name} has the same frame number."
-            problems.add(Problem("duplicate_keypoints", message, file=path.name))
+            problems.add(Problem(DUPLICATE_KEYPOINTS, message, file=path.name))
         else:
             numbered[number] = path
     if not numbered:
@@ -158,7 +167,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
         if captures:
             some = ", ".join(path.name for path in captures[:3])
             message, hint = f"The folder has several files without numbers: {some}.", f"Keep one of them. {hint}"
-        problems.add(Problem("keypoints_none", message, file=folder.name, hint=hint))
+        problems.add(Problem(KEYPOINTS_NONE, message, file=folder.name, hint=hint))
     return _Files(numbered, None, others)
 
 
@@ -193,7 +202,7 @@ def _read_capture(path: Path, camera: str, form_in: _FormOf) -> Iterator[tuple[i
     read_frame, frames = split
     for number, content in sorted(frames.items()):
         people = _attempt(partial(read_frame, content), path, camera, number, _FILE_HINT)
-        if isinstance(people, Problem) and people.code == "keypoints_unreadable":
+        if isinstance(people, Problem) and people.code == KEYPOINTS_UNREADABLE:
             people = replace(people, message=f"Frame {number}: {people.message}")
         yield number, people
 
@@ -225,11 +234,11 @@ def _attempt(read: Callable[[], _Value], path: Path, camera: str, number: int | 
         return read()
     except CrowdError as error:
         message = f"Frame {number} has {error.num_people} people; at most {MAX_PEOPLE} are allowed."
-        return Problem("too_many_people", message, file=file, camera=camera, hint=_CROWD_HINT)
+        return Problem(TOO_MANY_PEOPLE, message, file=file, camera=camera, hint=_CROWD_HINT)
     except KeypointsError as error:
         message, field = str(error), error.field
     except OSError:
         message = "The file can't be read."
     except (UnreadableError, TypeError, KeyError, AttributeError):
         message = "The file is not a keypoint file of a known format, or its people have different numbers of joints."
-    return Problem("keypoints_unreadable", message, file=file, field=field, hint=hint)
+    return Problem(KEYPOINTS_UNREADABLE, message, file=file, field=field, hint=hint)

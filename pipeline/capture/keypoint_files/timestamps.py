@@ -13,6 +13,15 @@ from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.errors import Problem
 from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
+from pipeline.problem_codes.findings import FRAME_RATE_ASSUMED
+from pipeline.problem_codes.sessions import (
+    FRAME_RATE,
+    TIMESTAMPS_INVALID,
+    TIMESTAMPS_MISSING,
+    TIMESTAMPS_ORDER,
+    TIMESTAMPS_START,
+    TOO_FEW_FRAMES,
+)
 from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 
 DEFAULT_FRAME_RATE_HZ = float(DEFAULT_RATE)
@@ -41,10 +50,10 @@ def times_from_rate(
     if frame_rate_hz is None:
         message = f"No frame rate was given: {rate_hz:g} Hz is assumed."
         hint = "State the frame rate, or give timestamps."
-        findings.append(Finding("frame_rate_assumed", message, hint=hint, evidence={"frame_rate_hz": rate_hz}))
+        findings.append(Finding(FRAME_RATE_ASSUMED, message, hint=hint, evidence={"frame_rate_hz": rate_hz}))
     if not FRAME_RATE_HZ.holds(rate_hz):
         problems.append(
-            Problem("frame_rate", f"A frame rate of {rate_hz:g} Hz is not allowed.", hint=f"Use {FRAME_RATE_HZ}.")
+            Problem(FRAME_RATE, f"A frame rate of {rate_hz:g} Hz is not allowed.", hint=f"Use {FRAME_RATE_HZ}.")
         )
         return {}, None
     rate_hz = float(without_rounding(rate_hz))
@@ -76,31 +85,31 @@ def times_from_file(
         missing = [number for number in by_frame if number not in read.get(camera, {})]
         if missing:
             message = f"{len(missing)} frames have no time; the first is frame {missing[0]}."
-            problems.append(Problem("timestamps_missing", message, file=timestamps.name, camera=camera))
+            problems.append(Problem(TIMESTAMPS_MISSING, message, file=timestamps.name, camera=camera))
             continue
         time_s = np.array([read[camera][number] for number in by_frame], dtype=np.float64)
         if (np.diff(time_s) <= 0).any():
             first = list(by_frame)[int(np.argmax(np.diff(time_s) <= 0)) + 1]
             message = f"Times must ascend from frame to frame; the time of frame {first} does not."
-            problems.append(Problem("timestamps_order", message, file=timestamps.name, camera=camera))
+            problems.append(Problem(TIMESTAMPS_ORDER, message, file=timestamps.name, camera=camera))
             continue
         times[camera] = FrameTimes(time_s)
     if problems or not times:
         return times, None
     if min(camera_times.time_s[0] for camera_times in times.values() if len(camera_times.time_s)) > _MAX_START_S:
-        problems.append(Problem("timestamps_start", "Times must count from 0.", file=timestamps.name, hint=_START_HINT))
+        problems.append(Problem(TIMESTAMPS_START, "Times must count from 0.", file=timestamps.name, hint=_START_HINT))
         return times, None
     rates_hz = [
         measured_rate_hz(camera_times.time_s) for camera_times in times.values() if len(camera_times.time_s) > 1
     ]
     if not rates_hz:
-        problems.append(Problem("too_few_frames", "No camera has two frames.", file=timestamps.name))
+        problems.append(Problem(TOO_FEW_FRAMES, "No camera has two frames.", file=timestamps.name))
         return times, None
     rate_hz = max(rates_hz)
     if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE):
         message = f"By the times the fastest camera has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are allowed."
         hint = "Check that the times are in seconds."
-        problems.append(Problem("frame_rate", message, file=timestamps.name, field="time_s", hint=hint))
+        problems.append(Problem(FRAME_RATE, message, file=timestamps.name, field="time_s", hint=hint))
     source = TimeSource(
         files=dict.fromkeys(times, timestamps.name),
         start_field="time_s",
@@ -128,13 +137,13 @@ def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]
             for row in rows:
                 _add_row(row, rows.line_num, times_s)
     except _LateError as error:
-        problems.append(Problem("timestamps_start", str(error), file=path.name, hint=_START_HINT))
+        problems.append(Problem(TIMESTAMPS_START, str(error), file=path.name, hint=_START_HINT))
     except _InvalidError as error:
-        problems.append(Problem("timestamps_invalid", str(error), file=path.name))
+        problems.append(Problem(TIMESTAMPS_INVALID, str(error), file=path.name))
     except FileNotFoundError:
-        problems.append(Problem("timestamps_invalid", "The file does not exist.", file=path.name))
+        problems.append(Problem(TIMESTAMPS_INVALID, "The file does not exist.", file=path.name))
     except (OSError, ValueError, csv.Error):
-        problems.append(Problem("timestamps_invalid", "The file can't be read as CSV.", file=path.name))
+        problems.append(Problem(TIMESTAMPS_INVALID, "The file can't be read as CSV.", file=path.name))
     else:
         return times_s
     return None

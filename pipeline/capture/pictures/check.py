@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from pipeline.capture.pictures.figures import PictureFigures, largest_change
 from pipeline.findings import Finding
+from pipeline.problem_codes.findings import PICTURE_BLURRED, PICTURE_DARK, PICTURE_FROZEN
 
 # In a picture with so many dark pixels even what is bright is dark.
 _DARK_SHARE = 0.98
@@ -70,7 +71,7 @@ def _check_dark(camera: CameraPictures) -> Iterator[Finding]:
         )
         hint = "Light the scene, open the aperture or expose longer; or brighten the video before."
         yield Finding(
-            "picture_dark", message, camera.camera, "warning", hint, {"dark_share": share, **_seen(camera, dark)}
+            PICTURE_DARK, message, camera.camera, "warning", hint, {"dark_share": share, **_seen(camera, dark)}
         )
 
 
@@ -88,7 +89,7 @@ def _check_blurred(camera: CameraPictures) -> Iterator[Finding]:
         )
         hint = "Focus on the place where people are, clean the lens, or send the video as the camera recorded it."
         yield Finding(
-            "picture_blurred", message, camera.camera, "warning", hint, {"blur_share": share, **_seen(camera, blurred)}
+            PICTURE_BLURRED, message, camera.camera, "warning", hint, {"blur_share": share, **_seen(camera, blurred)}
         )
 
 
@@ -107,7 +108,7 @@ def _check_frozen(camera: CameraPictures, cameras: Sequence[CameraPictures]) -> 
         hint = "Look at the video; export it again, or leave the camera out."
         seen = _seen(camera, [first, last])
         evidence = {"start_s": start_s, "stop_s": stop_s, "other_camera": moving[0], **seen}
-        yield Finding("picture_frozen", message, camera.camera, "warning", hint, evidence)
+        yield Finding(PICTURE_FROZEN, message, camera.camera, "warning", hint, evidence)
 
 
 def _longest_still(camera: CameraPictures) -> tuple[int, int]:

@@ -19,6 +19,7 @@ from pipeline.capture.pictures.figures import PictureFigures, figures_of, reduce
 from pipeline.capture.session import CaptureSession
 from pipeline.errors import ChildError, InputError
 from pipeline.findings import Finding, from_problem
+from pipeline.problem_codes.findings import PICTURES_LEFT_OUT
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import reading_s
@@ -94,7 +95,7 @@ def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> Pic
             "cameras. This says nothing about the videos."
         )
         hint = "Send the session again when the service is less busy to have all pictures looked at."
-        findings.append(Finding("pictures_left_out", message, None, "info", hint, {"num_cameras": num_left}))
+        findings.append(Finding(PICTURES_LEFT_OUT, message, None, "info", hint, {"num_cameras": num_left}))
     return PicturesCheck(tuple(findings), tuple(camera.thumbnails for camera in looked))
 
 

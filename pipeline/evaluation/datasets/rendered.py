@@ -16,6 +16,7 @@ from pipeline.data.people import Track3D
 from pipeline.errors import InputError, Problem
 from pipeline.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy, select_joints
 from pipeline.joints import JointSet
+from pipeline.problem_codes.commands import DATASET_INCOMPLETE, TRUTH_UNREADABLE
 
 _TRUTH_FILE = "gt.npz"
 _KEYS = ("joints", "names", "time")
@@ -42,7 +43,7 @@ def load_rendered(folder: Path) -> RenderedTruth:
     Raises ``InputError`` if a part of the folder is missing, or the truth is incomplete or inconsistent.
     """
     problems = [
-        Problem("dataset_incomplete", "A part of the rendered capture is missing.", file=name, hint=hint)
+        Problem(DATASET_INCOMPLETE, "A part of the rendered capture is missing.", file=name, hint=hint)
         for name, present, hint in (
             ("videos", (folder / "videos").is_dir(), "Expected a folder with one video a camera."),
             ("calibration.toml", (folder / "calibration.toml").is_file(), "Expected the cameras' calibration."),
@@ -144,4 +145,4 @@ def _feet_m(arrays: Mapping[str, np.ndarray]) -> Float[np.ndarray, "people frame
 
 
 def _truth_problem(message: str, field: str | None = None) -> Problem:
-    return Problem("truth_unreadable", message, file=_TRUTH_FILE, field=field)
+    return Problem(TRUTH_UNREADABLE, message, file=_TRUTH_FILE, field=field)

@@ -21,6 +21,7 @@ from pipeline.data.people import Track3D
 from pipeline.errors import InputError, Problem
 from pipeline.evaluation.pcp import HEAD_RULES, benchmark_joints, score_pcp
 from pipeline.joints import COCO_17
+from pipeline.problem_codes.commands import BENCHMARK_UNREADABLE
 
 FRAME_RATE_HZ = 25.0
 FIRST_IMAGE, LAST_IMAGE = 300, 599
@@ -94,7 +95,7 @@ def load_shelf(folder: Path, detections: Path | None = None) -> ShelfBenchmark:
 
 
 def _unreadable(message: str, path: Path) -> Problem:
-    return Problem("benchmark_unreadable", message, file=path.name, hint="Give the folder of the Shelf benchmark.")
+    return Problem(BENCHMARK_UNREADABLE, message, file=path.name, hint="Give the folder of the Shelf benchmark.")
 
 
 def _of_camera(name: str, number: int, arrays: Mapping[str, np.ndarray]) -> Detections:

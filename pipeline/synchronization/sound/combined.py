@@ -7,6 +7,8 @@ from pipeline.data.cameras import Camera, CameraClock, FrameTimes, Synchronizati
 from pipeline.data.detections import Detections
 from pipeline.errors import Problem
 from pipeline.joints import JointSet
+from pipeline.problem_codes.jobs import SYNC_CONTRADICTION
+from pipeline.problem_codes.warnings import SYNC_BY_SOUND
 from pipeline.progress import OnShare, ignore
 from pipeline.synchronization.checks import precision_doubts
 from pipeline.synchronization.sound.offsets import SoundOffsets
@@ -52,7 +54,7 @@ def synchronize_with_sound(
         message = (
             "The offsets are those of the sound alone, since motion does not tell them: +-3 ms a metre of its way."
         )
-        warnings = (Problem("sync_by_sound", message, hint=by_people.refusals[0].hint), *warnings)
+        warnings = (Problem(SYNC_BY_SOUND, message, hint=by_people.refusals[0].hint), *warnings)
     return replace(by_people, clocks=clocks, refusals=refusals, warnings=warnings)
 
 
@@ -73,4 +75,4 @@ def _contradictions(
                 f"Motion and sound contradict each other: by the sound the camera started {abs(apart_s):.2f} s "
                 f"{'earlier' if apart_s > 0 else 'later'} than by the motion of people."
             )
-            yield Problem("sync_contradiction", message, camera=clock.camera, hint=_HINT)
+            yield Problem(SYNC_CONTRADICTION, message, camera=clock.camera, hint=_HINT)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from pipeline.problem_codes.sessions import IMAGES_ARCHIVE, NO_IMAGES
 from pipeline.runtime.zips import ArchiveError, list_entries, name_of, read_entry
 from pipeline.video.info import UnusableError
 
@@ -52,7 +53,7 @@ def open_images(path: Path) -> Iterator[ImageFiles]:
     try:
         entries = list_entries(path, ENDINGS, MAX_IMAGE_BYTES)
     except ArchiveError as error:
-        raise UnusableError("images_archive", str(error), _HINT) from None
+        raise UnusableError(IMAGES_ARCHIVE, str(error), _HINT) from None
     with zipfile.ZipFile(path) as archive:
         yield _Archive(archive, {name_of(entry): entry for entry in entries})
 
@@ -106,10 +107,10 @@ def _numbered(files: Mapping[str, _File]) -> dict[int, _File]:
     """
     if not files:
         message = "There are no images in it."
-        raise UnusableError("no_images", message, _HINT)
+        raise UnusableError(NO_IMAGES, message, _HINT)
     if len(files) > _MAX_IMAGES:
         message = f"There are {len(files)} images; at most {_MAX_IMAGES} are allowed."
-        raise UnusableError("images_archive", message, "Cut it into several.")
+        raise UnusableError(IMAGES_ARCHIVE, message, "Cut it into several.")
     numbers = {name: int(match[1]) for name in files if (match := _DIGITS.search(Path(name).stem))}
     first, last = min(numbers.values(), default=0), max(numbers.values(), default=0)
     if len(set(numbers.values())) < len(files) or last - first >= _MAX_SPARSE * len(files):

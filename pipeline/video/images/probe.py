@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from av.video.frame import VideoFrame
 
+from pipeline.problem_codes.sessions import NO_FRAMES, VIDEO_CHANGES_SIZE
 from pipeline.video.frame_rate import without_rounding
 from pipeline.video.images.files import SEQUENCE, open_images
 from pipeline.video.images.frames import decode_images
@@ -27,7 +28,7 @@ def probe_images(path: Path) -> VideoInfo:
     chosen = {*pts[:_NUM_DECODED].tolist(), int(pts[-1])}
     frames = list(decode_images(path, chosen.__contains__))
     if not frames:
-        raise UnusableError("no_frames", "No image can be decoded.", "Send JPEG, PNG, BMP or TIFF.")
+        raise UnusableError(NO_FRAMES, "No image can be decoded.", "Send JPEG, PNG, BMP or TIFF.")
     _check_sizes(frames)
     width, height = frames[0].width, frames[0].height
     rotation_deg = round(frames[0].rotation / 90) * 90 % 360
@@ -55,7 +56,7 @@ def _check_sizes(frames: Sequence[VideoFrame]) -> None:
     for frame in frames:
         if (frame.width, frame.height) != (first.width, first.height):
             raise UnusableError(
-                "video_changes_size",
+                VIDEO_CHANGES_SIZE,
                 f"The images change their size from {first.width} x {first.height} to {frame.width} x {frame.height} "
                 "pixels.",
                 "Send images of one size.",

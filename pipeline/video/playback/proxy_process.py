@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.sessions import VIDEO_DAMAGED, VIDEO_UNREADABLE
 from pipeline.runtime.child_processes import module_command, uninterrupted
 from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.info import VideoInfo
@@ -115,13 +117,13 @@ def _follow(
         return
     if exit_code == EXIT_UNREADABLE:
         message = "No frame of the video can be decoded for a copy that browsers play."
-        raise _bad_video(video, "video_damaged", message, "Copy the file again.")
+        raise _bad_video(video, VIDEO_DAMAGED, message, "Copy the file again.")
     if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_caused_by_file(exit_code)):
         message = "The copy that browsers play could not be made within the limits on time, memory and size."
-        raise _bad_video(video, "video_unreadable", message, "Convert the video to H.264 in MP4.")
+        raise _bad_video(video, VIDEO_UNREADABLE, message, "Convert the video to H.264 in MP4.")
     errors.seek(0)
     raise child_error("making of a proxy", exit_code, _TIMEOUT_S, errors.read().decode(errors="replace"))
 
 
-def _bad_video(video: VideoInfo, code: str, message: str, hint: str) -> InputError:
+def _bad_video(video: VideoInfo, code: Code, message: str, hint: str) -> InputError:
     return InputError([Problem(code, message, file=video.path.name, hint=hint)])

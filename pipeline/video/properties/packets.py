@@ -8,6 +8,7 @@ from av.packet import Packet
 from av.video.stream import VideoStream
 from jaxtyping import Int
 
+from pipeline.problem_codes.sessions import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
 from pipeline.video.info import UnusableError
 
 MAX_FRAMES = 2_000_000
@@ -42,15 +43,15 @@ def read_packets(container: InputContainer, stream: VideoStream) -> Packets:
         stamp = packet.dts if packet.pts is None else packet.pts
         is_corrupt = packet.is_corrupt
         if stamp is None:
-            raise UnusableError("video_times", f"Frame {len(pts)} has no timestamp.", REPAIR_TIMES)
+            raise UnusableError(VIDEO_TIMES, f"Frame {len(pts)} has no timestamp.", REPAIR_TIMES)
         pts.append(stamp)
         if packet.is_keyframe:
             keyframes.append(stamp)
         if len(pts) > MAX_FRAMES:
-            raise UnusableError("video_too_long", f"The video has more than {MAX_FRAMES} frames.", "Cut it.")
+            raise UnusableError(VIDEO_TOO_LONG, f"The video has more than {MAX_FRAMES} frames.", "Cut it.")
     # Only the last packet counts: the decoder marks damaged frames before it.
     if is_corrupt:
-        raise UnusableError("video_truncated", f"The file is truncated after {len(pts) - 1} frames.", "Copy it again.")
+        raise UnusableError(VIDEO_TRUNCATED, f"The file is truncated after {len(pts) - 1} frames.", "Copy it again.")
     return Packets(np.array(pts, np.int64), np.unique(np.array(keyframes, np.int64)), num_read)
 
 
@@ -63,11 +64,11 @@ def shown_pts(stored_pts: Int[np.ndarray, " frames"]) -> Int[np.ndarray, " shown
     """Sort timestamps in the order of display and remove repeated ones; raise if they are not plausible."""
     shown = np.unique(stored_pts)
     if int(shown[-1]) - int(shown[0]) > _MAX_TICKS:
-        raise UnusableError("video_times", "The timestamps of the frames are too far apart.", REPAIR_TIMES)
+        raise UnusableError(VIDEO_TIMES, "The timestamps of the frames are too far apart.", REPAIR_TIMES)
     num_repeated = len(stored_pts) - len(shown)
     if num_repeated > _MAX_REPEATED_SHARE * len(stored_pts):
         raise UnusableError(
-            "video_times",
+            VIDEO_TIMES,
             f"{num_repeated} of {len(stored_pts)} frames have the timestamp of another frame.",
             REPAIR_TIMES,
         )
@@ -75,5 +76,5 @@ def shown_pts(stored_pts: Int[np.ndarray, " frames"]) -> Int[np.ndarray, " shown
     misplaced = np.flatnonzero(np.abs(order - np.arange(len(order))) > _MAX_REORDERED)
     if len(misplaced):
         message = f"The timestamps go backwards near frame {misplaced[0]}."
-        raise UnusableError("video_times", message, REPAIR_TIMES)
+        raise UnusableError(VIDEO_TIMES, message, REPAIR_TIMES)
     return shown

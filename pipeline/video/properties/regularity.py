@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.errors import Problem
+from pipeline.problem_codes.findings import FRAME_RATE_VARIES, FRAMES_DROPPED, FRAMES_TOO_CLOSE
 
 # An interval of 1.6 usual ones or more is a gap, one of 0.4 or less is too short; as ``frame_rate`` has it.
 _EVEN = 0.6
@@ -36,16 +37,16 @@ def uneven_times(time_s: Float[np.ndarray, " frames"]) -> list[Problem]:
     share = float((is_gap | is_short).mean())
     if share > _MAX_UNEVEN:
         message = f"The frame rate varies: {share:.0%} of the intervals between frames are far from the usual one."
-        return [Problem("frame_rate_varies", message, hint="A constant rate shows fast motion better.")]
+        return [Problem(FRAME_RATE_VARIES, message, hint="A constant rate shows fast motion better.")]
     warnings = []
     if is_gap.any():
         dropped = int((np.rint(intervals_s[is_gap] / usual_s) - 1).sum())
         begins_s = time_s[:-1][is_gap]
         message = f"{_frames(dropped, 'is', 'are')} missing, {_places(begins_s)}; the longest gap is {{:.3g}} s."
-        warnings.append(Problem("frames_dropped", message.format(float(intervals_s.max())), hint=_HINT))
+        warnings.append(Problem(FRAMES_DROPPED, message.format(float(intervals_s.max())), hint=_HINT))
     if is_short.any():
         message = f"{_frames(int(is_short.sum()), 'follows', 'follow')} the one before at once, "
-        warnings.append(Problem("frames_too_close", message + _places(time_s[1:][is_short]) + ".", hint=_HINT))
+        warnings.append(Problem(FRAMES_TOO_CLOSE, message + _places(time_s[1:][is_short]) + ".", hint=_HINT))
     return warnings
 
 

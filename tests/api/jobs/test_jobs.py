@@ -7,6 +7,11 @@ from datetime import UTC, datetime
 import pytest
 
 from pipeline.findings import Finding
+from pipeline.problem_codes.jobs import INPUT_ERROR
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import INTERNAL_ERROR
+from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
+from pipeline.problem_codes.warnings import NOBODY_FOUND
 from tests.api.conftest import Live, form, problem_of
 from worker.jobs.model.jobs import Problem
 from worker.jobs.repositories.jobs import Jobs
@@ -183,7 +188,7 @@ def test_failed_job_says_why(live: Live) -> None:
     job_id = live.job_id()
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
-    problem = Problem("video_truncated", "The video ends early.", stage="detect", camera="cam_1", hint="Copy it again.")
+    problem = Problem(VIDEO_TRUNCATED, "The video ends early.", stage="detect", camera="cam_1", hint="Copy it again.")
     live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     assert job["state"] == "failed"
@@ -197,12 +202,12 @@ def test_attempts_say_why_each_failed(live: Live) -> None:
     job_id = live.job_id()
     claim = live.services.store.leases.claim("worker", 60.0)
     assert claim is not None
-    again = Problem("internal_error", "It failed inside.", stage="look", retryable=True)
+    again = Problem(INTERNAL_ERROR, "It failed inside.", stage="look", retryable=True)
     live.services.store.leases.fail(claim.chunk_id, claim.lease_token, again)
     claim = live.services.store.leases.claim("worker", 60.0)
     assert claim is not None
     live.services.store.leases.fail(
-        claim.chunk_id, claim.lease_token, Problem("input_error", "It is broken.", camera="left")
+        claim.chunk_id, claim.lease_token, Problem(INPUT_ERROR, "It is broken.", camera="left")
     )
     live.client.post(f"/v1/jobs/{job_id}/retry").raise_for_status()
     link = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["attempts"]
@@ -271,7 +276,7 @@ def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
         job_id = live.job_id()
         claim = live.services.store.leases.claim("test", 30.0)
         assert claim is not None
-        problem = Problem("broken", "It is broken.", retryable=retryable)
+        problem = Problem(Code("broken"), "It is broken.", retryable=retryable)
         while claim is not None:
             live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
             claim = live.services.store.leases.claim("test", 30.0)
@@ -299,11 +304,11 @@ def test_warnings_of_a_result_are_wherever_the_job_is(live: Live) -> None:
     job_id = live.job_id()
     before = live.client.get(f"/v1/jobs/{job_id}").json()
     assert (before["warnings"], before["result_warnings"]) == (["The cameras are close together."], [])
-    live.finish(job_id, warnings=[Finding("nobody_found", "Nobody was found.")])
+    live.finish(job_id, warnings=[Finding(NOBODY_FOUND, "Nobody was found.")])
     listed = live.client.get("/v1/jobs").json()["jobs"][0]
     with live.client.stream("GET", f"/v1/jobs/{job_id}/events") as stream:
         (data,) = [line.removeprefix("data: ") for line in stream.iter_lines() if line.startswith("data: ")]
     for job in (live.client.get(f"/v1/jobs/{job_id}").json(), listed, json.loads(data)):
         assert job["state"] == "succeeded"
         assert job["warnings"] == ["The cameras are close together.", "Nobody was found."]
-        assert job["result_warnings"] == [Finding("nobody_found", "Nobody was found.").to_json()]
+        assert job["result_warnings"] == [Finding(NOBODY_FOUND, "Nobody was found.").to_json()]

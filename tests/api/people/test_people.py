@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from pipeline.edits import PersonSpan
+from pipeline.problem_codes.model import Code
 from tests.api.conftest import RESULT, Live, problem_of
 from worker.jobs.model.jobs import Problem
 from worker.jobs.store import MAX_ATTEMPTS
@@ -158,11 +159,13 @@ def test_files_stay_until_those_of_the_next_revision_are_made(live: Live, job_id
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
     assert read() == before
-    live.services.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It broke.", retryable=True))
+    live.services.store.leases.fail(
+        claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It broke.", retryable=True)
+    )
     for _ in range(MAX_ATTEMPTS - 1):
         claim = live.services.store.leases.claim("test", 30.0)
         assert claim is not None
-        problem = Problem("broken", "It broke.", retryable=True)
+        problem = Problem(Code("broken"), "It broke.", retryable=True)
         live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
     assert live.client.get(f"/v1/jobs/{job_id}").json()["state"] == "failed"
     assert read() == before

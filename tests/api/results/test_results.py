@@ -17,6 +17,8 @@ import pytest
 
 from api.cli.client import Client, ServiceError
 from api.settings import Settings
+from pipeline.problem_codes.requests import INTERNAL_ERROR
+from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
 from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.s3 import running_s3
 from worker.jobs.files.artifacts import result_key
@@ -203,7 +205,7 @@ def test_jobs_that_ended_without_results_have_none_anywhere(live: Live, results:
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
     live.services.store.leases.fail(
-        claim.chunk_id, claim.lease_token, Problem("video_truncated", "The video ends early.")
+        claim.chunk_id, claim.lease_token, Problem(VIDEO_TRUNCATED, "The video ends early.")
     )
     problem = problem_of(live.client.get(f"/v1/jobs/{failed}/{results}"), 409, "no_results")
     assert problem["hint"] == (
@@ -211,7 +213,7 @@ def test_jobs_that_ended_without_results_have_none_anywhere(live: Live, results:
     )
     assert not problem["retryable"]
     crashed = live.job_id()
-    crash = Problem("internal_error", "It crashed.", retryable=True)
+    crash = Problem(INTERNAL_ERROR, "It crashed.", retryable=True)
     while claim := live.services.store.leases.claim("test", 30.0):
         live.services.store.leases.fail(claim.chunk_id, claim.lease_token, crash)
     problem = problem_of(live.client.get(f"/v1/jobs/{crashed}/{results}"), 409, "no_results")

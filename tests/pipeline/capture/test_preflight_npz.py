@@ -8,6 +8,7 @@ from pipeline.capture.session import CaptureSession
 from pipeline.data.cameras import Camera, FrameTimes
 from pipeline.findings import Finding
 from pipeline.geometry.rigid import Rigid3
+from pipeline.problem_codes.findings import CALIBRATION_NOTE
 from pipeline.video.info import VideoInfo
 
 RNG = np.random.default_rng(3)
@@ -27,7 +28,7 @@ def test_session_comes_back_with_its_videos_where_they_are_now(tmp_path: Path) -
         cameras=(camera("left"), camera("Käm 2")),
         videos=(video("left.mp4", 30), video("Käm 2.mp4", 20)),
         times={"left": FrameTimes(np.arange(30) / 30.0), "Käm 2": FrameTimes(np.arange(20) / 30.0 + 0.1)},
-        findings=(Finding("calibration_note", "They are near."),),
+        findings=(Finding(CALIBRATION_NOTE, "They are near."),),
     )
     content = encode_session(session)
     assert encode_session(session) == content

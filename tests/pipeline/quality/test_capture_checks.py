@@ -6,6 +6,7 @@ from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, Wo
 from pipeline.data.detections import DamagedVideo
 from pipeline.data.people import Doubt, Observations
 from pipeline.findings import Finding, SessionCheck
+from pipeline.problem_codes.findings import NOBODY_DETECTED
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report
 from tests.pipeline.quality.test_report import CAMERAS, camera, observe, reconstruction
@@ -50,7 +51,7 @@ def nobody(check: SessionCheck) -> tuple[str, str, list[str]]:
 
 
 def test_an_empty_result_says_why() -> None:
-    undetected = Finding("nobody_detected", "Nobody was detected.", None, "error", "Look at the pictures.")
+    undetected = Finding(NOBODY_DETECTED, "Nobody was detected.", None, "error", "Look at the pictures.")
     message, reason, codes = nobody(SessionCheck((undetected,), {"a": 0, "b": 0}, 12))
     assert message == "Nobody was found. Nobody was detected. Look at the pictures."
     assert (reason, codes) == ("nobody_detected", ["nobody_detected", "nobody_found"])

@@ -1,10 +1,11 @@
 from pipeline.findings import Finding
+from pipeline.problem_codes.warnings import CAMERA_BELOW_FLOOR
 from pipeline.quality.findings import join_findings, people_findings
 from pipeline.quality.report import quality_report
 from tests.pipeline.quality.test_report import reconstruction
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
-DOUBT = Finding("camera_below_floor", "The camera is 0.40 m below z = 0.", "a")
+DOUBT = Finding(CAMERA_BELOW_FLOOR, "The camera is 0.40 m below z = 0.", "a")
 
 
 def test_a_mirrored_world_is_an_error_and_a_wrong_floor_a_warning() -> None:

@@ -4,6 +4,7 @@ import sqlalchemy as sa
 from alembic import command
 from alembic.config import Config
 
+from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import LEASE_S, Bench, stages
 from worker.jobs.database.tables import events, metadata
 from worker.jobs.model.jobs import Problem
@@ -38,7 +39,7 @@ def test_cancel_failure_and_retry_are_noted(jobs: Bench) -> None:
     assert noted(jobs, canceled.id) == [("state", state) for state in states]
     failed = jobs.queue()
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     jobs.store.jobs.retry(failed.id, stages())
     assert noted(jobs, failed.id) == [("state", state) for state in ("queued", "running", "failed", "queued")]
 

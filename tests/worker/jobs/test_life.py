@@ -8,6 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench, new_session, stages
 from worker.jobs.model.jobs import Problem
 from worker.jobs.model.states import FINISHED, ChunkState, JobState
@@ -58,7 +59,9 @@ class Life(RuleBasedStateMachine):
     @rule(data=st.data(), retryable=st.booleans())
     def fail(self, data: st.DataObject, retryable: bool) -> None:
         claim = data.draw(st.sampled_from(self._claims))
-        self._store.leases.fail(claim.chunk_id, claim.lease_token, Problem("bad", "It failed.", retryable=retryable))
+        self._store.leases.fail(
+            claim.chunk_id, claim.lease_token, Problem(Code("bad"), "It failed.", retryable=retryable)
+        )
 
     @precondition(lambda self: self._claims)
     @rule(data=st.data())

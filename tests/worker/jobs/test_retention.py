@@ -4,6 +4,7 @@ import time
 
 import pytest
 
+from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import LEASE_S, Bench, stages
 from worker.jobs.errors import Conflict
 from worker.jobs.model.jobs import Job, Problem
@@ -58,7 +59,7 @@ def test_a_job_whose_time_is_over_is_due_once(jobs: Bench) -> None:
 def test_what_is_tried_again_is_not_due_meanwhile(jobs: Bench) -> None:
     job = queue(jobs, 0.01)
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     jobs.store.jobs.retry(job.id, stages())
     time.sleep(0.05)
     assert jobs.store.jobs.get(job.id).expires_at is None

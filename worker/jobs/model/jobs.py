@@ -8,6 +8,7 @@ from pipeline.config import ReconstructionConfig
 from pipeline.edits import PeopleEdit, PersonSpan
 from pipeline.findings import Finding
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
+from pipeline.problem_codes.model import Code
 from worker.jobs.model.states import RETRYABLE, ChunkState, JobState
 from worker.jobs.spec import JobSpec
 
@@ -46,7 +47,7 @@ def config_of(
 class Problem:
     """Problem of a job: a stable code, and a sentence for the client without texts of exceptions or paths."""
 
-    code: str
+    code: Code
     detail: str
     stage: str | None = None
     camera: str | None = None

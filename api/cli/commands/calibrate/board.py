@@ -24,6 +24,8 @@ from pipeline.calibration.registry import read_calibration
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.commands import SOURCES
+from pipeline.problem_codes.sessions import CAMERA_UNKNOWN
 
 
 def command(
@@ -54,7 +56,7 @@ def command(
         known_points = read_known_points(world_points) if world_points is not None else ()
         if (videos is None) == (images is None):
             raise InputError(
-                [Problem("sources", "A board is filmed or photographed.", hint="Give --videos or --images.")]
+                [Problem(SOURCES, "A board is filmed or photographed.", hint="Give --videos or --images.")]
             )
         with Progress(console=console, disable=as_json, transient=True) as progress:
             if videos is not None:
@@ -104,9 +106,7 @@ def _named(intrinsics: Path, views: list[BoardViews]) -> dict[str, Camera]:
     """Cameras of a calibration file by name, which must be those of the photographs."""
     cameras = {camera.name: camera for camera in read_calibration(intrinsics)}
     problems = [
-        Problem(
-            "camera_unknown", "The calibration has no camera of this name.", file=intrinsics.name, camera=view.camera
-        )
+        Problem(CAMERA_UNKNOWN, "The calibration has no camera of this name.", file=intrinsics.name, camera=view.camera)
         for view in views
         if view.camera not in cameras
     ]

@@ -16,6 +16,7 @@ from pipeline.capture.session import CaptureSession, open_session
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
 from pipeline.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
+from pipeline.problem_codes.commands import SOURCES
 from pipeline.progress import Progress
 from pipeline.stages.local import detect_people
 from pipeline.stages.stage import CALIBRATE
@@ -90,14 +91,14 @@ def _check_sources(
     problems = []
     if (videos is None) == (keypoints is None):
         message = "People are filmed, or given as keypoints."
-        problems.append(Problem("sources", message, hint="Give --videos or --keypoints."))
+        problems.append(Problem(SOURCES, message, hint="Give --videos or --keypoints."))
     if keypoints is not None and intrinsics is None:
         message = "Keypoints don't tell the size of the pictures."
-        problems.append(Problem("sources", message, hint="Give --intrinsics too."))
+        problems.append(Problem(SOURCES, message, hint="Give --intrinsics too."))
     if keypoints is None and timestamps is not None:
         message = "Timestamps belong to keypoints; videos have their own times."
-        problems.append(Problem("sources", message, hint="Omit --timestamps."))
+        problems.append(Problem(SOURCES, message, hint="Omit --timestamps."))
     if len(stature_m) > MAX_STATURES:
-        problems.append(Problem("sources", f"At most {MAX_STATURES} statures are taken.", field="stature_m"))
+        problems.append(Problem(SOURCES, f"At most {MAX_STATURES} statures are taken.", field="stature_m"))
     if problems:
         raise InputError(problems)

@@ -8,6 +8,7 @@ from pipeline.calibration.known_points.table import COLUMNS
 from pipeline.calibration.report import CalibrationResult, report_document
 from pipeline.calibration.write import ENCODERS
 from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.problem_codes.sessions import CALIBRATION_FORMAT
 
 POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(COLUMNS)}, a line for each view."
 """Help of the option that names a table of known points."""
@@ -17,7 +18,7 @@ def require_ending(out: Path) -> None:
     """Raise ``InputError`` unless calibrations can be written to a file of this ending."""
     if out.suffix.lower() not in ENCODERS:
         message = f"--out must end with one of {', '.join(ENCODERS)}."
-        raise InputError([Problem("calibration_format", message, file=out.name)])
+        raise InputError([Problem(CALIBRATION_FORMAT, message, file=out.name)])
 
 
 def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:

@@ -14,6 +14,7 @@ from pipeline.calibration.write import ENCODERS
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.geometry.camera import center_in_world
+from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, INVALID_SIZE
 
 app = typer.Typer(help="Calibration files: show, check, convert.", no_args_is_help=True)
 
@@ -51,7 +52,7 @@ def convert(
         problems = [_unsized(file, camera) for camera in contents.cameras if camera.size_px == UNKNOWN_SIZE]
         if target.suffix.lower() not in ENCODERS:
             hint = f"Use one of {', '.join(ENCODERS)}."
-            problems.append(Problem("calibration_format", "This ending is not supported.", file=target.name, hint=hint))
+            problems.append(Problem(CALIBRATION_FORMAT, "This ending is not supported.", file=target.name, hint=hint))
         if problems:
             raise InputError(problems)
         _write(target, ENCODERS[target.suffix.lower()](contents.cameras))
@@ -71,7 +72,7 @@ def _write(target: Path, content: bytes) -> None:
 
 def _unsized(file: Path, camera: Camera) -> Problem:
     message = "The calibration does not contain the size of the picture."
-    return Problem("invalid_size", message, file=file.name, camera=camera.name, field="size")
+    return Problem(INVALID_SIZE, message, file=file.name, camera=camera.name, field="size")
 
 
 def _show_statement(contents: CameraFile, units: str) -> None:

@@ -12,6 +12,7 @@ from pipeline.calibration.registry import read_contents
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
+from pipeline.problem_codes.sessions import CALIBRATION_UNITS
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
 
@@ -22,7 +23,7 @@ def read(file: Path, units: str) -> CameraFile:
     Raises ``InputError`` if there is no such unit, or with all problems of the file.
     """
     if units not in UNITS_M:
-        raise InputError([Problem("calibration_units", f"--units must be one of {', '.join(UNITS_M)}.")])
+        raise InputError([Problem(CALIBRATION_UNITS, f"--units must be one of {', '.join(UNITS_M)}.")])
     known: Units = next(unit for unit in UNITS_M if unit == units)
     return read_contents(file, known)
 

@@ -17,6 +17,7 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding, documents, from_problem, has_error
+from pipeline.problem_codes.commands import SOURCES
 from pipeline.quality.findings import join_findings, people_findings
 from pipeline.quality.report import quality_report
 from pipeline.stages.local import reconstruct
@@ -80,9 +81,9 @@ def _check(
 def _check_sources(videos: Path | None, keypoints: Path | None, timestamps: Path | None) -> None:
     problems = []
     if videos is not None and keypoints is not None:
-        problems.append(Problem("sources", "People are filmed, or given as keypoints.", hint="Omit one of them."))
+        problems.append(Problem(SOURCES, "People are filmed, or given as keypoints.", hint="Omit one of them."))
     if keypoints is None and timestamps is not None:
         message = "Timestamps belong to keypoints; videos have their own times."
-        problems.append(Problem("sources", message, hint="Omit --timestamps."))
+        problems.append(Problem(SOURCES, message, hint="Omit --timestamps."))
     if problems:
         raise InputError(problems)

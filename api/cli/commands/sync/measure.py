@@ -22,6 +22,7 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session
 from pipeline.data.cameras import Synchronization
 from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.problem_codes.commands import SOURCES
 from pipeline.synchronization.document import sound_document, sync_document
 from pipeline.synchronization.report import error_pictures
 
@@ -74,10 +75,10 @@ def _check_sources(
 ) -> None:
     problems = []
     if (videos is None) == (keypoints is None):
-        problems.append(Problem("sources", "A session has either videos or keypoints.", hint="Give one of them."))
+        problems.append(Problem(SOURCES, "A session has either videos or keypoints.", hint="Give one of them."))
     if keypoints is None and (timestamps is not None or frame_rate is not None):
         message = "Timestamps and a frame rate belong to keypoints; videos have their own times."
-        problems.append(Problem("sources", message, hint="Omit --timestamps and --frame-rate."))
+        problems.append(Problem(SOURCES, message, hint="Omit --timestamps and --frame-rate."))
     if problems:
         raise InputError(problems)
 

@@ -15,6 +15,7 @@ from pipeline.calibration.readers.pickled.interpreter import read_values
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, read_numbers
+from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
 
 _OPENCAP = frozenset({"intrinsicMat", "distortion", "rotation", "translation", "imageSize"})
 _MVPOSE = frozenset({"K", "RT"})
@@ -31,7 +32,7 @@ def read(content: bytes, file: str) -> CameraFile:
         return read_members({file.partition(".")[0]: content}, file)
     except UnreadableError as error:
         message = "The file is damaged, or has other contents than the arrays of a calibration."
-        raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
+        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
 
 
 def read_members(members: Mapping[str, bytes], file: str) -> CameraFile:

@@ -11,6 +11,7 @@ from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
+from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import Bench, stages
 from worker.jobs.database.tables import metadata
 from worker.jobs.errors import KeyBusy, NewerDatabase
@@ -44,7 +45,7 @@ def add_data(jobs: Bench) -> list[str]:
     jobs.finish_all()
     failed = jobs.queue()
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     jobs.store.jobs.retry(failed.id, stages())
     jobs.finish(jobs.claim())
     jobs.store.keys.add("studio", "portal", {Scope.READ})

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import PREFLIGHT, Bench, result, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import QuotaExceeded
@@ -67,7 +68,7 @@ def test_unfinished_jobs(jobs: Bench) -> None:
     claim = jobs.claim()
     with pytest.raises(QuotaExceeded, match="At most 2 unfinished jobs"):
         mine.jobs.add(session_id, JobSpec(), stages(1))
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     third = mine.jobs.add(session_id, JobSpec(), stages(1))
     with pytest.raises(QuotaExceeded):
         mine.jobs.retry(first.id, stages(1))

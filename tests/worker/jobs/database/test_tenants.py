@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import NotFound
@@ -25,7 +26,7 @@ def make(jobs: Bench, tenant: str) -> tuple[TenantRecords, str, str]:
     job_id = records.jobs.add(session_id, JobSpec(), stages(1)).id
     claim = jobs.claim()
     assert claim.job_id == job_id
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     return records, session_id, job_id
 
 

@@ -2,6 +2,7 @@
 
 import time
 
+from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench
 from worker.jobs.model.jobs import Problem
 
@@ -40,11 +41,11 @@ def test_lost_leases_and_other_tries(jobs: Bench) -> None:
     jobs.claim(EXPIRED_S)
     jobs.store.leases.reap(LEASE_S)
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("away", "It is away.", retryable=True))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("away"), "It is away.", retryable=True))
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     # A report that nobody wants any more counts nothing.
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     assert jobs.store.figures().totals == {
         ("leases_lost", "detect"): 1.0,
         ("chunks_retried", "detect"): 2.0,

@@ -6,6 +6,8 @@ from itertools import product
 import pytest
 import sqlalchemy as sa
 
+from pipeline.problem_codes.jobs import INPUT_ERROR
+from pipeline.problem_codes.requests import INTERNAL_ERROR
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, Bench, stages
 from worker.jobs.database import tables
 from worker.jobs.database.connection import Database
@@ -21,8 +23,8 @@ from worker.jobs.store import JobStore
 Q, R, CG = JobState.QUEUED, JobState.RUNNING, JobState.CANCELING
 S, F, C, E = JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED
 
-RETRYABLE = Problem("internal_error", "It failed.", retryable=True)
-FINAL = Problem("input_error", "It is broken.")
+RETRYABLE = Problem(INTERNAL_ERROR, "It failed.", retryable=True)
+FINAL = Problem(INPUT_ERROR, "It is broken.")
 
 
 def bring_to(jobs: Bench, state: JobState) -> tuple[str, Claim | None]:

@@ -1,3 +1,4 @@
+from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.model.jobs import Problem
@@ -14,7 +15,7 @@ def test_what_is_done_is_noted_with_who_did_it(jobs: Bench) -> None:
         mine.sessions.rename(session_id, name)
     job_id = mine.jobs.add(session_id, JobSpec(), stages(1)).id
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     mine.jobs.retry(job_id, stages(1))
     mine.jobs.cancel(job_id)
     mine.jobs.delete(job_id)

@@ -7,6 +7,9 @@ import sqlalchemy as sa
 import uuid_utils
 
 from pipeline.findings import Finding
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
+from pipeline.problem_codes.warnings import FEW_VIEWS
 from tests.worker.jobs.conftest import PREFLIGHT, UNITS, Bench, new_session, result, stages
 from worker.jobs.database import tables
 from worker.jobs.errors import Conflict, NoResults, NotFinished, NotFound
@@ -18,7 +21,7 @@ from worker.jobs.store import JobStore
 
 NOBODY = str(uuid_utils.uuid7())
 
-BROKEN = Problem("video_truncated", "The video ends early.", stage="detect", camera="cam one", hint="Copy it again.")
+BROKEN = Problem(VIDEO_TRUNCATED, "The video ends early.", stage="detect", camera="cam one", hint="Copy it again.")
 
 
 def test_a_session_is_read_as_it_was_written(jobs: Bench) -> None:
@@ -339,7 +342,7 @@ def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     jobs.finish(jobs.claim())
     claim = jobs.claim()
-    warning = Finding("few_views", "person-1 was seen by two cameras.")
+    warning = Finding(FEW_VIEWS, "person-1 was seen by two cameras.")
     jobs.store.leases.finish(
         claim.chunk_id, claim.lease_token, "5" * 64, 7, results=[result(job_id)], warnings=[warning]
     )
@@ -351,7 +354,7 @@ def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
 def test_a_retry_forgets_what_the_result_before_warned_of(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
     jobs.execute(sa.update(tables.jobs).values(warnings=[{"code": "few_views", "message": "Few."}]))
     assert jobs.store.jobs.get(job_id).result_warnings
     assert jobs.store.jobs.retry(job_id, stages(1)).result_warnings == ()

@@ -9,6 +9,7 @@ from uuid_utils import uuid7
 
 from pipeline.edits import PersonSpan
 from pipeline.findings import Finding
+from pipeline.problem_codes.jobs import OUTPUT_DAMAGED, WORKER_LOST
 from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.listed_results import list_results
 from worker.jobs.database.rows import edits_of, making_of
@@ -310,7 +311,7 @@ def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:
 
 def _worker_lost(stage: str) -> Problem:
     return Problem(
-        "worker_lost",
+        WORKER_LOST,
         f"A worker of the stage {stage} fell silent.",
         stage=stage,
         hint="It may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",
@@ -320,7 +321,7 @@ def _worker_lost(stage: str) -> Problem:
 
 def _output_damaged(chunk: Row[Any]) -> Problem:
     return Problem(
-        "output_damaged",
+        OUTPUT_DAMAGED,
         f"The stored output of chunk {chunk.chunk_index} of the stage {chunk.stage} was damaged.",
         stage=chunk.stage,
         hint="Check the disk that holds the service's artifacts, then retry the job: whole outputs are used again.",

@@ -4,6 +4,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, select, update
 
+from pipeline.problem_codes.jobs import WORKER_LOST
 from worker.jobs.database.tables import chunks, failures, jobs
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job, set_waiting
@@ -59,7 +60,7 @@ class Waits:
             if lock_job(connection, claim.job_id) is None:
                 return
             last = connection.execute(lost).one_or_none()
-            if last is None or last.problem["code"] != "worker_lost":
+            if last is None or last.problem["code"] != WORKER_LOST:
                 return
             if connection.execute(restore).rowcount == 1:
                 connection.execute(delete(failures).where(failures.c.id == last.id))

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from pipeline.problem_codes.jobs import INPUT_ERROR
+from pipeline.problem_codes.requests import INTERNAL_ERROR
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, Bench, result, stages
 from worker.jobs.database.quotas import NO_QUOTAS
 from worker.jobs.model.jobs import Problem
@@ -15,8 +17,8 @@ from worker.jobs.spec import JobSpec
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
-PROBLEM = Problem("internal_error", "The stage detect failed inside the service.", stage="detect", retryable=True)
-FINAL = replace(PROBLEM, code="input_error", retryable=False)
+PROBLEM = Problem(INTERNAL_ERROR, "The stage detect failed inside the service.", stage="detect", retryable=True)
+FINAL = replace(PROBLEM, code=INPUT_ERROR, retryable=False)
 
 
 def test_a_claim_says_all_that_a_worker_needs(jobs: Bench) -> None:

@@ -1,0 +1,45 @@
+"""Problem codes of specs of jobs."""
+
+from collections.abc import Mapping
+
+from pipeline.config import FILE_FORMATS, unlimited_alternatives
+from pipeline.problem_codes.model import Code, CodeGroup
+
+_SPEC = ("422", "command")
+
+SPECS = CodeGroup("Spec of a job", "Values of `code` in `errors`, also for the options of `multicap reconstruct`.")
+
+FRAME_RANGE = SPECS.code(
+    "frame_range", _SPEC, "The session does not have these output frames.", "Use frames of the session."
+)
+CUTOFF_RANGE = SPECS.code("cutoff_range", _SPEC, "The cutoff is not below half of the frame rate.", "Use 6 Hz.")
+TOO_LONG_FOR: Mapping[str, Code] = {
+    name: SPECS.code(
+        f"too_long_for_{name}",
+        _SPEC,
+        f"A {name.upper()} file holds at most {file_format.max_frames:,} frames.",
+        f"Use {' or '.join(f'`{other}`' for other in unlimited_alternatives(name))}.",
+    )
+    for name, file_format in FILE_FORMATS.items()
+    if file_format.max_frames is not None
+}
+"""Codes of files that can't hold so many frames, by their formats."""
+DETECTOR_NOT_INSTALLED = SPECS.code(
+    "detector_not_installed",
+    ("422",),
+    "Not every ready worker has the networks of the job.",
+    "The operator runs the command in `hint` on the workers' machine.",
+)
+CALLBACK_INVALID = SPECS.code(
+    "callback_invalid", ("422",), "`callback_url` has an impossible host or port.", "Correct it."
+)
+CALLBACK_NOT_HTTPS = SPECS.code("callback_not_https", ("422",), "`callback_url` is not https.", "Use https.")
+CALLBACK_NOT_PUBLIC = SPECS.code(
+    "callback_not_public", ("422",), "`callback_url` is not a public address.", "Use a public address."
+)
+WEBHOOK_SECRET_MISSING = SPECS.code(
+    "webhook_secret_missing",
+    ("422",),
+    "The tenant has no secret that signs webhooks.",
+    "The operator runs `multicap webhooks rotate`.",
+)
