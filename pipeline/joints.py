@@ -167,26 +167,7 @@ BODY_25 = JointSet(
     bones=(*_OPENPOSE_BONES, ("neck", "mid_hip"), *_OPENPOSE_FEET),
 )
 COCO_18 = JointSet(
-    names=(
-        "nose",
-        "neck",
-        "right_shoulder",
-        "right_elbow",
-        "right_wrist",
-        "left_shoulder",
-        "left_elbow",
-        "left_wrist",
-        "right_hip",
-        "right_knee",
-        "right_ankle",
-        "left_hip",
-        "left_knee",
-        "left_ankle",
-        "right_eye",
-        "left_eye",
-        "right_ear",
-        "left_ear",
-    ),
+    names=tuple(name for name in BODY_25.names[:19] if name != "mid_hip"),
     bones=_OPENPOSE_BONES,
 )
 

@@ -79,8 +79,8 @@ _MEDIAPIPE = PinnedFile(
     sha256="05dc4a9e593655a79558d05d6227d31018c2537a4bd3362b51e230cf22aecfe3",
     num_bytes=35_622_638,
 )
-_BODY_CROP = NetworkInput(channels="rgb", multiple=256, scaled_px=256, max_value=1.0)
-_HAND_CROP = NetworkInput(channels="rgb", multiple=224, scaled_px=224, max_value=1.0)
+_BODY_CROP = NetworkInput(channels="rgb", multiple=256, scaled_px=256)
+_HAND_CROP = NetworkInput(channels="rgb", multiple=224, scaled_px=224)
 _HAND_JOINTS = JointSet(
     names=("wrist", *(f"{finger}_{joint}" for finger, joints in FINGERS.items() for joint in joints)), bones=()
 )

@@ -60,7 +60,7 @@ class LooseWeights:
 
 @dataclass(frozen=True, slots=True)
 class NetworkInput:
-    """Input of a network: a float tensor (1, 3, height, width) with values from 0."""
+    """Input of a network: a float tensor (1, 3, height, width)."""
 
     channels: Literal["rgb", "bgr"]  # Order of the colour channels
     multiple: int  # Number of which height and width must be multiples
@@ -68,7 +68,6 @@ class NetworkInput:
     # certain size; the image's height bounds the size of standing people. Crops are squares of this side.
     scaled_px: int
     scaled_side: Literal["long", "height"] = "long"
-    max_value: float = 255.0  # Value of the brightest pixel
 
     def scale(self, image_size_px: tuple[int, int]) -> float:
         """Pixels of the network's input for each image pixel, for an image of this width and height."""

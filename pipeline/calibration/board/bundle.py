@@ -19,7 +19,6 @@ from pipeline.calibration.adjustment.parameters import (
 )
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations
 from pipeline.calibration.adjustment.structure import RigidBodies
-from pipeline.calibration.board.poses import BoardPose
 from pipeline.calibration.board.spec import Board
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
@@ -43,7 +42,7 @@ class PlacedBoard:
 def place_board(
     cameras: Mapping[int, Camera],
     corners_px: Mapping[int, Float[np.ndarray, "corners 2"]],
-    poses: Mapping[int, Sequence[BoardPose]],
+    poses: Mapping[int, Sequence[Rigid3]],
     board: Board,
 ) -> PlacedBoard | None:
     """Find the pose and the numberings that explain an instant's views best; ``None`` if none explains them.
@@ -54,7 +53,7 @@ def place_board(
     for number, possible in poses.items():
         root_from_cam = cameras[number].cam_from_world.inverse()
         for pose in possible:
-            root_from_board = root_from_cam @ pose.cam_from_board
+            root_from_board = root_from_cam @ pose
             placed = _numbered(cameras, corners_px, root_from_board, board)
             if best is None or placed.error_px < best.error_px:
                 best = placed

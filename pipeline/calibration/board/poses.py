@@ -1,7 +1,5 @@
 """Poses of a board in a camera: both solutions of a plane, and both numberings of an ambiguous chessboard."""
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 from jaxtyping import Float
@@ -19,22 +17,15 @@ _AMBIGUOUS_RATIO, _AMBIGUOUS_PX = 4.0, 1.0
 _MIN_CORNERS = 4
 
 
-class BoardPose(NamedTuple):
-    """Possible pose of a board in a camera."""
+def possible_poses(camera: Camera, corners_px: Float[np.ndarray, "corners 2"], board: Board) -> list[Rigid3]:
+    """Poses ``cam_from_board`` that explain a view, the best first (infinitesimal plane-based pose estimation).
 
-    cam_from_board: Rigid3  # Transform from the board, as it is numbered
-    is_turned: bool  # Whether the corners are numbered from the other end: those of an ambiguous chessboard
-
-
-def possible_poses(camera: Camera, corners_px: Float[np.ndarray, "corners 2"], board: Board) -> list[BoardPose]:
-    """Poses that explain a view, the best first (infinitesimal plane-based pose estimation, Collins and Bartoli 2014).
-
-    A plane that is seen from far away has two poses of nearly equal error.
+    A plane that is seen from far away has two poses of nearly equal error (Collins and Bartoli 2014). The corners of an
+    ambiguous chessboard may be numbered from the other end.
     """
     candidates = []
-    for is_turned in (False, True) if board.is_ambiguous else (False,):
-        numbered = corners_px[::-1] if is_turned else corners_px
-        candidates += [(error_px, BoardPose(pose, is_turned)) for error_px, pose in _solutions(camera, numbered, board)]
+    for numbered in (corners_px, corners_px[::-1]) if board.is_ambiguous else (corners_px,):
+        candidates += _solutions(camera, numbered, board)
     candidates.sort(key=lambda candidate: candidate[0])
     best_px = candidates[0][0] if candidates else 0.0
     limit_px = max(_AMBIGUOUS_RATIO * best_px, _AMBIGUOUS_PX)

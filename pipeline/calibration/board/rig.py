@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.board.poses import BoardPose
 from pipeline.calibration.board.views import BoardViews
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
@@ -25,10 +24,10 @@ class BoardRig:
 
     views: tuple[BoardViews, ...]
     cameras: tuple[Camera, ...]
-    poses: tuple[tuple[Sequence[BoardPose], ...], ...]  # Possible poses of the board at each view of each camera
+    poses: tuple[tuple[Sequence[Rigid3], ...], ...]  # Possible poses of the board at each view of each camera
     instants: np.ndarray  # Number of the view of each camera at each instant, -1 where it has none
 
-    def shared(self, first: int, second: int) -> list[tuple[Sequence[BoardPose], Sequence[BoardPose]]]:
+    def shared(self, first: int, second: int) -> list[tuple[Sequence[Rigid3], Sequence[Rigid3]]]:
         """Possible poses in two cameras at the instants at which both see the board."""
         both = self.instants[(self.instants[:, [first, second]] >= 0).all(1)]
         return [(self.poses[first][row[first]], self.poses[second][row[second]]) for row in both]
@@ -48,7 +47,7 @@ class BoardPair:
 
 
 def relate_by_board(
-    first: int, second: int, poses: Sequence[tuple[Sequence[BoardPose], Sequence[BoardPose]]]
+    first: int, second: int, poses: Sequence[tuple[Sequence[Rigid3], Sequence[Rigid3]]]
 ) -> BoardPair | None:
     """Find the relative pose of two cameras that most instants agree with; ``None`` if they share no view.
 
@@ -71,14 +70,14 @@ def relate_by_board(
 
 
 def _stacked(
-    poses: Sequence[tuple[Sequence[BoardPose], Sequence[BoardPose]]],
+    poses: Sequence[tuple[Sequence[Rigid3], Sequence[Rigid3]]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rotations, shifts, instants and distances to the board of all combinations of poses in both cameras.
 
     Equal half turns in both cameras give equal relative poses.
     """
     relatives = [
-        (second.cam_from_board @ first.cam_from_board.inverse(), number, second.cam_from_board.translation_m)
+        (second @ first.inverse(), number, second.translation_m)
         for number, (in_first, in_second) in enumerate(poses)
         for first in in_first
         for second in in_second

@@ -29,7 +29,7 @@ def test_the_best_pose_is_the_true_one(lens: LensModel) -> None:
     board_from_away = look_at(np.array([0.3, -0.7, 0.5]), np.array([0.05, 0.1, 0.0]))
     corners_px = project(replace(camera, cam_from_world=board_from_away), BOARD.corners_m)
     assert np.isfinite(corners_px).all()
-    best = possible_poses(camera, corners_px, BOARD)[0].cam_from_board
+    best = possible_poses(camera, corners_px, BOARD)[0]
     np.testing.assert_allclose(best.rotation, board_from_away.rotation, atol=1e-4)
     np.testing.assert_allclose(best.translation_m, board_from_away.translation_m, atol=1e-4)
 
