@@ -141,7 +141,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 def _start(settings: Settings) -> Services:
-    stage_codes()  # takes about a second, which the first request would have to wait for
+    stage_codes()  # after an upgrade it takes seconds, which the first request would have to wait for
     # Files that an earlier process was receiving when it was killed. No other process uses the folder.
     shutil.rmtree(settings.spool_dir, ignore_errors=True)
     make_private(settings.data_dir)

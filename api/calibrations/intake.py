@@ -171,17 +171,17 @@ def _point_errors(spec: CalibrationSpec, preflight: Preflight, part: str) -> lis
     """Report what is wrong with the known points, now that the cameras are known."""
     if not spec.known_points:
         return []
-    points = tuple(one.point() for one in spec.known_points)
+    points = tuple(point.point() for point in spec.known_points)
     problems = point_problems(points, {camera.name: camera.size_px for camera in preflight.cameras})
     return [
         ErrorItem(
-            code=one.code,
-            message=one.message,
+            code=problem.code,
+            message=problem.message,
             pointer=_pointer(part, _POINTS),
-            camera=one.camera,
-            hint=one.hint,
+            camera=problem.camera,
+            hint=problem.hint,
         )
-        for one in listed(problems)
+        for problem in listed(problems)
     ]
 
 

@@ -133,7 +133,9 @@ def list_calibrations(records: RecordsDep, limit: Limit = 50, cursor: Cursor = N
     """List calibrations, the newest first."""
     found = records.calibrations.page(limit=limit, after=str(cursor) if cursor else None)
     next_cursor = found[-1].id if len(found) == limit else None
-    return CalibrationPage(calibrations=tuple(CalibrationOut.of(one) for one in found), next_cursor=next_cursor)
+    return CalibrationPage(
+        calibrations=tuple(CalibrationOut.of(calibration) for calibration in found), next_cursor=next_cursor
+    )
 
 
 @router.get(

@@ -111,7 +111,7 @@ class CalibrationSpec(BaseModel):
         """Choices of the job; ``None`` for a file."""
         if self.method == "file":
             return None
-        points = tuple(one.point() for one in self.known_points)
+        points = tuple(point.point() for point in self.known_points)
         return CalibrationChoices(self.board, has_intrinsics, self.stature_m, points, has_photographs)
 
 
@@ -129,7 +129,7 @@ class UploadedCalibration(UploadedFiles, CalibrationSpec):
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""
         single = (("calibration", self.calibration), ("intrinsics", self.intrinsics))
-        images = (("images", one) for one in self.images)
+        images = (("images", upload) for upload in self.images)
         return [*super().uploads(), *images, *((part, one) for part, one in single if one is not None)]
 
 

@@ -27,8 +27,13 @@ def spec_errors(spec: JobSpec, preflight: Preflight, *field: str) -> list[ErrorI
     """Choices that conflict with a session; ``field`` leads to the spec in the request."""
     problems = session_problems(spec.config, preflight.timebase.num_frames, preflight.timebase.frame_rate_hz)
     return [
-        ErrorItem(pointer=pointer_to(*field, str(one.field)), code=one.code, message=one.message, hint=one.hint)
-        for one in problems
+        ErrorItem(
+            pointer=pointer_to(*field, str(problem.field)),
+            code=problem.code,
+            message=problem.message,
+            hint=problem.hint,
+        )
+        for problem in problems
     ]
 
 

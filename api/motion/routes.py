@@ -163,7 +163,8 @@ def _read_index(services: Services, description: Result) -> _Index:
     with opened(services, Download.of(description)) as file:
         document = json.load(file)
     people = tuple(
-        _Person(one["id"], one["start_frame"], one["num_frames"], one["offset_bytes"]) for one in document["people"]
+        _Person(person["id"], person["start_frame"], person["num_frames"], person["offset_bytes"])
+        for person in document["people"]
     )
     return _Index(document["num_frames"], document["record"]["num_bytes"], people)
 

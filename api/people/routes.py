@@ -78,8 +78,8 @@ def edit_job_people(
     except InputError as error:
         raise unprocessable(
             [
-                ErrorItem(code=one.code, message=one.message, pointer=f"/{one.field}", hint=one.hint)
-                for one in error.problems
+                ErrorItem(code=problem.code, message=problem.message, pointer=f"/{problem.field}", hint=problem.hint)
+                for problem in error.problems
             ]
         ) from error
     services.disk.require_room()

@@ -81,7 +81,7 @@ class PeopleOut(ResponseModel):
         return cls(
             revision=job.revision,
             num_frames=num_frames,
-            found=tuple(FoundPersonOut(**fields_of(one, FoundPersonOut)) for one in found),
+            found=tuple(FoundPersonOut(**fields_of(person, FoundPersonOut)) for person in found),
             edits=job.edits,
             people=tuple(map(EditedPersonOut.of, take.people)),
             start_frame=frames.start,

@@ -35,7 +35,7 @@ router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 # A file whose type is not known is declared first: generators of clients read what is declared first.
 _TYPES = (
     "application/octet-stream",
-    *(one.media_type.partition(";")[0] for one in FILE_FORMATS.values()),
+    *(form.media_type.partition(";")[0] for form in FILE_FORMATS.values()),
     "application/json",
     "image/svg+xml",
     "text/html",

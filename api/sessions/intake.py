@@ -274,8 +274,8 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
         arguments.append(f"--clock={manifest.clock}")
     if manifest.cameras:
         said = [
-            {"camera": one.name, "file": one.file, "offset_s": one.offset_s, "frame_rate_hz": one.rate}
-            for one in manifest.cameras
+            {"camera": camera.name, "file": camera.file, "offset_s": camera.offset_s, "frame_rate_hz": camera.rate}
+            for camera in manifest.cameras
         ]
         arguments.append(f"--recordings={json.dumps(said, ensure_ascii=False)}")
     if manifest.frame_rate_hz is not None:

@@ -132,7 +132,7 @@ class UploadedSession(UploadedFiles):
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""
         single = (("calibration", self.calibration), ("timestamps", self.timestamps))
-        keypoints = [("keypoints", one) for one in self.keypoints]
+        keypoints = [("keypoints", upload) for upload in self.keypoints]
         return [*super().uploads(), *keypoints, *((part, one) for part, one in single if one is not None)]
 
     def named(self) -> Iterable[str]:

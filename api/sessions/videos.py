@@ -74,7 +74,7 @@ def _proxy(records: TenantRecords, session: Session, number: int) -> Download:
 
 def _sent(session: Session, camera: PreflightCamera, media_type: str) -> Download:
     """Video of a camera as it was sent."""
-    file = next(one for one in session.files if one.name == camera.file)
+    file = next(file for file in session.files if file.name == camera.file)
     # To compare gigabytes before the first picture would take longer than a person waits.
     return Download(
         name=file.name,

@@ -51,7 +51,7 @@ def remaining_offsets(
 
     Examples
     --------
-    ``[one for one in remaining_offsets(...) if one.is_wrong]`` are the cameras to warn of.
+    ``[offset for offset in remaining_offsets(...) if offset.is_wrong]`` are the cameras to warn of.
     """
     synchronization = synchronize(cameras, times, detections, joints, dict.fromkeys(times, 0.0))
     if not synchronization.is_certain:

@@ -38,7 +38,7 @@ class UploadedFiles(BaseModel):
 
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""
-        return [("videos", one) for one in self.videos]
+        return [("videos", upload) for upload in self.videos]
 
     def named(self) -> Iterable[str]:
         """Names of the form's documents that the fields stand for."""

@@ -101,7 +101,8 @@ def test_an_unknown_way_to_synchronise_is_refused(session: Path) -> None:
     words = ["check", "--keypoints", str(session), "--calibration", str(session / "calibration.json")]
     answer = CliRunner().invoke(app, [*words, "--sync", "guess", "--json"])
     assert answer.exit_code == 2
-    assert "guess" in json.loads(answer.stdout)["problems"][0]["message"]
+    (problem,) = json.loads(answer.stdout)["problems"]
+    assert (problem["field"], problem["message"]) == ("sync", "sync must be one of declared, auto.")
 
 
 def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
