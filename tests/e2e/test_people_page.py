@@ -140,7 +140,10 @@ def panel(page: Page) -> Locator:
 
 
 def choose(page: Page, person: str, frame: int | None = None) -> None:
-    panel(page).get_by_role("radio", name=re.compile(f"^{person} ")).check()
+    # Not `check`, which looks at the element that was clicked: the list is drawn anew meanwhile.
+    radio = panel(page).get_by_role("radio", name=re.compile(f"^{person} "))
+    radio.click()
+    expect(radio).to_be_checked()
     if frame is not None:
         panel(page).get_by_label("Frame", exact=True).fill(str(frame))
         panel(page).get_by_label("Frame", exact=True).press("Enter")
