@@ -125,7 +125,7 @@ test-data: setup
 PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile
 
-test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (twenty minutes)
+test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (twenty-five minutes)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
 test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests: faults, crowds, distributed services, benchmarks' data (20 minutes)
