@@ -50,7 +50,7 @@ Group = Literal["purpose", "people", "quality", "advanced"]
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What a declaration says of a choice beside its type and default."""
+    """Description of a choice beside its type and default, as a declaration gives it."""
 
     label: str  # Heading of its field in a form
     sentence: str  # Description for the API, the command line and the documentation

@@ -52,7 +52,7 @@ class CalibrationResult:
     """A calibration and its report."""
 
     cameras: tuple[Camera, ...]  # Calibrated cameras; world in metres, Z up
-    # Whether the cameras' poses are known; else only intrinsics were made and every pose is the identity
+    # The cameras' poses are known; else only intrinsics were made and every pose is the identity
     has_extrinsics: bool
     by_camera: tuple[CameraReport, ...]  # Reports, in the order of the cameras
     reprojection_error_px: float  # Median over all cameras

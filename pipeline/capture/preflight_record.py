@@ -86,7 +86,7 @@ class Preflight:
     warnings: tuple[str, ...] = ()  # Sentences of the findings
     recordings: tuple[PreflightRecording, ...] = ()  # Facts about videos that the client stated
     units: str = "m"  # Unit of lengths in the calibration: "m", "cm" or "mm"
-    # What the client should know of the files; none in records of earlier versions, which have sentences only
+    # Findings about the files, for the client; none in records of earlier versions, which have sentences only
     findings: tuple[Finding, ...] = ()
     clock: Clock = "declared"  # Clock of the videos' starts
     sync: Sync = "declared"  # Synchronisation of jobs of the session that don't state one

@@ -27,9 +27,9 @@ class ClusteringParameters:
     # half a shoulder's width. Two views give a single hypothesis, so a cluster may have a single member.
     eps_m: float = 0.1
     split_clusters: bool = True  # Whether a cluster with several parents is split (section 3.2.2)
-    # Whether a cluster of several merged joints gives all of them, the densest first; the paper's gives one joint
+    # A cluster of several merged joints gives all of them, the densest first; the paper's gives one joint
     separate_clusters: bool = True
-    # Whether eq. 2 and eq. 3 constrain hypotheses and limbs (the paper's ablation, table 3). Limbs are always joined in
+    # Eq. 2 and eq. 3 constrain hypotheses and limbs (the paper's ablation, table 3). Limbs are always joined in
     # order of their connectivity scores.
     use_connectivity: bool = True
     use_lengths: bool = True

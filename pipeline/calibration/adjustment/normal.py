@@ -45,8 +45,8 @@ class Normal:
     mixed: Float[np.ndarray, "unknowns parameters"]
     blocks: Float[np.ndarray, "blocks size size"]  # Diagonal blocks of the structure, without the links
     right: Float[np.ndarray, " unknowns"]  # Right side of the eliminated unknowns
-    # What links and priors of lengths add to the normal matrix of the eliminated unknowns; ``None`` without links. It
-    # is sparse: a length meets the points of its own links alone.
+    # Part of links and priors of lengths in the normal matrix of the eliminated unknowns; ``None`` without links. It is
+    # sparse: a length meets the points of its own links alone.
     coupling: csc_array | None
 
     def reduced(self) -> Float[np.ndarray, "parameters parameters"]:

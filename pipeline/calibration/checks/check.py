@@ -84,7 +84,7 @@ def _places_m(camera: Camera, extent_m: float) -> Float[np.ndarray, "places 3"]:
 
 
 def sees(camera: Camera, places_m: Float[np.ndarray, "places 3"]) -> Bool[np.ndarray, " places"]:
-    """Whether a camera has places in its picture.
+    """Places that a camera has in its picture.
 
     The size of its picture must be known; the places are in the world.
     """

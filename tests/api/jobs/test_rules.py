@@ -77,7 +77,7 @@ def of_command(choices: dict[str, Any], folder: Path) -> Sentences:
     result = runner.invoke(app, [*arguments, *typed(choices)])
     assert result.exit_code == 2, result.output
     assert not (folder / "out").exists()
-    return [(one["field"], one["message"], one["hint"]) for one in json.loads(result.stdout)["problems"]]
+    return [(found["field"], found["message"], found["hint"]) for found in json.loads(result.stdout)["problems"]]
 
 
 def of_python(session: KeypointSession, choices: dict[str, Any]) -> Sentences:
@@ -86,7 +86,7 @@ def of_python(session: KeypointSession, choices: dict[str, Any]) -> Sentences:
         object.__setattr__(config, name, value)
     with pytest.raises(InputError) as refused:
         reconstruct(session, config)
-    return [(str(one.field), one.message, one.hint) for one in refused.value.problems]
+    return [(str(problem.field), problem.message, problem.hint) for problem in refused.value.problems]
 
 
 def of_spec(choices: dict[str, Any]) -> Sentences:

@@ -21,7 +21,7 @@ class DetectedBoard(NamedTuple):
 
     corners_px: Float[np.ndarray, "corners 2"]  # Pixels by number of the corner; NaN where a corner was not found
     sharpness_px: float  # Mean width of the edges between squares
-    # Whether the board was only found in the mirrored picture; the corners then are of no use
+    # The board was only found in the mirrored picture; the corners then are of no use
     is_mirrored: bool = False
 
 
