@@ -199,7 +199,7 @@ async def _contents(
 ) -> CalibrationContents:
     """Read the calibration file in a child process."""
     (file,) = form.files[CALIBRATION]
-    arguments = ["--calibration", str(file.path), "--units", spec.units]
+    arguments = ["--calibration", str(file.path), *(["--units", spec.units] if spec.units else [])]
     try:
         return await services.checks.run(owner, services.preflight.read_calibration, arguments, sent.folder)
     except InvalidFilesError as invalid:

@@ -79,8 +79,10 @@ class CalibrationSpec(BaseModel):
     name: Annotated[str, AfterValidator(printable_name)] | None = Field(
         default=None, min_length=1, max_length=200, description="Name for people; by default that of the file."
     )
-    units: Literal["m", "cm", "mm"] = Field(
-        default="m", description="Unit of length of a file whose format does not state it."
+    units: Literal["m", "cm", "mm"] | None = Field(
+        default=None,
+        description="Unit of length of a file whose format does not state it. Null: metres; if they are not plausible, "
+        "the answer `calibration_units_unstated` asks for it.",
     )
     board: str | None = Field(
         default=None,

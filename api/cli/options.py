@@ -47,8 +47,12 @@ def _with_unset(choice: Choice, text: str) -> str:
 
 
 UnitsOption = Annotated[
-    str,
-    typer.Option(metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."),
+    str | None,
+    typer.Option(
+        metavar="|".join(UNITS_M),
+        help="Unit of the calibration's lengths, if its format does not state it; metres, if they are plausible.",
+        show_default=False,
+    ),
 ]
 KeypointsOption = Annotated[
     Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
@@ -140,9 +144,9 @@ def _frame_range(text: str | None) -> tuple[int, int] | None:
         raise InputError([Problem(FRAME_RANGE, message, field="frame_range", hint="Write it as 100:250.")]) from None
 
 
-def known_units(name: str) -> Units:
+def known_units(name: str | None) -> Units | None:
     """Check the name of a unit; ``InputError`` if there is none of that name."""
-    return cast(Units, _known(UNKNOWN_UNITS, "units", name, tuple(UNITS_M)))
+    return None if name is None else cast(Units, _known(UNKNOWN_UNITS, "units", name, tuple(UNITS_M)))
 
 
 def known_clock(name: str) -> Clock:

@@ -268,7 +268,7 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
     for pointer, file in form.pointers().items():
         paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
     arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
-    if manifest.units != "m":
+    if manifest.units is not None:
         arguments.append(f"--units={manifest.units}")
     if manifest.clock != "declared":
         arguments.append(f"--clock={manifest.clock}")

@@ -87,9 +87,10 @@ class Manifest(BaseModel):
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Facts about some cameras of a session of videos."
     )
-    units: Literal["m", "cm", "mm"] = Field(
-        default="m",
-        description="Unit of length of a calibration whose format does not state it (TOML, and JSON with K, R, t).",
+    units: Literal["m", "cm", "mm"] | None = Field(
+        default=None,
+        description="Unit of length of a calibration whose format does not state it (TOML, and JSON with K, R, t). "
+        "Null: metres; if they are not plausible, the answer `calibration_units_unstated` asks for it.",
     )
     clock: Clock = Field(
         default="declared",

@@ -1,8 +1,8 @@
 """Contents of a calibration file: cameras, and what the format says of lengths and axes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
@@ -26,14 +26,10 @@ class CameraFile:
     unit: Units | None  # Unit of lengths in the file; ``None``: the format does not determine it
     axes: str = "as calibrated; Z must point up"  # Axes of the file's world
     notes: tuple[str, ...] = ()  # Sentences for the user on what was assumed or left out
+    unposed: tuple[Camera, ...] = ()  # Cameras of which the file has the intrinsics alone; their poses are the identity
 
 
 def scaled(camera: Camera, factor: float) -> Camera:
     """Multiply the lengths of a camera's extrinsics."""
     pose = camera.cam_from_world
     return replace(camera, cam_from_world=Rigid3(pose.rotation, read_only(pose.translation_m * factor)))
-
-
-def in_metres(format_name: str, cameras: Sequence[Camera], unit: Units, **statements: Any) -> CameraFile:
-    """Build the contents of a format that determines its unit, from cameras in this unit."""
-    return CameraFile(format_name, tuple(scaled(camera, UNITS_M[unit]) for camera in cameras), unit, **statements)

@@ -10,16 +10,19 @@ from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
 from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
+from pipeline.calibration.units import candidates, likely_unit
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, parse
 from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
 from pipeline.problem_codes.sessions import (
     CALIBRATION_EMPTY,
     CALIBRATION_FORMAT,
     CALIBRATION_MISSING,
     CALIBRATION_TOO_LARGE,
     CALIBRATION_UNITS,
+    CALIBRATION_UNITS_UNSTATED,
     CALIBRATION_UNREADABLE,
 )
 
@@ -96,18 +99,25 @@ def _reader(name: str, content: bytes) -> Reader | None:
     return next((reader for start, reader in _BY_START.items() if head.startswith(start)), None)
 
 
-def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
+def read_calibration(path: Path, units: Units | None = None) -> tuple[Camera, ...]:
     """Read cameras from a file in any supported format; see ``read_contents``."""
     return read_contents(path, units).cameras
 
 
-def read_contents(path: Path, units: Units = "m") -> CameraFile:
+def read_intrinsics(path: Path) -> tuple[Camera, ...]:
+    """Read cameras for their intrinsics, from a file in any supported format; poses are missing or in any unit."""
+    contents = _read(path)
+    return (*contents.cameras, *contents.unposed)
+
+
+def read_contents(path: Path, units: Units | None = None) -> CameraFile:
     """Read a file in any supported format.
 
     Parameters
     ----------
     units
-        Unit of the lengths in the file, for formats that don't determine it.
+        Unit of the lengths in the file, for formats that don't determine it; ``None``: metres, if the cameras are then
+        as far apart as those of a rig can be.
 
     Returns
     -------
@@ -117,40 +127,51 @@ def read_contents(path: Path, units: Units = "m") -> CameraFile:
     Raises
     ------
     InputError
-        With all problems of the file.
+        With all problems of the file. A unit that can't be known is asked for.
     """
-    file = path.name
+    contents = _read(path)
+    if not contents.cameras:
+        count = len(contents.unposed)
+        message = f"The file has the intrinsics of {count} camera{'s' * (count != 1)} and no rotation or translation."
+        hint = (
+            "Send the file that has the extrinsics, too; or make a calibration from a board or from people, which "
+            "takes these intrinsics as they are."
+        )
+        raise _refusal(path, CALIBRATION_UNPOSED, message, hint)
+    if contents.unit is not None:
+        if units not in (None, "m", contents.unit):
+            message = f"The format determines the unit of lengths, {contents.unit}; it is not {units}."
+            raise _refusal(path, CALIBRATION_UNITS, message, "Omit the units.")
+        return contents
+    likely = likely_unit(contents.cameras)
+    if units is None and likely != "m":
+        hint = f"State the unit: `--units {likely}` or `--units m`, `units` of the manifest, or the choice on the page."
+        raise _refusal(path, CALIBRATION_UNITS_UNSTATED, candidates(contents.cameras, likely), hint)
+    return replace(contents, cameras=tuple(scaled(camera, UNITS_M[units or "m"]) for camera in contents.cameras))
 
-    def refuse(code: Code, message: str, hint: str | None = None) -> InputError:
-        return InputError([Problem(code, message, file=file, hint=hint)])
 
+def _refusal(path: Path, code: Code, message: str, hint: str | None = None) -> InputError:
+    return InputError([Problem(code, message, file=path.name, hint=hint)])
+
+
+def _read(path: Path) -> CameraFile:
+    """Contents of a file, in its unit if the format does not determine one."""
     try:
         if not path.is_file():
-            raise refuse(CALIBRATION_MISSING, "The calibration file does not exist.")
+            raise _refusal(path, CALIBRATION_MISSING, "The calibration file does not exist.")
         num_bytes = path.stat().st_size
         if num_bytes > MAX_BYTES:
-            raise refuse(
+            raise _refusal(
+                path,
                 CALIBRATION_TOO_LARGE,
                 f"The file has {num_bytes / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20} MiB are allowed.",
                 "Check that it is the calibration file.",
             )
         content = path.read_bytes()
     except OSError as error:
-        raise refuse(CALIBRATION_UNREADABLE, "The file can't be read.", "Check its permissions.") from error
-    reader = _reader(file, content)
+        raise _refusal(path, CALIBRATION_UNREADABLE, "The file can't be read.", "Check its permissions.") from error
+    reader = _reader(path.name, content)
     if reader is None:
-        raise refuse(
-            CALIBRATION_FORMAT,
-            "The format of the calibration file is not supported.",
-            SUPPORTED,
-        )
-    contents = reader(content, file)
-    if contents.unit is None:
-        return replace(contents, cameras=tuple(scaled(camera, UNITS_M[units]) for camera in contents.cameras))
-    if units not in ("m", contents.unit):
-        raise refuse(
-            CALIBRATION_UNITS,
-            f"The format determines the unit of lengths, {contents.unit}; it is not {units}.",
-            "Omit the units.",
-        )
-    return contents
+        message = "The format of the calibration file is not supported."
+        raise _refusal(path, CALIBRATION_FORMAT, message, SUPPORTED)
+    return reader(content, path.name)

@@ -1,6 +1,5 @@
-"""Check the numbers of a calibration file and build cameras; all problems are reported at once."""
+"""Check the numbers of a camera in a calibration file, and build the camera; all problems are reported at once."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, LensModel
-from pipeline.errors import InputError, Problem
+from pipeline.errors import Problem
 from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 from pipeline.geometry.rigid import Rigid3
 from pipeline.parsing import (
@@ -23,17 +22,13 @@ from pipeline.parsing import (
     UnreadableError,
     read_numbers,
 )
-from pipeline.problem_codes.fields import UNKNOWN_FIELD
 from pipeline.problem_codes.sessions import (
-    CALIBRATION_EMPTY,
-    DUPLICATE_CAMERA,
     INVALID_DISTORTION,
     INVALID_MATRIX,
     INVALID_NAME,
     INVALID_ROTATION,
     INVALID_SIZE,
     INVALID_TRANSLATION,
-    TOO_MANY_CAMERAS,
     UNSUPPORTED_LENS,
 )
 
@@ -83,6 +78,11 @@ class RawCamera:
     translation_m: Any
     section: str = ""
     lens: LensModel = "standard"
+
+    @property
+    def is_posed(self) -> bool:
+        """Whether there are a rotation and a translation, right or wrong."""
+        return self.rotation is not None and self.translation_m is not None
 
 
 def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
@@ -145,32 +145,6 @@ def name_problem(name: Any) -> str | None:
     return None
 
 
-def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem] = ()) -> tuple[Camera, ...]:
-    """Check all cameras of a file and build them.
-
-    Raises ``InputError`` with all problems of all cameras; ``earlier`` ones, which the reader found, come first.
-    """
-    problems = list(earlier)
-    if not raw:
-        problems.append(Problem(CALIBRATION_EMPTY, "The calibration has no camera.", file=file))
-    if len(raw) > MAX_CAMERAS:
-        problems.append(Problem(TOO_MANY_CAMERAS, f"The calibration has more than {MAX_CAMERAS} cameras.", file=file))
-    cameras: list[Camera] = []
-    for position, raw_camera in enumerate(raw[:MAX_CAMERAS]):
-        camera, camera_problems = _build(raw_camera, position, file)
-        problems.extend(camera_problems)
-        if camera is not None:
-            cameras.append(camera)
-    names = Counter(raw_camera.name for raw_camera in raw if isinstance(raw_camera.name, str))
-    problems.extend(
-        Problem(DUPLICATE_CAMERA, "Two cameras have this name.", file=file, camera=name, hint="Rename one.")
-        for name in sorted(name for name, count in names.items() if count > 1)
-    )
-    if problems:
-        raise InputError(problems)
-    return tuple(cameras)
-
-
 def _tilt_problems(distortion: np.ndarray | None, file: str, camera: str) -> list[Problem]:
     if distortion is None or not distortion[_MAX_UNTILTED:].any():
         return []
@@ -178,7 +152,8 @@ def _tilt_problems(distortion: np.ndarray | None, file: str, camera: str) -> lis
     return [Problem(UNSUPPORTED_LENS, message, file=file, camera=camera, field="distortion")]
 
 
-def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
+def build_camera(raw_camera: RawCamera, position: int, file: str) -> Camera | list[Problem]:
+    """Check the values of a camera and build it; return all problems of a camera that has some."""
     problems: list[Problem] = []
     fault = name_problem(raw_camera.name)
     label = f"number {position + 1}" if fault else str(raw_camera.name)
@@ -217,18 +192,15 @@ def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | No
         if field in values and not plausible.holds(values[field]):
             complain(field, f"has a number that is not {plausible}.")
     if problems:
-        return None, problems
-    return (
-        Camera(
-            name=raw_camera.name,
-            size_px=(int(values["size"][0]), int(values["size"][1])),
-            matrix=read_only(values["matrix"]),
-            distortion=read_only(_coefficients(values["distortion"], raw_camera.lens)),
-            cam_from_world=Rigid3(read_only(values["rotation"]), read_only(values["translation"])),
-            section=raw_camera.section,
-            lens=raw_camera.lens,
-        ),
-        [],
+        return problems
+    return Camera(
+        name=raw_camera.name,
+        size_px=(int(values["size"][0]), int(values["size"][1])),
+        matrix=read_only(values["matrix"]),
+        distortion=read_only(_coefficients(values["distortion"], raw_camera.lens)),
+        cam_from_world=Rigid3(read_only(values["rotation"]), read_only(values["translation"])),
+        section=raw_camera.section,
+        lens=raw_camera.lens,
     )
 
 
@@ -237,19 +209,3 @@ def _coefficients(distortion: np.ndarray, lens: LensModel) -> np.ndarray:
     if lens == "fisheye" and not distortion.size:
         return np.zeros(NUM_COEFFICIENTS)
     return distortion[:_MAX_UNTILTED].copy()
-
-
-def unknown_fields(fields: Any, known: frozenset[str], file: str, camera: str | None) -> list[Problem]:
-    """Report each field that the format does not have."""
-    return [
-        Problem(
-            UNKNOWN_FIELD,
-            f"The format has no field '{str(field)[:40]}'.",
-            file=file,
-            camera=camera,
-            field=str(field)[:40],
-            hint="Remove it, or correct its name.",
-        )
-        for field in fields
-        if field not in known
-    ]

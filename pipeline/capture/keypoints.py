@@ -121,7 +121,7 @@ def open_keypoints(
     calibration: Path,
     timestamps: Path | None = None,
     frame_rate_hz: float | None = None,
-    units: Units = "m",
+    units: Units | None = None,
     max_joints: int | None = None,
 ) -> KeypointSession:
     """Open a folder that contains a folder of keypoint files for each camera.

@@ -61,7 +61,7 @@ EXIT_DISK_FULL = 4
 def report(
     session: Session,
     files: Sequence[str],
-    units: str,
+    units: str | None,
     recordings: Sequence[Recording] = (),
     clock: Clock = "declared",
 ) -> Preflight:
@@ -86,7 +86,7 @@ def report(
         stretches=tuple(session.stretches),
         warnings=tuple(printable(warning) for warning in session.warnings),
         recordings=tuple(PreflightRecording(**asdict(recording)) for recording in recordings),
-        units=units,
+        units=units or "m",
         findings=tuple(session.findings),
         clock=clock,
     )
@@ -191,7 +191,7 @@ def _check_calibration(arguments: argparse.Namespace) -> dict[str, Any]:
     contents = read_contents(arguments.calibration, arguments.units)
     return {
         "format": printable(contents.format),
-        "units": contents.unit or arguments.units,
+        "units": contents.unit or arguments.units or "m",
         "axes": printable(contents.axes),
         "notes": [printable(note) for note in contents.notes],
         "files": encodings(contents.cameras),
@@ -220,7 +220,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--recordings", default="[]", help="JSON list of recordings: facts about the videos.")
     parser.add_argument("--clock", choices=get_args(Clock), default="declared", help="Clock of the videos' starts.")
-    parser.add_argument("--units", choices=UNITS_M, default="m", help="Unit of lengths in the calibration.")
+    parser.add_argument("--units", choices=UNITS_M, help="Unit of lengths in the calibration.")
     parser.add_argument(
         "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."
     )

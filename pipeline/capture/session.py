@@ -147,7 +147,7 @@ def open_session(
     videos: Path | Sequence[Path],
     calibration: Path | None,
     recordings: Sequence[Recording] = (),
-    units: Units = "m",
+    units: Units | None = None,
     clock: Clock = "declared",
     images_rate_hz: float | None = None,
 ) -> CaptureSession:

@@ -344,9 +344,9 @@ CALIBRATION_UNMADE = PARTS.code(
 )
 CALIBRATION_UNPOSED = PARTS.code(
     "calibration_unposed",
-    (*_FIELD, "finding"),
+    (*_FIELD, "command", "finding"),
     "The calibration has the intrinsics of its cameras, and no poses.",
-    "Make one from videos in which the cameras see the board at the same time.",
+    "Send the extrinsics too, or make a calibration from videos in which the cameras see the same board or people.",
 )
 UPLOAD_UNKNOWN = PARTS.code(
     "upload_unknown", _FIELD, "There is no such upload, or it was used or has expired.", "Send the file again."

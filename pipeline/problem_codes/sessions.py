@@ -27,6 +27,12 @@ CALIBRATION_EMPTY = CALIBRATIONS.code(
 CALIBRATION_UNITS = CALIBRATIONS.code(
     "calibration_units", _FILES, "The format states its own unit of length; `units` contradicts it.", "Omit `units`."
 )
+CALIBRATION_UNITS_UNSTATED = CALIBRATIONS.code(
+    "calibration_units_unstated",
+    _FILES,
+    "Neither the file nor `units` states the unit of length, and metres are not plausible.",
+    "State `units`; `message` has the distances of a camera in both units.",
+)
 BOARD_INVALID = CALIBRATIONS.code(
     "board_invalid",
     _FILES,

@@ -148,7 +148,7 @@ def command(
             help="Clock of the videos' first frames: --offset, or what the files state, to which it is added.",
         ),
     ] = "declared",
-    units: UnitsOption = "m",
+    units: UnitsOption = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     frame_rate: Annotated[

@@ -20,7 +20,7 @@ function specOf({ source, title, board, stature, units, session }) {
     ...(title.value.trim() && { name: title.value.trim() }),
     ...(source.value === "board" && { board: boardSpec(board) }),
     ...(stature && { stature_m: stature.value.split(",").map(Number) }),
-    ...(units && { units: units.value }),
+    ...(units?.value && { units: units.value }),
     ...(session && { session_id: session.value }),
   };
 }
@@ -106,8 +106,8 @@ export class AddForm {
 
   #fileFields() {
     return html`<label class="field"><span>File</span><input name="file" type="file" accept=${ACCEPTED_CALIBRATIONS} required></label>
-      <label class="field"><span>Unit of length, if the file does not state it</span><select name="units">
-        <option value="m">metres</option><option value="cm">centimetres</option><option value="mm">millimetres</option></select></label>`;
+      <label class="field"><span>Unit of length</span><select name="units">
+        <option value="">as the file states, or metres</option><option value="m">metres</option><option value="cm">centimetres</option><option value="mm">millimetres</option></select></label>`;
   }
 
   #footageField() {

@@ -6,7 +6,7 @@ import { html, live, nothing } from "../shared/lit.js";
 import { problemBox, warningList } from "../shared/problem.js";
 import { ACCEPTED_CALIBRATIONS } from "./files.js";
 
-const UNITS = [["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
+const UNITS = [["", "as the file states, or metres"], ["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
 
 function factsOf(calibration) {
   const sizes = [...new Set(calibration.cameras.map(({ size_px: px }) => (px ? px.join(" × ") : "size unknown")))];
@@ -40,8 +40,8 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
     ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">Checking the calibration …</span></p>` : nothing}
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${factsOf(chosen)}</span></p>
       ${warningList(chosen.warnings, "Warnings about the calibration")}` : nothing}
-    ${rig.file ? html`<label class="field unit"><span>Unit of length, if the file does not state it</span>
-      <select ?disabled=${isLocked} @change=${(event) => readFile(rig.file, event.target.value)}>
-        ${UNITS.map(([unit, label]) => html`<option value=${unit} .selected=${live(unit === rig.units)}>${label}</option>`)}</select></label>` : nothing}
+    ${rig.file ? html`<label class="field unit"><span>Unit of length</span>
+      <select ?disabled=${isLocked} @change=${(event) => readFile(rig.file, event.target.value || null)}>
+        ${UNITS.map(([unit, label]) => html`<option value=${unit} .selected=${live(unit === (rig.units ?? ""))}>${label}</option>`)}</select></label>` : nothing}
     <p class="quiet">No calibration yet? <a href="#/calibrations">Make one from footage of a board or of people.</a></p>`;
 }

@@ -5,7 +5,7 @@ import { call } from "../shared/api.js";
 import { persistently } from "../shared/away.js";
 import { storedCalibration } from "./calibration_file.js";
 
-const NONE = { id: null, name: null, file: null, units: "m", record: null, problem: null, isReading: false };
+const NONE = { id: null, name: null, file: null, units: null, record: null, problem: null, isReading: false };
 
 export class Rig {
   #number = 0; // of the last choice, so that a slow answer does not take the place of a later one
@@ -25,7 +25,7 @@ export class Rig {
   }
 
   // Store a calibration file, which checks it; the capture names it by its id.
-  readFile(file, units = "m") {
+  readFile(file, units = null) {
     return this.#read({ name: file.name, file, units }, () => storedCalibration(file, units));
   }
 

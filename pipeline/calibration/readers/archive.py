@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
-from pipeline.calibration.contents import CameraFile, in_metres
+from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers import colmap, opencv
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
-from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
+from pipeline.calibration.reading import Reading
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, parse
 from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, CALIBRATION_UNREADABLE
@@ -74,7 +75,7 @@ def _read_members(members: Mapping[str, bytes], file: str) -> CameraFile | None:
     biocv = {path.stem: members[name] for name, path in stems.items() if path.suffix == ".calib"}
     if biocv:
         raw = [_raw_biocv(name, content) for name, content in biocv.items()]
-        return in_metres("bioCV", build_cameras(raw, file), "mm")
+        return Reading(file).contents("bioCV", raw, "mm")
     pickles = {path.stem: members[name] for name, path in stems.items() if path.suffix in {".pickle", ".pkl"}}
     if pickles:
         return pickled.read_members(pickles, file)

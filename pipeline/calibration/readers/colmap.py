@@ -13,8 +13,9 @@ import numpy as np
 
 from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers.rotations import quaternion_matrix
-from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.errors import InputError, Problem
+from pipeline.calibration.reading import Reading
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
+from pipeline.errors import InputError
 from pipeline.parsing import UnreadableError
 from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
 
@@ -51,18 +52,18 @@ def read(content: bytes, file: str) -> CameraFile:
 
 def read_parts(cameras_text: str, images_text: str, file: str) -> CameraFile:
     """Read the cameras of the texts of ``cameras.txt`` and ``images.txt``; ``InputError`` lists all their problems."""
-    problems: list[Problem] = []
+    reading = Reading(file)
     lenses = {words[0]: words for words in map(str.split, _rows(cameras_text)) if words}
     raw = []
     for words in islice(_images(images_text), MAX_CAMERAS + 1):
         name = _name(" ".join(words[_NUM_IMAGE_WORDS - 1 :]))
         try:
-            raw.append(_raw(name, words, lenses, file, problems))
+            raw.append(_raw(name, words, lenses, reading))
         except (UnreadableError, ValueError) as error:
             message = "The line of the image or of its camera is malformed."
-            problem = Problem(CALIBRATION_UNREADABLE, message, file=file, camera=name)
-            raise InputError([*problems, problem]) from error
-    return CameraFile("COLMAP text", build_cameras(raw, file, problems), None, axes="arbitrary; Z must point up")
+            reading.complain(CALIBRATION_UNREADABLE, message, name)
+            raise InputError(reading.problems) from error
+    return reading.contents("COLMAP text", raw, None, axes="arbitrary; Z must point up")
 
 
 def _rows(text: str) -> Iterator[str]:
@@ -91,7 +92,7 @@ def _name(image: str) -> str:
     return path.parts[0] if len(path.parts) > 1 else path.stem
 
 
-def _raw(name: str, image: list[str], lenses: Mapping[str, list[str]], file: str, problems: list[Problem]) -> RawCamera:
+def _raw(name: str, image: list[str], lenses: Mapping[str, list[str]], reading: Reading) -> RawCamera:
     lens = lenses.get(image[8], []) if len(image) >= _NUM_IMAGE_WORDS else []
     if len(lens) < _NUM_CAMERA_WORDS:
         raise UnreadableError
@@ -99,7 +100,7 @@ def _raw(name: str, image: list[str], lenses: Mapping[str, list[str]], file: str
     if model not in _MODELS:
         message = f"The lens model {model[:40]} is not supported."
         hint = f"Undistort the videos, or use one of {', '.join(_MODELS)}."
-        problems.append(Problem(UNSUPPORTED_LENS, message, file=file, camera=name, hint=hint))
+        reading.complain(UNSUPPORTED_LENS, message, name, hint=hint)
     places, num_coefficients = _MODELS.get(model, _MODELS["PINHOLE"])
     parameters = [float(word) for word in lens[_NUM_CAMERA_WORDS:]]
     if model in _MODELS and len(parameters) != max(places) + 1 + num_coefficients:

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile, in_metres
-from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
+from pipeline.calibration.reading import Reading
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.parsing import UnreadableError, read_numbers
 
 _PANOPTIC = frozenset({"K", "R", "t", "distCoef", "resolution"})
@@ -37,20 +38,18 @@ def read_document(document: Mapping[str, Any], file: str) -> CameraFile | None:
     if document and all(isinstance(camera, dict) and camera.keys() >= _VOXELPOSE for camera in document.values()):
         # One camera above the limit suffices to report that there are too many.
         raw = [_raw_voxelpose(name, camera) for name, camera in list(document.items())[: MAX_CAMERAS + 1]]
-        return in_metres("VoxelPose JSON", build_cameras(raw, file), "mm")
+        return Reading(file).contents("VoxelPose JSON", raw, "mm")
     return None
 
 
 def _read_panoptic(listed: Sequence[Mapping[str, Any]], file: str) -> CameraFile:
-    notes: tuple[str, ...] = ()
+    reading = Reading(file)
     if len(listed) > MAX_CAMERAS:
-        chosen = [camera for camera in listed if camera.get("type") != "vga"]
-        notes = (
-            f"{len(listed) - len(chosen)} VGA cameras of {file} are left out: there are over {MAX_CAMERAS} cameras.",
-        )
-        listed = chosen[: MAX_CAMERAS + 1]
-    cameras = build_cameras([_raw_panoptic(camera) for camera in listed], file)
-    return in_metres("CMU Panoptic JSON", cameras, "cm", axes="y down, turned to Z up", notes=notes)
+        vga = [camera.get("name") for camera in listed if camera.get("type") == "vga"]
+        reading.leave_out(vga, f"VGA, of more than {MAX_CAMERAS} cameras")
+        listed = [camera for camera in listed if camera.get("type") != "vga"][: MAX_CAMERAS + 1]
+    raw = [_raw_panoptic(camera) for camera in listed]
+    return reading.contents("CMU Panoptic JSON", raw, "cm", axes="y down, turned to Z up")
 
 
 def _raw_panoptic(camera: Mapping[str, Any]) -> RawCamera:

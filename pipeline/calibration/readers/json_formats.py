@@ -6,7 +6,8 @@ from typing import Any, get_args
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.readers import json_datasets, opencv
 from pipeline.calibration.readers.file_storage import with_matrices
-from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
+from pipeline.calibration.reading import Reading
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.data.cameras import LensModel
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, read_unique_json
@@ -45,20 +46,18 @@ def read(content: bytes, file: str) -> CameraFile:
     # One camera above the limit suffices to report that there are too many.
     listed = listed[: MAX_CAMERAS + 1]
     short = bool(listed) and all("K" in camera for camera in listed)
-    problems = unknown_fields(document, frozenset({"cameras", "convention" if short else "schema_version"}), file, None)
+    reading = Reading(file)
+    reading.pass_over(document, frozenset({"cameras", "convention" if short else "schema_version"}))
     if not short and document.get("schema_version") != SCHEMA_VERSION:
-        problems.append(
-            Problem(UNKNOWN_VERSION, f"schema_version must be {SCHEMA_VERSION}.", file=file, field="schema_version")
-        )
+        reading.complain(UNKNOWN_VERSION, f"schema_version must be {SCHEMA_VERSION}.", field="schema_version")
     known, raw = (_SHORT, _raw_short) if short else (_OWN, _raw_own)
     for camera in listed:
-        problems.extend(unknown_fields(camera, known, file, str(camera.get("name"))))
+        reading.pass_over(camera, known)
         if not short and camera.get("lens", "standard") not in _LENSES:
             message = f"The lens must be one of {', '.join(_LENSES)}."
-            name = str(camera.get("name"))
-            problems.append(Problem(UNSUPPORTED_LENS, message, file=file, camera=name, field="lens"))
-    cameras = build_cameras([raw(camera) for camera in listed], file, problems)
-    return CameraFile("JSON with K, R and t", cameras, None) if short else CameraFile("Multicap JSON", cameras, "m")
+            reading.complain(UNSUPPORTED_LENS, message, str(camera.get("name")), "lens")
+    cameras = [raw(camera) for camera in listed]
+    return reading.contents(*(("JSON with K, R and t", cameras, None) if short else ("Multicap JSON", cameras, "m")))
 
 
 def _read_other(document: dict[str, Any], file: str) -> CameraFile | None:

@@ -1,22 +1,20 @@
 """OpenCV's FileStorage and files with the same names of fields, and EasyMocap's ``intri.yml`` with ``extri.yml``.
 
 OpenCV does not determine how a rig is stored. Read are a mapping (or a list) of cameras, each with the names of
-fields that OpenCV's documentation and samples use, and EasyMocap's one mapping with a suffix a camera. Other fields
-are ignored. Transforms map the world to the camera: ``x = K (R X + t)``.
+fields that OpenCV's documentation and samples use, and EasyMocap's one mapping with a suffix a camera. Transforms map
+the world to the camera: ``x = K (R X + t)``.
 """
 
 from collections.abc import Mapping
 from itertools import islice
 from typing import Any
 
-import numpy as np
-
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
-from pipeline.calibration.readers.rotations import rotation_matrix
-from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.errors import Problem
+from pipeline.calibration.readers.rotations import read_rotation
+from pipeline.calibration.reading import Reading
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.parsing import UnreadableError, read_numbers
-from pipeline.problem_codes.sessions import IMAGE_SIZE, INVALID_ROTATION, UNSUPPORTED_LENS
+from pipeline.problem_codes.sessions import IMAGE_SIZE, UNSUPPORTED_LENS
 
 _MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "intrinsics", "mtx", "matrix", "K")
 _DISTORTION = (
@@ -38,6 +36,9 @@ _HEIGHT = ("image_height", "image_Height", "imageHeight", "height", "H")
 _LENS = ("distortion_model", "camera_model", "lens_model", "model")
 _FISHEYE = ("fisheye", "fisheye_model", "is_fisheye")
 _FISHEYE_MODELS = frozenset({"fisheye", "equidistant", "kannala_brandt", "kannala-brandt", "opencv_fisheye"})
+_FIELDS = frozenset().union(
+    ("name",), _MATRIX, _DISTORTION, _ROTATION, _TRANSLATION, _TRANSFORM, _SIZE, _WIDTH, _HEIGHT, _LENS, _FISHEYE
+)
 _UNSUPPORTED_MODELS = frozenset({"omnidir", "omni", "mei"})
 
 _RIG = "OpenCV"
@@ -86,44 +87,33 @@ def _easymocap_fields(fields: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def _contents(name: str, cameras: Mapping[str, Mapping[str, Any]], file: str) -> CameraFile:
-    problems: list[Problem] = []
-    raw = [_raw(camera, fields, file, problems) for camera, fields in cameras.items()]
+    reading = Reading(file)
+    raw = [_raw(camera, fields, reading) for camera, fields in cameras.items()]
     # EasyMocap's documentation: T must be in metres.
-    return CameraFile(name, build_cameras(raw, file, problems), "m" if name == _EASYMOCAP else None)
+    return reading.contents(name, raw, "m" if name == _EASYMOCAP else None)
 
 
 def _first(fields: Mapping[str, Any], names: tuple[str, ...]) -> Any:
     return next((fields[name] for name in names if fields.get(name) is not None), None)
 
 
-def _raw(name: str, fields: Mapping[str, Any], file: str, problems: list[Problem]) -> RawCamera:
+def _raw(name: str, fields: Mapping[str, Any], reading: Reading) -> RawCamera:
+    reading.pass_over(fields, _FIELDS)
     if _model(fields) in _UNSUPPORTED_MODELS:
-        problems.append(
-            Problem(
-                UNSUPPORTED_LENS,
-                "Omnidirectional lens models are not supported.",
-                file=file,
-                camera=name,
-                hint="Undistort the videos, or calibrate with the standard or the fisheye model.",
-            )
-        )
+        message = "Omnidirectional lens models are not supported."
+        hint = "Undistort the videos, or calibrate with the standard or the fisheye model."
+        reading.complain(UNSUPPORTED_LENS, message, name, hint=hint)
     rotation, translation = _first(fields, _ROTATION), _first(fields, _TRANSLATION)
     transform = _first(fields, _TRANSFORM)
     if rotation is None and transform is not None:
         rotation, translation = _halves(transform)
-    try:
-        rotation = rotation_matrix(rotation)
-    except UnreadableError:
-        message = "The rotation is neither a matrix of 3 x 3 numbers nor a vector of 3 numbers."
-        problems.append(Problem(INVALID_ROTATION, message, file=file, camera=name, field="rotation"))
-        rotation = np.eye(3)  # so that the problem is reported only once
     distortion = _first(fields, _DISTORTION)
     return RawCamera(
         name=name,
         size_px=_size(fields),
         matrix=_first(fields, _MATRIX),
         distortion=[] if distortion is None else _flat(distortion),
-        rotation=rotation,
+        rotation=read_rotation(rotation, name, reading),
         translation_m=_flat(translation),
         section="",
         lens="fisheye" if _is_fisheye(fields) else "standard",

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import CameraFile, in_metres
-from pipeline.calibration.readers.xml_files import read_number, read_root
-from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.errors import Problem
+from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.readers.xml_files import read_number, read_root, video_cameras
+from pipeline.calibration.reading import Reading
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 
 ROOT = "calibrationProfile"
 
@@ -28,29 +28,23 @@ def read(content: bytes, file: str) -> CameraFile:
     """Read the colour cameras of a file, or all cameras if none films in colour; ``InputError`` lists all problems."""
     root = read_root(content, file)
     elements = list(root.iterfind("./Calibration/Cameras/Camera"))
-    colour = [element for element in elements if _attributes(element, "Properties").get("ImagerIndex") == _COLOUR]
-    notes = (
-        (f"{len(elements) - len(colour)} cameras of {file} that track markers are left out.",)
-        if 0 < len(colour) < len(elements)
-        else ()
-    )
-    problems: list[Problem] = []
+    reading = Reading(file)
+    colour = video_cameras(elements, _films_colour, "Serial", reading)
     # One camera above the limit suffices to report that there are too many.
-    raw = [_raw(element, file, problems) for element in islice(colour or elements, MAX_CAMERAS + 1)]
-    cameras = build_cameras(raw, file, problems)
-    return in_metres("OptiTrack", cameras, "m", axes="y up, turned to Z up", notes=notes)
+    raw = [_raw(element, reading) for element in islice(colour or elements, MAX_CAMERAS + 1)]
+    return reading.contents("OptiTrack", raw, "m", axes="y up, turned to Z up")
 
 
-def _attributes(element: Any, tag: str) -> dict[str, str]:
-    part = element.find(tag)
-    return {} if part is None else dict(part.attrib)
+def _films_colour(element: Any) -> bool:
+    properties = element.find("Properties")
+    return properties is not None and properties.get("ImagerIndex") == _COLOUR
 
 
-def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
+def _raw(element: Any, reading: Reading) -> RawCamera:
     name = element.get("Serial")
 
     def number(tag: str, attribute: str) -> float:
-        return read_number(element, tag, attribute, file, name, problems)
+        return read_number(element, tag, attribute, name, reading)
 
     def lens(attribute: str) -> float:
         return number("IntrinsicStandardCameraModel", attribute)

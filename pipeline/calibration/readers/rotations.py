@@ -5,34 +5,31 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pipeline.calibration.reading import Reading
 from pipeline.parsing import ROTATION_VECTOR_RAD, UnreadableError, read_numbers
+from pipeline.problem_codes.sessions import INVALID_ROTATION
 
 _MIN_NORM, _MAX_NORM = 1e-3, 1e3
 
 
-def rodrigues_matrix(rodrigues: Any) -> np.ndarray | None:
-    """Matrix of a Rodrigues vector (radians), ``None`` if it is missing; others raise ``UnreadableError``."""
-    if rodrigues is None:
-        return None
-    vector = read_numbers(rodrigues)
-    if vector.shape != (3,) or not ROTATION_VECTOR_RAD.holds(vector):
-        raise UnreadableError
-    return Rotation.from_rotvec(vector).as_matrix()
+def read_rotation(value: Any, camera: str, reading: Reading) -> np.ndarray | None:
+    """Matrix of a Rodrigues vector (radians) in a list, a row or a column, or the matrix itself; ``None`` if missing.
 
-
-def rotation_matrix(value: Any) -> np.ndarray | None:
-    """Matrix of a Rodrigues vector in a list, a row or a column, or the matrix itself; ``None`` if it is missing.
-
-    Raises ``UnreadableError`` for other values. Whether a matrix is a rotation is left to the checks.
+    Another value is a problem of the camera. Whether a matrix is a rotation is left to the checks.
     """
     if value is None:
         return None
-    array = read_numbers(value)
+    try:
+        array = read_numbers(value)
+    except UnreadableError:
+        array = np.empty(0)
     if array.shape == (3, 3):
         return array
-    if array.size != max(array.shape, default=0):
-        raise UnreadableError
-    return rodrigues_matrix(array.ravel().tolist())
+    if array.size == max(array.shape, default=0) == 3 and ROTATION_VECTOR_RAD.holds(array):
+        return Rotation.from_rotvec(array.ravel()).as_matrix()
+    message = f"The rotation is neither a matrix of 3 x 3 numbers nor a vector of 3 numbers from {ROTATION_VECTOR_RAD}."
+    reading.complain(INVALID_ROTATION, message, camera, "rotation")
+    return np.eye(3)  # so that the problem is reported only once
 
 
 def quaternion_matrix(xyzw: np.ndarray) -> np.ndarray:

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import CameraFile, in_metres
+from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers.rotations import quaternion_matrix
-from pipeline.calibration.readers.xml_files import NUMBER, read_root
-from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
-from pipeline.errors import Problem
+from pipeline.calibration.readers.xml_files import NUMBER, read_root, video_cameras
+from pipeline.calibration.reading import Reading
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError
 from pipeline.problem_codes.sessions import INVALID_NUMBER, INVALID_ROTATION, UNSUPPORTED_LENS
 
@@ -34,14 +34,18 @@ def read(content: bytes, file: str) -> CameraFile:
     """Read the video cameras of an XCP file, or all cameras if none is one; ``InputError`` lists all problems."""
     root = read_root(content, file)
     elements = [element for element in root.iterfind("./Camera") if element.find("./KeyFrames/KeyFrame") is not None]
-    videos = [element for element in elements if "video" in element.get("TYPE", "").lower()]
-    problems: list[Problem] = []
+    reading = Reading(file)
+    videos = video_cameras(elements, _films_video, "DEVICEID", reading)
     # One camera above the limit suffices to report that there are too many.
-    raw = [_raw(element, file, problems) for element in islice(videos or elements, MAX_CAMERAS + 1)]
-    return in_metres("Vicon XCP", build_cameras(raw, file, problems), "mm", axes="Z up, as Vicon calibrates")
+    raw = [_raw(element, reading) for element in islice(videos or elements, MAX_CAMERAS + 1)]
+    return reading.contents("Vicon XCP", raw, "mm", axes="Z up, as Vicon calibrates")
 
 
-def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
+def _films_video(element: Any) -> bool:
+    return "video" in element.get("TYPE", "").lower()
+
+
+def _raw(element: Any, reading: Reading) -> RawCamera:
     name, frame = element.get("DEVICEID"), element.find("./KeyFrames/KeyFrame")
 
     def numbers(source: Any, attribute: str, count: int, allowed: Quantity = NUMBER) -> np.ndarray:
@@ -49,7 +53,7 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
         if values.shape == (count,) and allowed.holds(values):
             return values
         message = f"The attribute {attribute} must be {count} numbers, each {allowed}."
-        problems.append(Problem(INVALID_NUMBER, message, file=file, camera=name, field=attribute))
+        reading.complain(INVALID_NUMBER, message, name, attribute)
         # Finite numbers, so that the problem is reported only once.
         return np.ones(count)
 
@@ -61,14 +65,14 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
         rotation = quaternion_matrix(numbers(frame, "ORIENTATION", 4))
     except UnreadableError:
         message = "The attribute ORIENTATION is not a rotation."
-        problems.append(Problem(INVALID_ROTATION, message, file=file, camera=name, field="ORIENTATION"))
+        reading.complain(INVALID_ROTATION, message, name, "ORIENTATION")
         rotation = np.eye(3)
     matrix = np.array([[focal_px, 0.0, centre_px[0]], [0.0, focal_px / aspect, centre_px[1]], [0.0, 0.0, 1.0]])
     lens = _lens(frame, centre_px)
     distortion = None if lens is None else _fitted(*lens, size_px, matrix)
     if distortion is None:
         message = "The lens model is not Vicon's radial one, or its coefficients are not plausible."
-        problems.append(Problem(UNSUPPORTED_LENS, message, file=file, camera=name, field="VICON_RADIAL2"))
+        reading.complain(UNSUPPORTED_LENS, message, name, "VICON_RADIAL2")
         distortion = np.zeros(5)
     return RawCamera(
         name=name,

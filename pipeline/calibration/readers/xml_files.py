@@ -1,10 +1,12 @@
 """XML files of strangers: their root, and numbers in attributes."""
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from defusedxml.ElementTree import fromstring
 
+from pipeline.calibration.reading import Reading
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import Quantity, UnreadableError, parse
 from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, INVALID_NUMBER
@@ -22,10 +24,19 @@ def read_root(content: bytes, file: str) -> Any:
         raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
 
 
-def read_number(
-    element: Any, tag: str, attribute: str, file: str, camera: str | None, problems: list[Problem]
-) -> float:
-    """Number in an attribute of a child; a missing one is 0, and a problem of the file's camera."""
+def video_cameras(
+    elements: Sequence[Any], films_video: Callable[[Any], bool], name: str, reading: Reading
+) -> list[Any]:
+    """Cameras that film video; the others, named by the attribute ``name``, are left out if there is one that does."""
+    videos = [element for element in elements if films_video(element)]
+    if videos:
+        others = [element.get(name) for element in elements if not films_video(element)]
+        reading.leave_out(others, "markers, no video")
+    return videos
+
+
+def read_number(element: Any, tag: str, attribute: str, camera: str | None, reading: Reading) -> float:
+    """Number in an attribute of a child; a missing one is 0, and a problem of the camera."""
     part = element.find(tag)
     try:
         value = float("" if part is None else part.get(attribute, ""))
@@ -35,6 +46,6 @@ def read_number(
         message = f"The attribute {attribute} of {tag} is missing or not a number."
     if NUMBER.holds(value):
         return value
-    problems.append(Problem(INVALID_NUMBER, message, file=file, camera=camera, field=attribute))
+    reading.complain(INVALID_NUMBER, message, camera, attribute)
     # A finite number, so that a missing number is reported only once.
     return 0.0

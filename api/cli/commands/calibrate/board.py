@@ -20,7 +20,7 @@ from pipeline.calibration.board.source import (
 from pipeline.calibration.board.spec import FORMS, Board, parse_board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.known_points.table import read_known_points
-from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.registry import read_intrinsics
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
@@ -104,7 +104,7 @@ def _in_photographs(folder: Path, board: Board, progress: Progress) -> Iterator[
 
 def _named(intrinsics: Path, views: list[BoardViews]) -> dict[str, Camera]:
     """Cameras of a calibration file by name, which must be those of the photographs."""
-    cameras = {camera.name: camera for camera in read_calibration(intrinsics)}
+    cameras = {camera.name: camera for camera in read_intrinsics(intrinsics)}
     problems = [
         Problem(CAMERA_UNKNOWN, "The calibration has no camera of this name.", file=intrinsics.name, camera=view.camera)
         for view in views

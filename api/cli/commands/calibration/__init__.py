@@ -25,7 +25,7 @@ def _group() -> None:
 
 
 @app.command()
-def show(file: FileArgument, units: UnitsOption = "m", as_json: JsonOption = False) -> None:
+def show(file: FileArgument, units: UnitsOption = None, as_json: JsonOption = False) -> None:
     """Show the format, the unit and the cameras of a calibration."""
     with reporting(as_json):
         contents = read(file, units)
@@ -43,7 +43,7 @@ def show(file: FileArgument, units: UnitsOption = "m", as_json: JsonOption = Fal
 def convert(
     file: FileArgument,
     target: Annotated[Path, typer.Argument(metavar="TARGET", help=f"File to write: {', '.join(ENCODERS)}.")],
-    units: UnitsOption = "m",
+    units: UnitsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a calibration as Multicap's JSON, Caliscope's TOML or OpenCV's YAML, in metres."""
@@ -75,8 +75,9 @@ def _unsized(file: Path, camera: Camera) -> Problem:
     return Problem(INVALID_SIZE, message, file=file.name, camera=camera.name, field="size")
 
 
-def _show_statement(contents: CameraFile, units: str) -> None:
-    unit = f"{contents.unit}, by the format" if contents.unit else f"{units}, as stated by --units"
+def _show_statement(contents: CameraFile, units: str | None) -> None:
+    stated = f"{units}, as stated by --units" if units else "m, as neither the format nor --units states"
+    unit = f"{contents.unit}, by the format" if contents.unit else stated
     console.print(f"{contents.format}; lengths in the file: {unit}; axes: {contents.axes}")
     for note in contents.notes:
         warn(note)
@@ -96,10 +97,10 @@ def _cells(camera: Camera) -> list[str]:
     ]
 
 
-def _document(contents: CameraFile, units: str) -> dict[str, Any]:
+def _document(contents: CameraFile, units: str | None) -> dict[str, Any]:
     return {
         "format": contents.format,
-        "units": contents.unit or units,
+        "units": contents.unit or units or "m",
         "axes": contents.axes,
         "notes": list(contents.notes),
         "cameras": camera_documents(contents.cameras),

@@ -7,25 +7,21 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, CameraFile, Units
+from api.cli.options import known_units
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.registry import read_contents
 from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
-from pipeline.problem_codes.sessions import CALIBRATION_UNITS
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
 
 
-def read(file: Path, units: str) -> CameraFile:
+def read(file: Path, units: str | None) -> CameraFile:
     """Read a calibration in a unit as it was typed.
 
     Raises ``InputError`` if there is no such unit, or with all problems of the file.
     """
-    if units not in UNITS_M:
-        raise InputError([Problem(CALIBRATION_UNITS, f"--units must be one of {', '.join(UNITS_M)}.")])
-    known: Units = next(unit for unit in UNITS_M if unit == units)
-    return read_contents(file, known)
+    return read_contents(file, known_units(units))
 
 
 def camera_documents(cameras: Sequence[Camera]) -> list[dict[str, Any]]:

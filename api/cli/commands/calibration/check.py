@@ -18,6 +18,7 @@ from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding, documents, from_problem, has_error
 from pipeline.problem_codes.commands import SOURCES
+from pipeline.problem_codes.findings import CALIBRATION_NOTE
 from pipeline.quality.findings import join_findings, people_findings
 from pipeline.quality.report import quality_report
 from pipeline.stages.local import reconstruct
@@ -32,7 +33,7 @@ def command(
     ] = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
-    units: UnitsOption = "m",
+    units: UnitsOption = None,
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
 ) -> None:
@@ -43,7 +44,8 @@ def command(
         unit = known_units(units)
         cameras: Sequence[Camera] = ()
         try:
-            cameras = read(file, units).cameras
+            contents = read(file, units)
+            cameras = contents.cameras
             session: Session | None = None
             if keypoints is not None:
                 session = open_keypoints(keypoints, file, timestamps, units=unit)
@@ -54,6 +56,8 @@ def command(
             findings += [from_problem(problem) for problem in error.problems]
         else:
             findings = _check(cameras, session, config, bars)
+            if session is None:
+                findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
     if as_json:
         emit({"cameras": camera_documents(cameras), "findings": documents(findings)})
     else:

@@ -50,7 +50,7 @@ def command(
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     frame_rate: KeypointRateOption = None,
-    units: UnitsOption = "m",
+    units: UnitsOption = None,
     chosen: Mapping[str, Any],
     thumbnails: Annotated[
         Path | None,

@@ -35,7 +35,7 @@ def command(
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     frame_rate: KeypointRateOption = None,
-    units: UnitsOption = "m",
+    units: UnitsOption = None,
     chosen: Mapping[str, Any],
     report: Annotated[
         Path | None, typer.Option(help="Folder for sync.json, and a plot of each camera's error over its offset.")

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile, in_metres
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.readers.pickled.interpreter import read_values
-from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
+from pipeline.calibration.reading import Reading
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, read_numbers
 from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
@@ -45,14 +46,16 @@ def read_members(members: Mapping[str, bytes], file: str) -> CameraFile:
     if not all(isinstance(document, dict) for document in documents.values()):
         raise UnreadableError
     if len(documents) == 1 and next(iter(documents.values())).keys() >= _MVPOSE:
-        return CameraFile("MVPose pickle", _mvpose(next(iter(documents.values())), file), None)
+        return Reading(file).contents("MVPose pickle", _mvpose(next(iter(documents.values()))), None)
     if not all(document.keys() >= _OPENCAP for document in documents.values()):
         raise UnreadableError
-    cameras = build_cameras([_raw_opencap(name, document) for name, document in documents.items()], file)
-    return in_metres("OpenCap", cameras, "mm", axes="y down, turned to Z up", notes=(_BOARD_NOTE,))
+    reading = Reading(file)
+    reading.notes.append(_BOARD_NOTE)
+    raw = [_raw_opencap(name, document) for name, document in documents.items()]
+    return reading.contents("OpenCap", raw, "mm", axes="y down, turned to Z up")
 
 
-def _mvpose(document: Mapping[str, Any], file: str) -> Any:
+def _mvpose(document: Mapping[str, Any]) -> list[RawCamera]:
     matrices, poses = _stack(document["K"], (3, 3)), _stack(document["RT"], (3, 4))
     if len(matrices) != len(poses):
         raise UnreadableError
@@ -60,7 +63,7 @@ def _mvpose(document: Mapping[str, Any], file: str) -> Any:
         RawCamera(str(number), UNKNOWN_SIZE, matrix, [], pose[:, :3], pose[:, 3], section=f"Camera{number}")
         for number, (matrix, pose) in enumerate(zip(matrices, poses, strict=True))
     ]
-    return build_cameras(raw[: MAX_CAMERAS + 1], file)
+    return raw[: MAX_CAMERAS + 1]
 
 
 def _stack(value: Any, shape: tuple[int, int]) -> np.ndarray:

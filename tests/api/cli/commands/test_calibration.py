@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from api.cli.main import app
 from pipeline.calibration.adjustment.parameters import move_camera
+from pipeline.calibration.contents import scaled
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encode, encode_opencv
 from pipeline.data.cameras import Camera
@@ -33,7 +34,7 @@ def rig(tmp_path: Path) -> Path:
 def test_show(rig: Path) -> None:
     result = runner.invoke(app, ["calibration", "show", str(rig)])
     assert result.exit_code == 0
-    assert "OpenCV; lengths in the file: m, as stated by --units" in result.stderr
+    assert "OpenCV; lengths in the file: m, as neither the format nor --units states" in result.stderr
     assert [line.split()[0] for line in result.stdout.splitlines()] == ["camera", "left", "right"]
     assert "1920 x 1080" in result.stdout
 
@@ -61,7 +62,7 @@ def test_what_cannot_be_converted(tmp_path: Path, rig: Path) -> None:
         return [problem["code"] for problem in json.loads(result.stdout)["problems"]]
 
     assert problems("show", str(tmp_path / "none.json")) == ["calibration_missing"]
-    assert problems("show", str(rig), "--units=feet") == ["calibration_units"]
+    assert problems("show", str(rig), "--units=feet") == ["unknown_units"]
     assert problems("convert", str(rig), str(tmp_path / "rig.doc")) == ["calibration_format"]
     assert problems("convert", str(rig), str(tmp_path / "nowhere" / "rig.json")) == ["pipeline_error"]
     unsized = tmp_path / "unsized.yml"
@@ -71,6 +72,26 @@ def test_what_cannot_be_converted(tmp_path: Path, rig: Path) -> None:
     own = tmp_path / "own.json"
     own.write_bytes(encode(RIG))
     assert problems("show", str(own), "--units=mm") == ["calibration_units"]
+    in_mm = tmp_path / "in_mm.yml"
+    in_mm.write_bytes(encode_opencv([scaled(camera, 1000.0) for camera in RIG]))
+    assert problems("show", str(in_mm)) == ["calibration_units_unstated"]
+
+
+def test_the_unit_is_asked_for(tmp_path: Path) -> None:
+    in_mm = tmp_path / "in_mm.yml"
+    in_mm.write_bytes(encode_opencv([scaled(camera, 1000.0) for camera in RIG]))
+    code, found = check(str(in_mm))
+    assert (code, [finding["code"] for finding in found["findings"]]) == (2, ["calibration_units_unstated"])
+    assert check(str(in_mm), "--units=mm")[0] == 0
+
+
+def test_cameras_that_are_left_out_are_named(tmp_path: Path, rig: Path) -> None:
+    text = rig.read_text()
+    rig.write_text(text + "third:\n" + text.partition("left:\n")[2].partition("right:")[0].replace("rvec", "turn"))
+    code, found = check(str(rig))
+    (note, unread) = (finding["message"] for finding in found["findings"])
+    assert (code, note) == (0, f"{rig.name}: camera third is left out: no pose in the file.")
+    assert unread == f"{rig.name}: fields that are not read: turn."
 
 
 def check(*words: str) -> tuple[int, dict[str, Any]]:

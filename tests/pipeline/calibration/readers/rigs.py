@@ -45,7 +45,7 @@ def assert_rig(contents: CameraFile, rig: tuple[Camera, ...] = RIG, num_digits: 
         np.testing.assert_allclose(project(found, POINTS_M), seen_px, atol=10.0**-num_digits)
 
 
-def problems_of(path: Path, units: Units = "m") -> list[tuple[str, str | None]]:
+def problems_of(path: Path, units: Units | None = "m") -> list[tuple[str, str | None]]:
     """Codes and cameras of the problems of a file."""
     with pytest.raises(InputError) as error:
         read_contents(path, units)

@@ -49,7 +49,10 @@ def test_vga_cameras_of_the_whole_dome_are_left_out(tmp_path: Path) -> None:
     vga = [panoptic(replace(RIG[0], name=f"{k:03}"), "vga") for k in range(480)]
     contents = read_contents(write(tmp_path / "rig.json", {"cameras": [*vga, *(panoptic(one) for one in RIG)]}))
     assert_rig(contents)
-    assert contents.notes == ("480 VGA cameras of rig.json are left out: there are over 128 cameras.",)
+    assert contents.notes == (
+        "rig.json: cameras 000, 001, 002, 003, 004, 005, 006, 007 and 472 more are left out: VGA, of more than 128 "
+        "cameras.",
+    )
 
 
 def voxelpose(one: Camera) -> dict[str, Any]:
@@ -77,7 +80,7 @@ def test_voxelpose_has_centres_in_millimetres(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "code"),
     [
-        ({"K": None}, "invalid_matrix"),
+        ({"K": [[1.0]]}, "invalid_matrix"),
         ({"R": [[1e300] * 3] * 3}, "invalid_rotation"),
         ({"R": "none"}, "invalid_rotation"),
         ({"t": [[1.0], [2.0]]}, "invalid_translation"),

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.calibration.registry import read_contents
+from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.data.cameras import Camera
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye, problems_of
 
@@ -185,4 +185,5 @@ def test_easymocap(tmp_path: Path, way: str, with_sizes: bool) -> None:
 
 def test_easymocap_without_extrinsics(tmp_path: Path) -> None:
     path = write_storage(tmp_path / "intri.yml", easymocap(True)[0])
-    assert problems_of(path) == [(f"invalid_{field}", one.name) for one in RIG for field in ("rotation", "translation")]
+    assert problems_of(path) == [("calibration_unposed", None)]
+    assert [one.name for one in read_intrinsics(path)] == [one.name for one in RIG]

@@ -51,7 +51,7 @@ def test_colour_cameras_are_read(tmp_path: Path, mark: bytes) -> None:
     path.write_bytes(mark + document(tracking, *map(element, RIG)).encode("utf-16-le"))
     contents = read_contents(path)
     assert (contents.format, contents.unit, contents.axes) == ("OptiTrack", "m", "y up, turned to Z up")
-    assert contents.notes == ("1 cameras of System Calibration.mcal that track markers are left out.",)
+    assert contents.notes == ("System Calibration.mcal: camera M123456 is left out: markers, no video.",)
     assert_rig(contents)
 
 

@@ -1,13 +1,16 @@
-"""TOML of anipose, Pose2Sim and FreeMoCap, as each program writes it."""
+"""TOML of Caliscope, anipose, Pose2Sim and FreeMoCap, as each program writes it."""
 
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
 from pipeline.data.cameras import Camera
+from pipeline.errors import InputError
+from pipeline.geometry.camera import center_in_world
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, fisheye, problems_of
 
 
@@ -38,6 +41,29 @@ def test_anipose(tmp_path: Path) -> None:
     assert_rig(contents)
 
 
+def test_anipose_in_millimetres_is_asked_for_its_unit(tmp_path: Path) -> None:
+    path = write(tmp_path / "calibration.toml", 1000.0, "adjusted = false\nerror = 0.85")
+    with pytest.raises(InputError) as error:
+        read_contents(path)
+    (problem,) = error.value.problems
+    assert problem.code == "calibration_units_unstated"
+    # Both cameras are 4.37 m from the origin.
+    assert problem.message == (
+        "The file does not state the unit of its lengths: camera left is 4.4 m from the origin if they are "
+        "millimetres, or 4,369 m if they are metres."
+    )
+    assert "--units mm" in str(problem)
+    far = read_contents(path, "m").cameras[0]
+    assert np.linalg.norm(center_in_world(far)) == pytest.approx(4369.2, abs=0.1)
+
+
+def test_unknown_fields_are_noted(tmp_path: Path) -> None:
+    path = write(tmp_path / "calibration.toml", 1.0, "error = 0.3", more='shutter = "global"\ngain = 3')
+    contents = read_contents(path)
+    assert contents.notes == ("calibration.toml: fields that are not read: shutter, gain.",)
+    assert_rig(contents)
+
+
 def test_pose2sim(tmp_path: Path) -> None:
     """Sizes are floats, there are 4 coefficients, and ``fisheye`` is written."""
     rig = tuple(replace(one, distortion=one.distortion[:4]) for one in RIG)
@@ -63,13 +89,48 @@ def caliscope(number: int, one: Camera, more: str = "") -> str:
 def test_caliscope_knows_cameras_by_their_numbers(tmp_path: Path) -> None:
     path = tmp_path / "camera_array.toml"
     unposed = '\n[cameras.7]\ncam_id = 7\nsize = [1920, 1080]\nrotation = "null"\ntranslation = "null"\n'
+    posed_never = caliscope(9, RIG[0]).replace("rotation = [", "# rotation = [")
     ignored = caliscope(8, RIG[0], "ignore = true")
-    path.write_text(caliscope(0, RIG[0]) + caliscope(2, fisheye("right", -0.8), "fisheye = true") + unposed + ignored)
+    right = caliscope(2, fisheye("right", -0.8), "fisheye = true")
+    path.write_text(caliscope(0, RIG[0]) + right + unposed + ignored + posed_never)
     contents = read_contents(path)
     assert (contents.format, contents.unit) == ("Caliscope", None)
-    assert contents.notes == ("2 cameras of camera_array.toml are left out: they are ignored or have no pose.",)
+    assert contents.notes == (
+        "camera_array.toml: camera cam_8 is left out: ignored by the file.",
+        "camera_array.toml: camera cam_7 is left out: no camera matrix in the file.",
+        "camera_array.toml: camera cam_9 is left out: no pose in the file.",
+    )
     assert_rig(contents, (replace(RIG[0], name="cam_0"), fisheye("cam_2", -0.8)))
     assert [one.section for one in contents.cameras] == ["port_0", "port_2"]
+
+
+def matrices(text: str, rig: tuple[Camera, ...] = RIG) -> str:
+    """The same file with rotations as matrices, as versions before 0.1 wrote them."""
+    for one in rig:
+        rotation = one.cam_from_world.rotation
+        text = text.replace(str(Rotation.from_matrix(rotation).as_rotvec().tolist()), str(rotation.tolist()))
+    return text
+
+
+def test_caliscope_before_it_wrote_vectors(tmp_path: Path) -> None:
+    path = tmp_path / "camera_array.toml"
+    more = "verified_resolutions = [[640, 480], [1280, 720]]"
+    path.write_text(matrices("".join(caliscope(k, one, more) for k, one in enumerate(RIG))))
+    assert "rotation = [[" in path.read_text()
+    contents = read_contents(path)
+    assert contents.notes == ()
+    assert_rig(contents, (replace(RIG[0], name="cam_0"), replace(RIG[1], name="cam_1")))
+
+
+def test_caliscope_with_cameras_among_its_settings(tmp_path: Path) -> None:
+    """``config.toml`` of the oldest versions."""
+    path = tmp_path / "config.toml"
+    settings = "CreationDate = 2023-03-31T09:56:43.193358\ncamera_count = 2\n"
+    charuco = "\n[charuco]\ncolumns = 4\nrows = 5\nboard_height = 11.0\n"
+    path.write_text(settings + matrices("".join(section(f"cam_{k}", one, 1.0) for k, one in enumerate(RIG))) + charuco)
+    contents = read_contents(path)
+    assert_rig(contents)
+    assert contents.notes == ("config.toml: fields that are not read: CreationDate, camera_count, charuco.",)
 
 
 @pytest.mark.parametrize("content", ["[cameras]\n", "[cameras.0]\nsize=[6,4]\n", "cameras = 5\n"])
@@ -96,6 +157,32 @@ def test_freemocap_is_in_millimetres(tmp_path: Path) -> None:
         assert (contents.format, contents.unit) == ("FreeMoCap TOML", "mm")
         assert_rig(contents)
     assert problems_of(path, "cm") == [("calibration_units", None)]
+
+
+FREEMOCAP_2 = """solver_method = "anipose"
+reprojection_error_px = 0.41
+groundplane_applied = true
+[metadata.board]
+squares_x = 7
+squares_y = 5
+square_length_mm = 58.0
+marker_length_mm = 46.4"""
+
+
+@pytest.mark.parametrize("identified", [True, False])
+def test_freemocap_2_is_in_millimetres_by_its_board(tmp_path: Path, identified: bool) -> None:
+    world = "world_position = [1.0, 2.0, 3.0]\nworld_orientation = [[1.0, 0.0, 0.0]]"
+    path = tmp_path / "recording_camera_calibration.toml"
+    write(path, 1000.0, FREEMOCAP_2, more=f'id = "a"\nindex = 0\n{world}' if identified else world)
+    contents = read_contents(path)
+    assert (contents.format, contents.unit, contents.notes) == ("FreeMoCap TOML", "mm", ())
+    assert_rig(contents)
+
+
+def test_freemocap_2_with_squares_of_one(tmp_path: Path) -> None:
+    """Its reader takes this length for a board that is not known."""
+    path = write(tmp_path / "calibration.toml", 1000.0, FREEMOCAP_2.replace("58.0", "1.0"))
+    assert problems_of(path, None) == [("calibration_units_unstated", None)]
 
 
 @pytest.mark.parametrize("square", ["1", "1.0", "true", "'wide'"])

@@ -102,4 +102,4 @@ def test_other_contents_are_refused(tmp_path: Path, document: Any) -> None:
     path = tmp_path / "Cam0.pickle"
     path.write_bytes(pickle.dumps(document))
     (found,) = {code for code, _ in problems_of(path)}
-    assert found in {"calibration_unreadable", "invalid_rotation"}
+    assert found in {"calibration_unreadable", "calibration_unposed"}

@@ -1,0 +1,131 @@
+"""Reading of a calibration file: problems, notes for the user, and at the end the contents.
+
+Programs add fields to their formats, and rigs have cameras that film nothing. Both are noted, so that the rest of the
+file serves. What decides about a camera that serves is checked in full.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
+from pipeline.data.cameras import Camera
+from pipeline.errors import InputError, Problem, printable
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.sessions import CALIBRATION_EMPTY, DUPLICATE_CAMERA, TOO_MANY_CAMERAS
+
+_MAX_LISTED = 8
+_MAX_NAME_LENGTH = 40
+
+
+class Reading:
+    """Problems and notes that a reader finds in a file.
+
+    Parameters
+    ----------
+    file
+        Base name of the file.
+    """
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.problems: list[Problem] = []
+        self.notes: list[str] = []
+        self._unread: dict[str, None] = {}
+
+    def complain(
+        self, code: Code, message: str, camera: str | None = None, field: str | None = None, hint: str | None = None
+    ) -> None:
+        """Add a problem of the file."""
+        self.problems.append(Problem(code, message, file=self.file, camera=camera, field=field, hint=hint))
+
+    def pass_over(self, fields: Iterable[object], known: frozenset[str]) -> None:
+        """Note the fields that are not ``known``: newer versions of a program write more than the calibration."""
+        self._unread.update(dict.fromkeys(str(field) for field in fields if field not in known))
+
+    def note_about(self, cameras: Sequence[object], statement: str) -> None:
+        """Note something about cameras, as the end of the sentence "camera left is ..."; nothing if there are none."""
+        if cameras:
+            noun, verb = ("cameras", "are") if len(cameras) > 1 else ("camera", "is")
+            self.notes.append(f"{self.file}: {noun} {_listed(cameras)} {verb} {statement}.")
+
+    def leave_out(self, cameras: Sequence[object], reason: str) -> None:
+        """Note cameras that can't serve, with the reason in a few words."""
+        self.note_about(cameras, f"left out: {reason}")
+
+    def contents(self, format_name: str, raw: Sequence[RawCamera], unit: Units | None, **statements: Any) -> CameraFile:
+        """Check all cameras and build the contents of the file.
+
+        Parameters
+        ----------
+        raw
+            Cameras in the unit of the file. Cameras without a matrix are left out if others have one.
+        unit
+            Unit of lengths; ``None``: the format does not determine it.
+        statements
+            Further fields of ``CameraFile``.
+
+        Raises
+        ------
+        InputError
+            With all problems of all cameras.
+        """
+        known = [each for each in raw if each.matrix is not None]
+        if known:
+            self.leave_out([each.name for each in raw if each.matrix is None], "no camera matrix in the file")
+        posed = [each for each in known if each.is_posed]
+        unposed = [_with_still_pose(each) for each in known if not each.is_posed]
+        if posed:
+            self.leave_out([each.name for each in unposed], "no pose in the file")
+        if self._unread:
+            self.notes.append(f"{self.file}: fields that are not read: {_listed(list(self._unread))}.")
+        cameras = self._build(posed or unposed or raw)
+        factor = 1.0 if unit is None else UNITS_M[unit]
+        return CameraFile(
+            format_name,
+            tuple(scaled(camera, factor) for camera in cameras) if posed else (),
+            unit,
+            notes=tuple(self.notes),
+            unposed=self._serving(unposed) if posed else cameras,
+            **statements,
+        )
+
+    def _serving(self, raw: Sequence[RawCamera]) -> tuple[Camera, ...]:
+        """Build the cameras that have no problem."""
+        built = [build_camera(raw_camera, position, self.file) for position, raw_camera in enumerate(raw)]
+        return tuple(camera for camera in built if isinstance(camera, Camera))
+
+    def _build(self, raw: Sequence[RawCamera]) -> tuple[Camera, ...]:
+        """Check cameras and build them; raises ``InputError`` with all problems of the file."""
+        if not raw and not self.problems:
+            self.complain(CALIBRATION_EMPTY, "The calibration has no camera.")
+        if len(raw) > MAX_CAMERAS:
+            self.complain(TOO_MANY_CAMERAS, f"The calibration has more than {MAX_CAMERAS} cameras.")
+        cameras: list[Camera] = []
+        for position, raw_camera in enumerate(raw[:MAX_CAMERAS]):
+            built = build_camera(raw_camera, position, self.file)
+            if isinstance(built, Camera):
+                cameras.append(built)
+            else:
+                self.problems.extend(built)
+        names = Counter(raw_camera.name for raw_camera in raw if isinstance(raw_camera.name, str))
+        for name in sorted(name for name, count in names.items() if count > 1):
+            self.complain(DUPLICATE_CAMERA, "Two cameras have this name.", name, hint="Rename one.")
+        if self.problems:
+            raise InputError(self.problems)
+        return tuple(cameras)
+
+
+def _with_still_pose(raw_camera: RawCamera) -> RawCamera:
+    return replace(raw_camera, rotation=np.eye(3), translation_m=np.zeros(3))
+
+
+def _listed(names: Sequence[object]) -> str:
+    """List of some names, and the number of the others."""
+    shown = [printable(str(name)[:_MAX_NAME_LENGTH]) for name in names[:_MAX_LISTED]]
+    more = len(names) - len(shown)
+    return ", ".join(shown) + (f" and {more:,} more" if more else "")
