@@ -89,7 +89,7 @@ class Manifest(BaseModel):
     )
     units: Literal["m", "cm", "mm"] | None = Field(
         default=None,
-        description="Unit of length of a calibration whose format does not state it (TOML, and JSON with K, R, t). "
+        description="Unit of length of a calibration whose format does not state it (such as TOML). "
         "Null: metres; if they are not plausible, the answer `calibration_units_unstated` asks for it.",
     )
     clock: Clock = Field(

@@ -4,6 +4,7 @@ Programs add fields to their formats, and rigs have cameras that film nothing. B
 file serves. What decides about a camera that serves is checked in full.
 """
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -16,8 +17,9 @@ from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem, printable
 from pipeline.problem_codes.model import Code
-from pipeline.problem_codes.sessions import CALIBRATION_EMPTY, DUPLICATE_CAMERA, TOO_MANY_CAMERAS
+from pipeline.problem_codes.sessions import CALIBRATION_EMPTY, DUPLICATE_CAMERA, TOO_MANY_CAMERAS, UNSUPPORTED_LENS
 
+_DISTORTION = re.compile("(?!undist).*dist(ort|coef|_coef)", re.IGNORECASE)
 _MAX_LISTED = 8
 _MAX_NAME_LENGTH = 40
 
@@ -44,8 +46,17 @@ class Reading:
         self.problems.append(Problem(code, message, file=self.file, camera=camera, field=field, hint=hint))
 
     def pass_over(self, fields: Iterable[object], known: frozenset[str]) -> None:
-        """Note the fields that are not ``known``: newer versions of a program write more than the calibration."""
-        self._unread.update(dict.fromkeys(str(field) for field in fields if field not in known))
+        """Note the fields that are not ``known``: newer versions of a program write more than the calibration.
+
+        A field that may hold the distortion decides, and is a problem.
+        """
+        for field in map(str, fields):
+            if field in known or field in self._unread:
+                continue
+            self._unread[field] = None
+            if _DISTORTION.match(field):
+                message = "The field is not read, and may hold the distortion."
+                self.complain(UNSUPPORTED_LENS, message, None, field, "Name it as the format does, or remove it.")
 
     def note_about(self, cameras: Sequence[object], statement: str) -> None:
         """Note something about cameras, as the end of the sentence "camera left is ..."; nothing if there are none."""

@@ -10,7 +10,7 @@ from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
 from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
-from pipeline.calibration.units import candidates, likely_unit
+from pipeline.calibration.units import possible_units, question
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, parse
@@ -143,10 +143,10 @@ def read_contents(path: Path, units: Units | None = None) -> CameraFile:
             message = f"The format determines the unit of lengths, {contents.unit}; it is not {units}."
             raise _refusal(path, CALIBRATION_UNITS, message, "Omit the units.")
         return contents
-    likely = likely_unit(contents.cameras)
-    if units is None and likely != "m":
-        hint = f"State the unit: `--units {likely}` or `--units m`, `units` of the manifest, or the choice on the page."
-        raise _refusal(path, CALIBRATION_UNITS_UNSTATED, candidates(contents.cameras, likely), hint)
+    if units is None and (possible := possible_units(contents.cameras)) != ("m",):
+        stated = " or ".join(f"`--units {unit}`" for unit in possible)
+        hint = f"State the unit: {stated}, `units` of the manifest, or the unit of length on the page."
+        raise _refusal(path, CALIBRATION_UNITS_UNSTATED, question(contents.cameras, possible), hint)
     return replace(contents, cameras=tuple(scaled(camera, UNITS_M[units or "m"]) for camera in contents.cameras))
 
 

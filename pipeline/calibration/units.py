@@ -9,33 +9,34 @@ from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 
 _NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
-# Largest distance in metres between cameras that film the same people, at which a number is taken as metres unasked.
+# Largest distance in metres between cameras that film the same people, at which lengths are metres unasked.
 _MAX_EXTENT_M = 50.0
-# Distance at least that lengths are taken as millimetres, not as centimetres.
-_MIN_EXTENT_M = 1.0
+# Distances in metres between the cameras of usual rigs, in the units that are asked for.
+_USUAL_EXTENT_M = (0.3, 20.0)
 
 
-def likely_unit(cameras: Sequence[Camera]) -> Units:
-    """Unit in which the cameras are as far apart as those of a rig for people: the metre, if that is possible.
+def possible_units(cameras: Sequence[Camera]) -> tuple[Units, ...]:
+    """Units in which the cameras, in the unit of their file, can be a rig for people, likeliest first.
 
-    Parameters
-    ----------
-    cameras
-        Cameras in the unit of the file.
+    Lengths that can be metres are metres. Others may be millimetres or centimetres, and of a very large rig metres.
     """
     extent = _extent(cameras)
     if extent <= _MAX_EXTENT_M:
-        return "m"
-    return "mm" if extent * UNITS_M["mm"] >= _MIN_EXTENT_M else "cm"
+        return ("m",)
+    smaller: tuple[Units, ...] = ("mm", "cm")
+    lowest_m, highest_m = _USUAL_EXTENT_M
+    usual = tuple(unit for unit in smaller if lowest_m <= extent * UNITS_M[unit] <= highest_m)
+    return (*(usual or ("mm",)), "m")
 
 
-def candidates(cameras: Sequence[Camera], unit: Units) -> str:
-    """Sentence with the place of the farthest camera in a unit and in metres."""
-    far = max(cameras, key=lambda camera: float(np.linalg.norm(center_in_world(camera))))
-    distance = float(np.linalg.norm(center_in_world(far)))
+def question(cameras: Sequence[Camera], units: Sequence[Units]) -> str:
+    """Sentence with the distance of the farthest camera from the origin in each unit."""
+    distances = [float(np.linalg.norm(center_in_world(camera))) for camera in cameras]
+    far = int(np.argmax(distances))
+    places = [f"{_shown(distances[far] * UNITS_M[unit])} m if they are {_NAMES[unit]}" for unit in units]
     return (
-        f"The file does not state the unit of its lengths: camera {far.name} is {_shown(distance * UNITS_M[unit])} m "
-        f"from the origin if they are {_NAMES[unit]}, or {_shown(distance)} m if they are metres."
+        f"The file does not state the unit of its lengths: camera {cameras[far].name} is {', '.join(places[:-1])}, or "
+        f"{places[-1]}, from the origin."
     )
 
 

@@ -4,7 +4,6 @@ import io
 import zipfile
 from collections.abc import Mapping
 from pathlib import PurePosixPath
-from typing import Any
 
 from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers import colmap, opencv
@@ -19,7 +18,7 @@ from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, CALIBRATION_UNRE
 _MAX_ENTRIES = 2 * MAX_CAMERAS
 _MAX_UNPACKED_BYTES = 16 * 2**20
 _PARSERS = {".yml": read_yaml, ".yaml": read_yaml, ".xml": read_xml, ".json": read_object}
-_OPENCAP = "cameraIntrinsicsExtrinsics.pickle"
+_OPENCAP = frozenset({"cameraIntrinsicsExtrinsics.pickle", "cameraIntrinsics.pickle"})
 # Numbers of a bioCV file: width, height, K, a transform of 4 x 4, and at least 4 distortion coefficients.
 _MIN_BIOCV_NUMBERS = 2 + 9 + 16 + 4
 
@@ -61,13 +60,13 @@ def _unpack(content: bytes) -> dict[str, bytes]:
 
 
 def _name(path: PurePosixPath) -> str:
-    """Base name of a file; for OpenCap's file, which has the same name in each camera's folder, that of the folder."""
-    return f"{path.parent.name}.pickle" if path.name == _OPENCAP and path.parent.name else path.name
+    """Base name of a file; of OpenCap's files, which have one name in the folders of all cameras, the folder's."""
+    return f"{path.parent.name}.pickle" if path.name in _OPENCAP and path.parent.name else path.name
 
 
 def _read_members(members: Mapping[str, bytes], file: str) -> CameraFile | None:
     if {"intri.yml", "extri.yml"} <= members.keys():
-        return opencv.read_fields(read_yaml(members["intri.yml"]) | _without_names(members["extri.yml"]), file)
+        return opencv.read_fields(read_yaml(members["intri.yml"]) | read_yaml(members["extri.yml"]), file)
     if {"cameras.txt", "images.txt"} <= members.keys():
         cameras_text, images_text = (members[name].decode("utf-8", "replace") for name in ("cameras.txt", "images.txt"))
         return colmap.read_parts(cameras_text, images_text, file)
@@ -82,12 +81,7 @@ def _read_members(members: Mapping[str, bytes], file: str) -> CameraFile | None:
     parsed = {
         path.stem: _PARSERS[path.suffix](members[name]) for name, path in stems.items() if path.suffix in _PARSERS
     }
-    rig = {name: fields for name, fields in parsed.items() if opencv.is_camera(fields)}
-    return opencv.read_fields({"cameras": rig}, file) if rig else None
-
-
-def _without_names(content: bytes) -> dict[str, Any]:
-    return {key: value for key, value in read_yaml(content).items() if key != "names"}
+    return opencv.read_fields({"cameras": parsed}, file)
 
 
 def _raw_biocv(name: str, content: bytes) -> RawCamera:

@@ -20,6 +20,8 @@ _MAX_DEPTH = 20
 _MAX_SIDE = 1000
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASCII)
 _NOT_FINITE = {".nan": math.nan, ".inf": math.inf, "+.inf": math.inf, "-.inf": -math.inf}
+# Both files of EasyMocap list their cameras, which may be more in one of them.
+_NAMES = "names"
 # OpenCV writes `%YAML:1.0`, which YAML itself does not allow.
 _DIRECTIVE = re.compile(r"^%YAML.*$", re.MULTILINE)
 _WORD = re.compile(r'"([^"]*)"|(\S+)')
@@ -32,7 +34,7 @@ def read_yaml(content: bytes) -> dict[str, Any]:
         if not isinstance(document, dict):
             raise UnreadableError
         for key, value in document.items():
-            if key in joined and joined[key] != value:
+            if key in joined and joined[key] != value and key != _NAMES:
                 raise UnreadableError(f"{key} has two values")
             joined[key] = value
     return joined

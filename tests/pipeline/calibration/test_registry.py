@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.contents import Units
+from pipeline.calibration.contents import UNKNOWN_SIZE, Units
 from pipeline.calibration.registry import MAX_BYTES, read_calibration
 from pipeline.calibration.write import encode
 from pipeline.data.cameras import Camera
@@ -180,8 +180,8 @@ def test_a_size_that_is_missing_in_a_benchmark_conversion(tmp_path: Path) -> Non
     path = tmp_path / "shelf.json"
     camera = {"name": "a", "K": own()["matrix"], "R": IDENTITY, "t": [0.0, 0.0, 2.0]}
     path.write_text(json.dumps({"cameras": [camera]}))
-    with pytest.raises(InputError, match="The size is missing"):
-        read_calibration(path)
+    (read,) = read_calibration(path)
+    assert (read.name, read.size_px) == ("a", UNKNOWN_SIZE)
 
 
 _RODRIGUES = "The rotation is neither a matrix of 3 x 3 numbers nor a vector of 3 numbers from -100 to 100 radians."

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration.contents import UNITS_M, Units, scaled
-from pipeline.calibration.units import candidates, likely_unit
+from pipeline.calibration.contents import Units, scaled
+from pipeline.calibration.units import possible_units, question
 from pipeline.data.cameras import Camera
 from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
@@ -14,30 +14,32 @@ from pipeline.simulation.rigs import Layout, Rig, build_cameras
 RING = build_cameras(Rig(Layout.RING, 4, (4.0, 3.0), 2.2), np.random.default_rng(1))
 
 
-@pytest.mark.parametrize("extent", [0.3, 1.0, 5.0])
-@pytest.mark.parametrize("unit", ["m", "mm"])
-def test_units_of_usual_rigs(unit: Units, extent: float) -> None:
-    rig = [scaled(camera, extent / UNITS_M[unit]) for camera in RING]
-    assert likely_unit(rig) == unit
+@pytest.mark.parametrize("size", [0.1, 1.0, 5.0])
+def test_lengths_that_can_be_metres_are_metres(size: float) -> None:
+    assert possible_units([scaled(camera, size) for camera in RING]) == ("m",)
 
 
-def test_centimetres() -> None:
-    assert likely_unit([scaled(camera, 100.0) for camera in RING]) == "cm"
+@pytest.mark.parametrize(
+    ("factor", "units"),
+    [(1000.0, ("mm", "m")), (100.0, ("mm", "cm", "m")), (30.0, ("cm", "m")), (1e5, ("mm", "m"))],
+)
+def test_other_lengths_are_asked_for(factor: float, units: tuple[Units, ...]) -> None:
+    """The ring is 8 m wide."""
+    assert possible_units([scaled(camera, factor) for camera in RING]) == units
 
 
 def test_survey_coordinates_are_metres() -> None:
     """A rig of 8 m, 500 km from the origin."""
-    assert likely_unit([placed(camera, np.array([5e5, 3e5, 40.0])) for camera in RING]) == "m"
+    assert possible_units([placed(camera, np.array([5e5, 3e5, 40.0])) for camera in RING]) == ("m",)
 
 
 def test_the_farthest_camera_is_named_with_both_distances() -> None:
     """As of a calibration whose origin is the first camera."""
-    first = placed(RING[0], -center(RING[0]))
-    rig = [first, *(placed(camera, -center(RING[0])) for camera in RING[1:])]
+    rig = [placed(camera, -center(RING[0])) for camera in RING]
     farthest = max(rig, key=lambda camera: float(np.linalg.norm(center(camera))))
     distance_m = float(np.linalg.norm(center(farthest)))
-    sentence = candidates([scaled(camera, 1000.0) for camera in rig], "mm")
-    assert f"camera {farthest.name} is {distance_m:.2g} m from the origin if they are millimetres" in sentence
+    sentence = question([scaled(camera, 1000.0) for camera in rig], ("mm", "m"))
+    assert f"camera {farthest.name} is {distance_m:.2g} m if they are millimetres" in sentence
     assert f"or {1000 * distance_m:,.0f} m if they are metres" in sentence
 
 

@@ -1,11 +1,13 @@
 """OpenCap's ``cameraIntrinsicsExtrinsics.pickle`` (a file a camera) and MVPose's ``camera_parameter.pickle``.
 
-OpenCap: ``x = K (R X + t)``, millimetres, the board's axes; ``imageSize`` is height, then width. An upright board has
-y down. MVPose (zju3dv): stacks ``K`` (cameras, 3, 3) and ``RT`` (cameras, 3, 4), world to camera, no distortion, no
-sizes of pictures; the unit is that of the data set.
+OpenCap: ``x = K (R X + t)``, millimetres, the board's axes; ``imageSize`` is height, then width. The board stands
+upright, perhaps upside down, or lies on the floor: the cameras, which stand upright, tell its axis that is vertical. A
+file of a phone's model, ``cameraIntrinsics.pickle``, has no pose. MVPose (zju3dv): stacks ``K`` (cameras, 3, 3) and
+``RT`` (cameras, 3, 4), world to camera, no distortion, no sizes of pictures; the unit is that of the data set.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,17 +16,20 @@ from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.readers.pickled.interpreter import read_values
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
+from pipeline.calibration.vertical import turn_upright
+from pipeline.data.arrays import read_only
 from pipeline.errors import InputError, Problem
+from pipeline.geometry.rigid import Rigid3
 from pipeline.parsing import UnreadableError, read_numbers
 from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
 
-_OPENCAP = frozenset({"intrinsicMat", "distortion", "rotation", "translation", "imageSize"})
+_OPENCAP = frozenset({"intrinsicMat", "distortion", "imageSize"})
 _MVPOSE = frozenset({"K", "RT"})
-# From a world with z up to that of an upright board, whose y points down.
-_BOARD_FROM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-# Far outside of every plausible entry of a rotation, so that products stay finite.
-_MAX_ENTRY = 10.0
-_BOARD_NOTE = "OpenCap's board is taken to have stood upright; for a board on the floor, turn the calibration first."
+# Down in the world of an upright board.
+_Y_DOWN = np.array([0.0, 1.0, 0.0])
+# Least length of the mean of the cameras' down directions that tells the vertical.
+_MIN_MEAN_DOWN = 0.5
+_BOARD_NOTE = "the cameras don't tell the vertical; OpenCap's board is taken to have stood upright"
 
 
 def read(content: bytes, file: str) -> CameraFile:
@@ -49,10 +54,8 @@ def read_members(members: Mapping[str, bytes], file: str) -> CameraFile:
         return Reading(file).contents("MVPose pickle", _mvpose(next(iter(documents.values()))), None)
     if not all(document.keys() >= _OPENCAP for document in documents.values()):
         raise UnreadableError
-    reading = Reading(file)
-    reading.notes.append(_BOARD_NOTE)
     raw = [_raw_opencap(name, document) for name, document in documents.items()]
-    return reading.contents("OpenCap", raw, "mm", axes="y down, turned to Z up")
+    return _turned_upright(Reading(file).contents("OpenCap", raw, "mm"), file)
 
 
 def _mvpose(document: Mapping[str, Any]) -> list[RawCamera]:
@@ -80,8 +83,8 @@ def _raw_opencap(name: str, document: Mapping[str, Any]) -> RawCamera:
         size_px=height_and_width[::-1],
         matrix=document["intrinsicMat"],
         distortion=_flat(document["distortion"]),
-        rotation=_upright(document["rotation"]),
-        translation_m=_flat(document["translation"]),
+        rotation=document.get("rotation"),
+        translation_m=None if document.get("translation") is None else _flat(document["translation"]),
     )
 
 
@@ -89,8 +92,25 @@ def _flat(value: Any) -> list[float]:
     return read_numbers(value).ravel().tolist()
 
 
-def _upright(rotation: Any) -> Any:
-    """Rotation from the upright world; a matrix of implausible numbers is left to the checks."""
-    matrix = read_numbers(rotation)
-    is_plausible = matrix.shape == (3, 3) and (np.abs(matrix) < _MAX_ENTRY).all()
-    return matrix @ _BOARD_FROM_UPRIGHT if is_plausible else rotation
+def _turned_upright(contents: CameraFile, file: str) -> CameraFile:
+    """Turn the world of the board so that Z points up."""
+    if not contents.cameras:
+        return contents
+    down = np.mean([camera.cam_from_world.rotation[1] for camera in contents.cameras], axis=0)
+    notes = contents.notes
+    if float(np.linalg.norm(down)) < _MIN_MEAN_DOWN:
+        down, notes = _Y_DOWN, (*notes, f"{file}: {_BOARD_NOTE}.")
+    axis = int(np.argmax(np.abs(down)))
+    side = float(np.sign(down[axis]))
+    board_from_upright = turn_upright(-side * np.eye(3)[axis]).T
+    cameras = tuple(
+        replace(camera, cam_from_world=Rigid3(read_only(pose.rotation @ board_from_upright), pose.translation_m))
+        for camera in contents.cameras
+        for pose in [camera.cam_from_world]
+    )
+    return replace(
+        contents,
+        cameras=cameras,
+        axes=f"{'xyz'[axis]} {'down' if side > 0 else 'up'}, turned to Z up",
+        notes=notes,
+    )

@@ -1,37 +1,20 @@
-"""OpenCV's FileStorage in its three notations, and EasyMocap, as their own writers write them."""
+"""OpenCV's FileStorage in its three notations, JARVIS and 4D Association, as their own writers write them."""
 
+import json
 import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.calibration.registry import read_contents, read_intrinsics
+from pipeline.calibration.registry import read_contents
 from pipeline.data.cameras import Camera
+from tests.pipeline.calibration.readers.filestorage import write_storage
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye, problems_of
-
-
-def write_storage(path: Path, fields: dict[str, Any]) -> Path:
-    """Write fields by OpenCV itself; dicts become maps."""
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    _write_map(storage, fields)
-    storage.release()
-    return path
-
-
-def _write_map(storage: Any, fields: dict[str, Any]) -> None:
-    for name, value in fields.items():
-        if isinstance(value, dict):
-            storage.startWriteStruct(name, cv2.FileNode_MAP)
-            _write_map(storage, value)
-            storage.endWriteStruct()
-        else:
-            storage.write(name, value)
 
 
 def fields_of(one: Camera) -> dict[str, Any]:
@@ -145,45 +128,85 @@ def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     ]
 
 
-def easymocap(with_sizes: bool) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Fields of ``intri.yml`` and of ``extri.yml``."""
-    intri: dict[str, Any] = {"names": [one.name for one in RIG]}
-    extri: dict[str, Any] = {"names": [one.name for one in RIG]}
+def jarvis(one: Camera, unit_per_m: float = 1000.0) -> dict[str, Any]:
+    """File of a camera as JARVIS writes it: matrices for points that are rows."""
+    return {
+        "intrinsicMatrix": one.matrix.T.copy(),
+        "distortionCoefficients": one.distortion.reshape(1, 5),
+        "R": one.cam_from_world.rotation.T.copy(),
+        "T": unit_per_m * one.cam_from_world.translation_m.reshape(3, 1),
+    }
+
+
+def write_jarvis(path: Path, unit_per_m: float = 1000.0) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        for one in RIG:
+            part = write_storage(path.with_name(f"{one.name}.yaml"), jarvis(one, unit_per_m))
+            archive.write(part, f"calib_params/12Cam/{part.name}")
+    return path
+
+
+@pytest.mark.parametrize(("unit_per_m", "unit"), [(1000.0, "mm"), (1.0, None)])
+def test_jarvis(tmp_path: Path, unit_per_m: float, unit: str | None) -> None:
+    """Its tool calibrates in millimetres; a program that writes metres for it is told by the lengths."""
+    contents = read_contents(write_jarvis(tmp_path / "rig.zip", unit_per_m))
+    assert (contents.format, contents.unit, contents.notes) == ("JARVIS", unit, ())
+    assert_rig(contents, tuple(replace(one, size_px=UNKNOWN_SIZE) for one in RIG))
+
+
+def test_jarvis_with_its_parts(tmp_path: Path) -> None:
+    """The folders of intrinsics and of extrinsics, from which it makes the files."""
+    path = write_jarvis(tmp_path / "rig.zip")
+    with zipfile.ZipFile(path, "a") as archive:
+        lens = {key: value for key, value in jarvis(RIG[0]).items() if key.startswith(("i", "d"))}
+        pose = {key: value for key, value in jarvis(RIG[1]).items() if key in "RT"} | {"E": np.eye(3), "F": np.eye(3)}
+        for name, fields in (("Intrinsics_left", lens), ("Extrinsics_left_right", pose)):
+            archive.write(write_storage(tmp_path / f"{name}.yaml", fields), f"{name}.yaml")
+    contents = read_contents(path, "mm")
+    assert [one.name for one in contents.cameras] == ["left", "right"]
+    assert contents.notes == (
+        "rig.zip: camera Extrinsics_left_right is left out: no camera matrix in the file.",
+        "rig.zip: camera Intrinsics_left is left out: no pose in the file.",
+        "rig.zip: fields that are not read: E, F.",
+    )
+
+
+def plain(fields: dict[str, Any], *, flat: bool = False) -> dict[str, Any]:
+    """Fields as JSON holds them, with arrays nested or flat."""
+    return {
+        key: (value.ravel() if flat else value).tolist() if isinstance(value, np.ndarray) else value
+        for key, value in fields.items()
+    }
+
+
+@pytest.mark.parametrize("form", ["flat", "nested", "transform"])
+def test_4d_association(tmp_path: Path, form: str) -> None:
+    """Its own file has flat matrices and ``RT``; data sets after it have ``R`` and ``T``, flat or nested."""
+    cameras = {}
     for one in RIG:
-        intri[f"K_{one.name}"] = one.matrix
-        intri[f"dist_{one.name}"] = one.distortion.reshape(1, 5)
-        if with_sizes:
-            intri |= {f"H_{one.name}": one.size_px[1], f"W_{one.name}": one.size_px[0]}
-        rotation = one.cam_from_world.rotation
-        extri[f"R_{one.name}"] = Rotation.from_matrix(rotation).as_rotvec().reshape(3, 1)
-        extri[f"Rot_{one.name}"] = rotation
-        extri[f"T_{one.name}"] = one.cam_from_world.translation_m.reshape(3, 1)
-    return intri, extri
-
-
-@pytest.mark.parametrize("with_sizes", [True, False])
-@pytest.mark.parametrize("way", ["zip", "joined"])
-def test_easymocap(tmp_path: Path, way: str, with_sizes: bool) -> None:
-    intri, extri = easymocap(with_sizes)
-    parts = [write_storage(tmp_path / "intri.yml", intri), write_storage(tmp_path / "extri.yml", extri)]
-    if way == "zip":
-        path = tmp_path / "rig.zip"
-        with zipfile.ZipFile(path, "w") as archive:
-            for part in parts:
-                archive.write(part, part.name)
-    else:
-        path = tmp_path / "rig.yml"
-        path.write_bytes(b"".join(part.read_bytes() for part in parts))
+        pose = one.cam_from_world
+        fields: dict[str, Any] = {"K": one.matrix, "imgSize": list(one.size_px), "rectifyAlpha": 0.0}
+        fields |= {"RT": pose.matrix} if form == "transform" else {"R": pose.rotation, "T": pose.translation_m}
+        fields["distCoeff"] = one.distortion
+        cameras[one.name] = plain(fields, flat=form != "nested")
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(cameras))
     contents = read_contents(path)
-    assert (contents.format, contents.unit) == ("EasyMocap", "m")
-    if not with_sizes:
-        assert all(one.size_px == UNKNOWN_SIZE for one in contents.cameras)
-        contents = replace(contents, cameras=tuple(replace(one, size_px=(1920, 1080)) for one in contents.cameras))
+    assert (contents.format, contents.unit) == ("4D Association JSON", None)
+    assert contents.notes == ("calibration.json: fields that are not read: rectifyAlpha.",)
     assert_rig(contents)
-    assert problems_of(path, "mm") == [("calibration_units", None)]
 
 
-def test_easymocap_without_extrinsics(tmp_path: Path) -> None:
-    path = write_storage(tmp_path / "intri.yml", easymocap(True)[0])
-    assert problems_of(path) == [("calibration_unposed", None)]
-    assert [one.name for one in read_intrinsics(path)] == [one.name for one in RIG]
+@pytest.mark.parametrize("field", ["name", "camera_name", "serial", "id"])
+def test_names_in_a_list(tmp_path: Path, field: str) -> None:
+    path = tmp_path / "rig.json"
+    listed = [{field: one.name, **plain(fields_of(one))} for one in RIG]
+    path.write_text(json.dumps({"camera_rig": 3, "cameras": listed}))
+    assert [one.name for one in read_contents(path).cameras] == ["left", "right"]
+
+
+def test_a_distortion_under_another_name_is_no_unknown_field(tmp_path: Path) -> None:
+    fields = {one.name: fields_of(one) for one in RIG}
+    fields["right"]["radial_distortion"] = fields["right"].pop("distortion_coefficients")
+    path = write_storage(tmp_path / "rig.yml", fields)
+    assert problems_of(path) == [("unsupported_lens", None)]

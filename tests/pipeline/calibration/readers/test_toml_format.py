@@ -49,8 +49,8 @@ def test_anipose_in_millimetres_is_asked_for_its_unit(tmp_path: Path) -> None:
     assert problem.code == "calibration_units_unstated"
     # Both cameras are 4.37 m from the origin.
     assert problem.message == (
-        "The file does not state the unit of its lengths: camera left is 4.4 m from the origin if they are "
-        "millimetres, or 4,369 m if they are metres."
+        "The file does not state the unit of its lengths: camera left is 4.4 m if they are millimetres, or 4,369 m if "
+        "they are metres, from the origin."
     )
     assert "--units mm" in str(problem)
     far = read_contents(path, "m").cameras[0]

@@ -11,18 +11,20 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.calibration.registry import read_contents
+from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.data.cameras import Camera
+from pipeline.errors import InputError
+from pipeline.geometry.camera import center_in_world
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
 
 # World of an upright board: y = -z, z = y.
-BOARD_FROM_UPRIGHT = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+BOARD_FROM_UPRIGHT = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
 
 
-def opencap(one: Camera) -> dict[str, Any]:
+def opencap(one: Camera, board_from_upright: list[list[int]] = BOARD_FROM_UPRIGHT) -> dict[str, Any]:
     """Values, shapes and order of keys as in a session of OpenCap."""
     width, height = one.size_px
-    rotation = one.cam_from_world.rotation @ BOARD_FROM_UPRIGHT.T
+    rotation = one.cam_from_world.rotation @ np.array(board_from_upright).T
     return {
         "distortion": one.distortion.reshape(1, 5),
         "intrinsicMat": one.matrix,
@@ -48,8 +50,55 @@ def test_opencap(tmp_path: Path, protocol: int, form: str) -> None:
     path.write_bytes(zipped({form.format(one.name): pickle.dumps(opencap(one), protocol) for one in RIG}))
     contents = read_contents(path)
     assert (contents.format, contents.unit, contents.axes) == ("OpenCap", "mm", "y down, turned to Z up")
-    assert "board" in contents.notes[0]
+    assert contents.notes == ()
     assert_rig(contents)
+
+
+@pytest.mark.parametrize(
+    ("board_from_upright", "axes"),
+    [
+        ([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], "y up, turned to Z up"),
+        ([[0, 1, 0], [1, 0, 0], [0, 0, -1]], "z down, turned to Z up"),
+        ([[0, 1, 0], [0, 0, -1], [-1, 0, 0]], "y down, turned to Z up"),
+    ],
+)
+def test_the_cameras_tell_how_the_board_stood(tmp_path: Path, board_from_upright: list[list[int]], axes: str) -> None:
+    """Upside down on the wall, on the floor, and upright but seen from another side."""
+    path = tmp_path / "session.zip"
+    path.write_bytes(zipped({f"{one.name}.pickle": pickle.dumps(opencap(one, board_from_upright)) for one in RIG}))
+    contents = read_contents(path)
+    assert (contents.axes, contents.notes) == (axes, ())
+    for found, one in zip(contents.cameras, RIG, strict=True):
+        # Z is up, whatever the turn about it.
+        np.testing.assert_allclose(center_in_world(found)[2], center_in_world(one)[2], atol=1e-9)
+        np.testing.assert_allclose(found.cam_from_world.rotation[:, 2], one.cam_from_world.rotation[:, 2], atol=1e-9)
+
+
+def test_cameras_that_look_down_tell_no_vertical_axis(tmp_path: Path) -> None:
+    """Two phones above the floor, turned against each other."""
+    above = [[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], [[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]]
+    documents = {f"Cam{k}.pickle": opencap(RIG[0]) | {"rotation": np.array(turn)} for k, turn in enumerate(above)}
+    path = tmp_path / "session.zip"
+    path.write_bytes(zipped({name: pickle.dumps(document) for name, document in documents.items()}))
+    contents = read_contents(path)
+    assert contents.axes == "y down, turned to Z up"
+    assert "taken to have stood upright" in contents.notes[0]
+
+
+@pytest.mark.parametrize("form", ["{}/Deployed/cameraIntrinsics.pickle", "{}.pickle"])
+def test_intrinsics_of_a_phone_alone(tmp_path: Path, form: str) -> None:
+    """As OpenCap keeps them for each model of phone."""
+    intrinsics = {key: opencap(RIG[0])[key] for key in ("distortion", "intrinsicMat", "imageSize")}
+    path = tmp_path / "iPhone12,8.zip"
+    path.write_bytes(zipped({form.format("phone"): pickle.dumps(intrinsics)}))
+    with pytest.raises(InputError, match="intrinsics of 1 camera and no rotation or translation") as error:
+        read_contents(path)
+    (problem,) = error.value.problems
+    assert problem.code == "calibration_unposed"
+    assert "extrinsics" in str(problem.hint)
+    (camera,) = read_intrinsics(path)
+    assert camera.size_px == RIG[0].size_px
+    np.testing.assert_array_equal(camera.matrix, RIG[0].matrix)
 
 
 def test_a_portrait_phone_has_its_height_first(tmp_path: Path) -> None:
