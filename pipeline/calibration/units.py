@@ -12,7 +12,7 @@ _NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 # Largest distance in metres between cameras that film the same people, at which lengths are metres unasked.
 _MAX_EXTENT_M = 50.0
 # Distances in metres between the cameras of usual rigs, in the units that are asked for.
-_USUAL_EXTENT_M = (0.3, 20.0)
+_USUAL_EXTENT_M = (0.1, 20.0)
 
 
 def possible_units(cameras: Sequence[Camera]) -> tuple[Units, ...]:

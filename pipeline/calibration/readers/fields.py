@@ -23,6 +23,7 @@ _MATRIX = (
     "intrinsic_matrix",
     "intrinsicMatrix",
     "intrinsics",
+    "Intrinsics",
     "mtx",
     "matrix",
     "K",
@@ -35,13 +36,15 @@ _DISTORTION = (
     "distCoeffs",
     "distCoeff",
     "distortion",
+    "Distortion",
     "distortions",
     "dist",
     "D",
 )
 _ROTATION = ("rotation_matrix", "rotation", "rvec", "R")
 _TRANSLATION = ("translation_vector", "translation", "tvec", "T", "t")
-_TRANSFORM = ("extrinsic_matrix", "extrinsics", "extrinsic", "RT")
+# OpenPose's ``CameraMatrix`` is the pose.
+_TRANSFORM = ("extrinsic_matrix", "extrinsics", "extrinsic", "RT", "CameraMatrix")
 _SIZE = (IMAGE_SIZE, "imageSize", "imgSize", "img_size", "resolution", "size")
 _WIDTH = ("image_width", "image_Width", "imageWidth", "width", "W")
 _HEIGHT = ("image_height", "image_Height", "imageHeight", "height", "H")
@@ -49,15 +52,15 @@ _LENS = ("distortion_model", "camera_model", "lens_model", "model")
 _FISHEYE = ("fisheye", "fisheye_model", "is_fisheye")
 _FISHEYE_MODELS = frozenset({"fisheye", "equidistant", "kannala_brandt", "kannala-brandt", "opencv_fisheye"})
 _UNSUPPORTED_MODELS = frozenset({"omnidir", "omni", "mei"})
-_KNOWN = frozenset().union(
-    ("name",), _MATRIX, _DISTORTION, _ROTATION, _TRANSLATION, _TRANSFORM, _SIZE, _WIDTH, _HEIGHT, _LENS, _FISHEYE
-)
-_OF_CAMERAS = (*_MATRIX, *_ROTATION, *_TRANSLATION, *_TRANSFORM)
+_OF_LENS = (*_MATRIX, *_DISTORTION, *_LENS, *_FISHEYE)
+_OF_POSE = (*_ROTATION, *_TRANSLATION, *_TRANSFORM)
+_KNOWN = frozenset({"name", "CameraMatrixInitial", *_OF_LENS, *_OF_POSE, *_SIZE, *_WIDTH, *_HEIGHT})
+_OF_CAMERA = (*_MATRIX, *_OF_POSE)
 
 
 def is_camera(fields: Any) -> bool:
     """Return whether a value is a mapping with the matrix or the pose of a camera."""
-    return isinstance(fields, Mapping) and _first(fields, _OF_CAMERAS) is not None
+    return isinstance(fields, Mapping) and _first(fields, _OF_CAMERA) is not None
 
 
 def has_matrix(fields: Mapping[str, Any]) -> bool:

@@ -1,10 +1,11 @@
 """Calibrations of data sets in JSON: CMU Panoptic, and VoxelPose's files of Shelf and Campus.
 
 Panoptic: ``x = K (R X + t)``, centimetres, the world's y axis points down. VoxelPose: ``x = K R (X - T)``, so T is the
-camera's centre, millimetres, no picture sizes.
+camera's centre, millimetres, no picture sizes; Faster-VoxelPose has a list of cameras a sequence.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -35,11 +36,20 @@ def read_document(document: Mapping[str, Any], file: str) -> CameraFile | None:
     listed = document.get("cameras")
     if isinstance(listed, list) and is_panoptic(listed):
         return _read_panoptic(listed, file)
-    if document and all(isinstance(camera, dict) and camera.keys() >= _VOXELPOSE for camera in document.values()):
+    if cameras := _voxelpose_cameras(document):
         # One camera above the limit suffices to report that there are too many.
-        raw = [_raw_voxelpose(name, camera) for name, camera in list(document.items())[: MAX_CAMERAS + 1]]
+        raw = [_raw_voxelpose(name, camera) for name, camera in islice(cameras.items(), MAX_CAMERAS + 1)]
         return Reading(file).contents("VoxelPose JSON", raw, "mm")
     return None
+
+
+def _voxelpose_cameras(document: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Cameras by name, also of a document with the list of one sequence; empty if they are not VoxelPose's."""
+    cameras = document
+    if len(document) == 1 and isinstance(listed := next(iter(document.values())), list):
+        cameras = {str(number): camera for number, camera in enumerate(listed)}
+    is_voxelpose = all(isinstance(camera, dict) and camera.keys() >= _VOXELPOSE for camera in cameras.values())
+    return cameras if is_voxelpose else {}
 
 
 def _read_panoptic(listed: Sequence[Mapping[str, Any]], file: str) -> CameraFile:

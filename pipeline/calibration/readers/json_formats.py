@@ -23,9 +23,7 @@ def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a JSON file; ``InputError`` lists all its problems."""
     try:
         document = read_unique_json(content)
-        if isinstance(document, list):
-            document = {"cameras": document}
-        contents = _read_other(document, file) if isinstance(document, dict) else None
+        contents = _read_other({"cameras": document} if isinstance(document, list) else document, file)
     except UnreadableError as error:
         message = "The file is not valid JSON, or repeats a key."
         raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
@@ -38,10 +36,12 @@ def read(content: bytes, file: str) -> CameraFile:
     return _read_own(document, listed, file)
 
 
-def _read_other(document: dict[str, Any], file: str) -> CameraFile | None:
+def _read_other(document: Any, file: str) -> CameraFile | None:
     """Read the formats of other programs, ``None`` for files that are not theirs."""
+    if not isinstance(document, dict) or "schema_version" in document:
+        return None
     listed = document.get("cameras")
-    if "schema_version" in document or (isinstance(listed, list) and any(map(_is_own, listed))):
+    if isinstance(listed, list) and any(map(_is_own, listed)):
         return None
     contents = json_datasets.read_document(document, file)
     return opencv.read_fields(with_matrices(document), file) if contents is None else contents

@@ -21,7 +21,7 @@ def test_lengths_that_can_be_metres_are_metres(size: float) -> None:
 
 @pytest.mark.parametrize(
     ("factor", "units"),
-    [(1000.0, ("mm", "m")), (100.0, ("mm", "cm", "m")), (30.0, ("cm", "m")), (1e5, ("mm", "m"))],
+    [(1000.0, ("mm", "m")), (100.0, ("mm", "cm", "m")), (10.0, ("cm", "m")), (1e5, ("mm", "m"))],
 )
 def test_other_lengths_are_asked_for(factor: float, units: tuple[Units, ...]) -> None:
     """The ring is 8 m wide."""

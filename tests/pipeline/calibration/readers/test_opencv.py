@@ -197,6 +197,23 @@ def test_4d_association(tmp_path: Path, form: str) -> None:
     assert_rig(contents)
 
 
+def test_openpose(tmp_path: Path) -> None:
+    """A file a camera, named by its serial number; the pose is called the camera matrix."""
+    path = tmp_path / "cameras.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for one in RIG:
+            fields = {
+                "CameraMatrix": one.cam_from_world.matrix,
+                "CameraMatrixInitial": np.eye(4)[:3],
+                "Intrinsics": one.matrix,
+                "Distortion": np.append(one.distortion, np.zeros(3)).reshape(8, 1),
+            }
+            archive.write(write_storage(tmp_path / f"{one.name}.xml", fields), f"models/{one.name}.xml")
+    contents = read_contents(path)
+    assert contents.notes == ()
+    assert_rig(contents, tuple(replace(one, size_px=UNKNOWN_SIZE) for one in RIG))
+
+
 @pytest.mark.parametrize("field", ["name", "camera_name", "serial", "id"])
 def test_names_in_a_list(tmp_path: Path, field: str) -> None:
     path = tmp_path / "rig.json"
