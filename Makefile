@@ -130,6 +130,7 @@ test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones 
 
 test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests: faults, crowds, distributed services, benchmarks' data (20 minutes)
 	$(PYTEST) -m "$(DESELECTED) and slow"
+	MULTICAP_CHECK_SHAPES=1 $(PYTEST) -m "$(DESELECTED) and not slow" $(SHAPED)
 
 soak: setup  ## Run 200 jobs disturbed by faults, and 100 rounds of 20 jobs under outages (two hours)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults

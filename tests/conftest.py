@@ -1,5 +1,6 @@
-"""Shapes and types of every public call are checked while the tests run."""
+"""What all tests share: how they run, and which of them are slow."""
 
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,18 +16,22 @@ settings.load_profile("shared")
 # A shell starts background programs with SIGINT ignored, and their children inherit it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-install_import_hook("pipeline", "beartype.beartype")
+# Shapes and types of every public call, checked at twice the time: `make test-slow` does.
+if os.environ.get("MULTICAP_CHECK_SHAPES"):
+    install_import_hook("pipeline", "beartype.beartype")
 
 
 # Tests with a target of their own, `make test-slow`: folders and modules.
 SLOW = (
-    "faults/",
-    "hostile/",
     "api/contract/test_schemathesis.py",
     "api/http/test_connections.py",
+    "api/http/test_keys_in_use.py",
     "api/http/test_memory.py",
     "api/http/test_slow_clients.py",
     "api/http/test_strangers.py",
+    "api/test_damaged_database.py",
+    "api/test_outages.py",
+    "api/uploads/test_upload_clients.py",
     "e2e/test_backup.py",
     "e2e/test_check_of_sessions.py",
     "e2e/test_clocks.py",
@@ -39,14 +44,28 @@ SLOW = (
     "e2e/test_full_disk.py",
     "e2e/test_generated_clients.py",
     "e2e/test_interrupt.py",
+    "e2e/test_manifest.py",
+    "e2e/test_offline.py",
+    "e2e/test_people_page.py",
     "e2e/test_postgres.py",
+    "e2e/test_python_page.py",
     "e2e/test_rendered.py",
+    "e2e/test_send_waits.py",
     "e2e/test_serve.py",
     "e2e/test_shelf.py",
     "e2e/test_simulated.py",
     "e2e/test_stop.py",
+    "e2e/test_traces.py",
     "e2e/test_wheel.py",
+    "faults/",
+    "hostile/",
+    "pipeline/video/test_corpus.py",
+    "pipeline/video/test_damage.py",
+    "worker/jobs/backup/",
+    "worker/jobs/test_concurrency.py",
+    "worker/jobs/test_damaged_database.py",
     "worker/test_faults.py",
+    "worker/test_outages.py",
 )
 
 

@@ -184,7 +184,7 @@ def running(settings: Settings) -> Iterator[Live]:
         time.sleep(0.01)
     address = server.servers[0].sockets[0].getsockname()
     try:
-        with httpx2.Client(base_url=f"http://127.0.0.1:{address[1]}", timeout=30) as client:
+        with httpx2.Client(base_url=f"http://127.0.0.1:{address[1]}", timeout=120) as client:
             yield Live(client, address, app.state.services)
     finally:
         server.should_exit = True

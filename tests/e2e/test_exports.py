@@ -139,7 +139,7 @@ def with_finger_joints(track: Track3D, motion: SkeletonMotion | None) -> Track3D
     )
 
 
-@pytest.fixture(params=["walk", "filmed", "hands"])
+@pytest.fixture(params=["walk", pytest.param("filmed", marks=pytest.mark.slow), "hands"])
 def capture(request: pytest.FixtureRequest) -> Capture:
     return request.getfixturevalue(request.param)
 

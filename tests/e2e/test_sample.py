@@ -91,6 +91,7 @@ def beginning(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("chunk_frames", "processes"), [(7, 2), (8, 1), (8, 2)])
 def test_result_files_do_not_depend_on_the_cut(
     sample: Sample, beginning: Path, tmp_path: Path, chunk_frames: int, processes: int

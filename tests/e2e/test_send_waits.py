@@ -225,13 +225,10 @@ def actions_of(name: str, files: dict[str, Path]) -> tuple[list[Action], str]:
     return everything[name]
 
 
-NAMES = [
-    *("a file in place of a stored one", "another stored one"),
-    *(
-        pytest.param(name, marks=pytest.mark.slow)
-        for name in ("a refused file", "another unit", "keypoints", "the sample", "a draft after a reload")
-    ),
-]
+NAMES = (
+    *("a file in place of a stored one", "another stored one", "a refused file", "another unit"),
+    *("keypoints", "the sample", "a draft after a reload"),
+)
 
 
 @pytest.mark.parametrize("name", NAMES)

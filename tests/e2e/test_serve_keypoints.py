@@ -60,7 +60,9 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
     ("method", "smoothing", "exports", "preset"),
     [
         ("tracking", "none", ("bvh",), "unreal"),
-        ("clustering", "butterworth", ("csv", "c3d", "glb", "trc", "bvh"), "default"),
+        pytest.param(
+            *("clustering", "butterworth", ("csv", "c3d", "glb", "trc", "bvh"), "default"), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_the_same_files_as_without_the_service(
@@ -88,6 +90,7 @@ def test_the_same_files_as_without_the_service(
     assert served.downloads(job["id"]) == digests(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
 def test_some_frames_and_some_people_at_another_rate(
     served: Served, capture: Path, tmp_path: Path, method: Method

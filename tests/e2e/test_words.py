@@ -177,6 +177,7 @@ def test_captures_have_a_picture(page: Page, served: Served, tmp_path: Path) -> 
     assert picture.evaluate("(image) => image.naturalWidth") > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("typed", "answer"),
     [

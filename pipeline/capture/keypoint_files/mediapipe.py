@@ -9,7 +9,7 @@ A form of our own (docs/formats.md) has ``poses`` in an object a frame, or ``fra
 positions without ``image_size`` are pixels. Landmarks: https://ai.google.dev/edge/mediapipe/solutions/vision
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -119,7 +119,7 @@ def _size_px(content: Any) -> np.ndarray | None:
     return size_px
 
 
-def _flat(landmarks: Sequence[Mapping[str, Any]] | None, field: str) -> list[Any] | None:
+def _flat(landmarks: Any, field: str) -> list[Any] | None:
     """X, y and score of each landmark in turn; the score is the visibility, 1 where there is none."""
     if not landmarks:
         return None

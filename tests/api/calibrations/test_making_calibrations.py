@@ -121,6 +121,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
+@pytest.mark.slow
 def test_photographs_of_a_board_give_intrinsics(making: Live, photographs: list[Path]) -> None:
     parts = [("images", (path.name, path.read_bytes())) for path in photographs]
     spec = ("spec", (None, json.dumps({"method": "board", "board": SPEC}).encode()))
@@ -146,6 +147,7 @@ def test_photographs_of_a_board_give_intrinsics(making: Live, photographs: list[
     assert [(one["code"], one["pointer"]) for one in problem["errors"]] == [("images_archive", "/images/0")]
 
 
+@pytest.mark.slow
 def test_known_points_make_the_world_of_a_board(making: Live, videos: list[Path]) -> None:
     cameras = build_cameras(Rig(Layout.RING, NUM_CAMERAS, (2.0, 1.8), 2.0), np.random.default_rng(0))
     xyz_m = np.array([[0.2, 0.4, 0.0], [-0.4, 0.1, 0.1], [0.2, -0.3, 0.8]])
@@ -179,6 +181,7 @@ def test_known_points_make_the_world_of_a_board(making: Live, videos: list[Path]
         assert problem["errors"][0]["pointer"].startswith("/spec/known_points/0/xyz_m/2")
 
 
+@pytest.mark.slow
 def test_a_board_that_is_not_there_fails_the_job_with_the_cameras(making: Live, videos: list[Path]) -> None:
     job = send(making, videos, method="board", board="charuco:9x7:0.1:0.08:DICT_6X6_50").json()
     work(making)
@@ -193,6 +196,7 @@ def test_a_board_that_is_not_there_fails_the_job_with_the_cameras(making: Live, 
     assert "calibration_unmade" in {one["code"] for one in problem["errors"]}
 
 
+@pytest.mark.slow
 def test_a_canceled_calibration_can_be_tried_again(making: Live, videos: list[Path]) -> None:
     answer = send(making, videos[:1], method="board", board=SPEC)
     assert answer.status_code == 202, answer.text
@@ -272,6 +276,7 @@ def test_people_of_a_session_calibrate_its_cameras(making: Live, walk: Simulatio
     assert making.client.get(session["links"]["self"]).status_code == 200
 
 
+@pytest.mark.slow
 def test_footage_of_a_calibration_is_reconstructed_without_sending_it_again(making: Live, videos: list[Path]) -> None:
     job = send(making, videos, method="board", board=SPEC).json()
     work(making)
@@ -297,6 +302,7 @@ def test_footage_of_a_calibration_is_reconstructed_without_sending_it_again(maki
     assert not any(artifacts.exists(file.key) for file in stored.files)
 
 
+@pytest.mark.slow
 def test_a_capture_of_keypoints_is_reconstructed_with_a_calibration_of_its_own_people(
     making: Live, walk: Simulation
 ) -> None:

@@ -53,7 +53,7 @@ def clustered(session: KeypointSession, chunk_frames: int) -> People:
     return link(session, poses, session.joints, CONFIG)
 
 
-@pytest.mark.parametrize("chunk_frames", [7, 25])
+@pytest.mark.parametrize("chunk_frames", [7, pytest.param(25, marks=pytest.mark.slow)])
 def test_no_cut_changes_a_byte(session: KeypointSession, chunk_frames: int) -> None:
     whole, cut = clustered(session, session.timebase.num_frames), clustered(session, chunk_frames)
     assert len(whole[0]) == len(cut[0]) >= 3

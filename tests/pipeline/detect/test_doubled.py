@@ -62,6 +62,7 @@ def test_frames_that_are_missing_are_no_comparison() -> None:
     assert np.isnan(meter.changes().change).tolist() == [True, False, False, True, False]
 
 
+@pytest.mark.slow
 @given(borders=st.lists(st.integers(0, NUM_FRAMES), max_size=5))
 def test_ranges_are_joined_to_what_one_range_gives(borders: list[int]) -> None:
     pictures, parts = scene(40, 8.0, (10, 11, 40)), []

@@ -151,6 +151,7 @@ def test_feet_without_toes_are_level_while_they_stand_and_follow_the_shin_else()
     assert (np.abs(quat[:, 3]) > 1 - 1e-12).any()  # at rest to the shin in mid-swing
 
 
+@pytest.mark.slow
 def test_windows_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, found = recorded("walk", 10.0)
     whole = animated("walk", 10.0)

@@ -98,6 +98,7 @@ def changed(sources: Path) -> set[str]:
     return {stage for stage, code in after.items() if code != before[stage]}
 
 
+@pytest.mark.slow
 def test_comments_docstrings_and_layout_change_nothing(sources: Path) -> None:
     for path in sources.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
@@ -110,6 +111,7 @@ def test_comments_docstrings_and_layout_change_nothing(sources: Path) -> None:
     assert changed(sources) == set()
 
 
+@pytest.mark.slow
 def test_a_constant_of_contacts_counts_for_the_fit(sources: Path) -> None:
     path = sources / "pipeline/skeleton/feet/contacts.py"
     name = next(
@@ -125,6 +127,7 @@ def test_what_a_function_imports_inside_counts(sources: Path) -> None:
     assert DETECT in changed(sources)
 
 
+@pytest.mark.slow
 def test_a_module_that_no_stage_imports_counts_for_none(sources: Path) -> None:
     append(sources / "pipeline/simulation/motion/body.py")
     (sources / "pipeline/new.py").write_text("NEW = 1\n", encoding="utf-8")

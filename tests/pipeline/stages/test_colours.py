@@ -106,6 +106,7 @@ def test_colours_reach_the_tracker_and_stay_in_no_cache(
     assert not any("colour" in name for name in names)
 
 
+@pytest.mark.slow
 def test_another_association_measures_them_again_without_the_network(
     session: CaptureSession, network: FakeNetwork, tracked: list[Bodies], tmp_path: Path
 ) -> None:
@@ -131,6 +132,7 @@ def test_nothing_is_decoded_for_people_who_are_tracked_already(
     assert len(tracked) == 1
 
 
+@pytest.mark.slow
 def test_a_damaged_output_of_detection_is_detected_anew_with_its_colours(
     session: CaptureSession, network: FakeNetwork, tracked: list[Bodies], tmp_path: Path
 ) -> None:
@@ -154,6 +156,7 @@ def test_the_cut_into_chunks_changes_no_byte(
         np.testing.assert_array_equal(other.colour, first.colour)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("choice", [{"appearance": "off"}, {"method": "clustering"}])
 def test_colours_that_nobody_asks_for_are_not_measured(
     session: CaptureSession,

@@ -77,7 +77,8 @@ def test_another_session_reuses_nothing(session: KeypointSession, tmp_path: Path
     assert units[ASSOCIATE][0] == 0
 
 
-@pytest.mark.parametrize("frame_range", [(10, 55), pytest.param(None, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("frame_range", [(10, 55), None])
 def test_processes_and_ranges_change_no_byte(
     session: KeypointSession, tmp_path: Path, frame_range: tuple[int, int] | None
 ) -> None:

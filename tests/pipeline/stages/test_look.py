@@ -72,6 +72,7 @@ def test_detection_takes_the_size_that_the_look_chose(session: CaptureSession, n
     assert set(detected) == {320}  # the body spans 190 pixels of a height of 267; a height of 240 has more padding
 
 
+@pytest.mark.slow
 def test_another_part_and_cut_of_the_session_reuse_the_look(
     session: CaptureSession, network: FakeNetwork, tmp_path: Path
 ) -> None:

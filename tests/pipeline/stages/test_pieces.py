@@ -75,6 +75,7 @@ def files(
     return {path.name: path.read_bytes() for path in paths}
 
 
+@pytest.mark.slow
 def test_people_are_fitted_once_whatever_is_edited_elsewhere(
     session: KeypointSession, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -58,6 +58,7 @@ def furthest(true: Sequence[Camera], found: Sequence[Camera]) -> tuple[float, fl
     return max(turn_deg(*pair) for pair in pairs), max(shift_m(*pair) for pair in pairs)
 
 
+@pytest.mark.slow
 def test_a_disturbed_calibration_is_refined_reported_and_written(
     session: KeypointSession, disturbed: KeypointSession, tmp_path: Path
 ) -> None:

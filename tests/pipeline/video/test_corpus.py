@@ -89,7 +89,6 @@ def same(found: Iterator[tuple[int, np.ndarray]], expected: list[tuple[int, np.n
     assert numbers == [number for number, _ in expected]
 
 
-@pytest.mark.slow
 def test_every_single_frame_and_every_start(clip: tuple[Clip, VideoInfo]) -> None:
     _, video = clip
     whole = [(number, image_rgb.copy()) for number, image_rgb in frames(video, 0, video.num_frames)]

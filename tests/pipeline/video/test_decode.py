@@ -1,3 +1,4 @@
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -38,9 +39,10 @@ def video(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return found
 
 
-def straight(video: VideoInfo) -> list[np.ndarray]:
+@cache
+def straight(path: Path) -> list[np.ndarray]:
     """Decode all pictures by PyAV alone."""
-    with av.open(str(video.path)) as container:
+    with av.open(str(path)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
 
@@ -48,13 +50,14 @@ def pictures(video: VideoInfo, start_frame: int, stop_frame: int) -> list[tuple[
     return [(number, image_rgb.copy()) for number, image_rgb in decode(video, start_frame, stop_frame)]
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(borders=st.lists(st.integers(0, NUM_FRAMES), max_size=5))
 def test_any_cut_gives_every_frame_once_and_unchanged(video: VideoInfo, borders: list[int]) -> None:
     edges = [0, *sorted(borders), NUM_FRAMES]
     found = [pair for start, stop in pairwise(edges) for pair in pictures(video, start, stop)]
     assert [number for number, _ in found] == list(range(NUM_FRAMES))
-    for (_, image_rgb), expected in zip(found, straight(video), strict=True):
+    for (_, image_rgb), expected in zip(found, straight(video.path), strict=True):
         np.testing.assert_array_equal(image_rgb, expected)
 
 
@@ -69,7 +72,7 @@ def test_chosen_frames_alone_are_given(video: VideoInfo, chosen: list[int]) -> N
     found = [(number, image_rgb.copy()) for number, image_rgb in decode(video, 0, 99, damaged.append, only=chosen)]
     assert [number for number, _ in found] == sorted({number for number in chosen if number < NUM_FRAMES})
     for number, image_rgb in found:
-        np.testing.assert_array_equal(image_rgb, straight(video)[number])
+        np.testing.assert_array_equal(image_rgb, straight(video.path)[number])
     assert damaged == []
 
 
@@ -78,7 +81,7 @@ def test_keyframes_alone_are_decoded(video: VideoInfo) -> None:
     found = [(number, image_rgb.copy()) for number, image_rgb in decode(video, 0, NUM_FRAMES, only=keyframes)]
     assert [number for number, _ in found] == keyframes
     for number, image_rgb in found:
-        np.testing.assert_array_equal(image_rgb, straight(video)[number])
+        np.testing.assert_array_equal(image_rgb, straight(video.path)[number])
 
 
 CONTAINERS: dict[str, dict[str, Any]] = {
@@ -101,7 +104,7 @@ CONTAINERS: dict[str, dict[str, Any]] = {
 def test_every_container_can_be_entered_in_the_middle(tmp_path: Path, name: str) -> None:
     found = probe(write_video(tmp_path / name, NUM_FRAMES, **CONTAINERS[name]))
     assert isinstance(found, VideoInfo)
-    expected = straight(found)
+    expected = straight(found.path)
     assert found.num_frames == len(expected) == NUM_FRAMES
     for start, stop in ((17, 20), (NUM_FRAMES - 5, NUM_FRAMES)):
         numbers, images = zip(*pictures(found, start, stop), strict=True)
@@ -113,7 +116,7 @@ def test_pictures_whose_rows_are_padded(tmp_path: Path) -> None:
     """The width is not a multiple of any alignment."""
     found = probe(write_video(tmp_path / "clip.mp4", 3, size_px=(70, 46)))
     assert isinstance(found, VideoInfo)
-    for (_, image_rgb), expected in zip(pictures(found, 0, 3), straight(found), strict=True):
+    for (_, image_rgb), expected in zip(pictures(found, 0, 3), straight(found.path), strict=True):
         np.testing.assert_array_equal(image_rgb, expected)
 
 

@@ -70,7 +70,15 @@ def test_a_file_that_kills_its_decoder_is_a_bad_file(
     assert "limits" in problem.message
 
 
-@pytest.mark.parametrize("act", ["raise MemoryError", "bytearray(8 << 30)", "time.sleep(60)", "while True: pass"])
+@pytest.mark.parametrize(
+    "act",
+    [
+        "raise MemoryError",
+        "bytearray(8 << 30)",
+        "time.sleep(60)",
+        pytest.param("while True: pass", marks=pytest.mark.slow),
+    ],
+)
 def test_a_file_beyond_the_limits_is_a_bad_file(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str
 ) -> None:

@@ -29,7 +29,9 @@ def test_a_file_that_kills_its_decoder_is_a_bad_file(
     assert (found.code, found.file) == ("video_unreadable", "a.mp4")
 
 
-@pytest.mark.parametrize("act", ["raise MemoryError", "time.sleep(60)", "\n    while True: pass"])
+@pytest.mark.parametrize(
+    "act", ["raise MemoryError", "time.sleep(60)", pytest.param("\n    while True: pass", marks=pytest.mark.slow)]
+)
 def test_a_file_beyond_the_limits_is_a_bad_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str) -> None:
     monkeypatch.setattr(probing, "_TIMEOUT_S", 6.0)
     in_children(tmp_path, monkeypatch, when_opened(act))

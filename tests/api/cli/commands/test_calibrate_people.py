@@ -35,6 +35,7 @@ def given(capture: Path) -> list[str]:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_keypoints_give_a_calibration_and_a_report(capture: Path, tmp_path: Path) -> None:
     out = tmp_path / "room.toml"
     arguments = [

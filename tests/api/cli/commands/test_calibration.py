@@ -136,6 +136,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_people_tell_a_turned_camera_and_a_wrong_floor(room: Path) -> None:
     """Calibrations that are good by themselves are compared with people."""
     cameras = read_contents(room / "calibration.json").cameras

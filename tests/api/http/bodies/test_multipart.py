@@ -129,6 +129,7 @@ def mutations(count: int) -> Iterator[bytes]:
         yield bytes(body)
 
 
+@pytest.mark.slow
 def test_damaged_bodies_are_the_clients_fault_or_harmless(live: Live) -> None:
     refused = 0
     for body in mutations(1500):

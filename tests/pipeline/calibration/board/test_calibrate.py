@@ -38,7 +38,7 @@ def distance_mm(found: tuple[Camera, ...], truth: tuple[Camera, ...], board: Boa
     return min((1000 * np.linalg.norm(found_m - way_m, axis=1) for way_m in ways_m), key=np.max)
 
 
-@pytest.mark.parametrize("board", [CHARUCO, AMBIGUOUS], ids=str)
+@pytest.mark.parametrize("board", [CHARUCO, pytest.param(AMBIGUOUS, marks=pytest.mark.slow)], ids=str)
 def test_a_rig_is_recovered_with_its_floor(board: Board) -> None:
     made = calibrate_board(simulated(board), board, None, 25.0)
     truth = ring(4)
@@ -96,6 +96,7 @@ def test_given_intrinsics_stay() -> None:
     assert all(np.isnan(report.focal_sigma_percent) for report in made.by_camera)
 
 
+@pytest.mark.slow
 def test_cameras_of_another_clock_are_refused_with_the_offset() -> None:
     views = simulated(CHARUCO)
     late = replace(views[1], time_s=read_only(views[1].time_s + 0.4))

@@ -98,6 +98,7 @@ def test_a_wrong_clock_and_a_video_given_twice_are_named(walk: Simulation) -> No
     assert ("people_same_place", "cam_01") in {(one.code, one.camera) for one in twice.warnings}
 
 
+@pytest.mark.slow
 def test_known_points_make_the_world_and_its_scale(walk: Simulation) -> None:
     xyz_m = np.array([[0.8, 0.6, 0.0], [-0.9, 0.2, 0.1], [0.2, -0.7, 1.2]])
     seen_px = {camera.name: project(camera, xyz_m).tolist() for camera in walk.cameras}

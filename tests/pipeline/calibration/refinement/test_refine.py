@@ -35,6 +35,7 @@ def test_disturbed_cameras_come_back() -> None:
     assert max(shift_m(then, now) for then, now in zip(given, found.cameras, strict=True)) < 0.05
 
 
+@pytest.mark.slow
 def test_a_good_calibration_is_not_touched() -> None:
     found = refine(CAMERAS, CAMERAS, see(CAMERAS, *walk(20.0)))
     assert not found.is_refined

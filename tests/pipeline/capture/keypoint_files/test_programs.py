@@ -272,7 +272,7 @@ BODY = {"keypoints": points(17)}
         ("take.json", [{"pose_landmarks": [landmarks(0.5, 0.5)] * 2, "left_hand_landmarks": landmarks(0, 0, 21)}],
          "left_hand_landmarks", "1 left hands of 2 poses"),
         ("take.json", [{"pose_landmarks": landmarks(0.5, 0.5, 32)}], "pose_landmarks", "32 landmarks"),
-        ("take.json", [{"pose_landmarks": [None]}], None, "known format"),
+        ("take.json", [{"pose_landmarks": [None]}], "pose_landmarks", "1 landmarks"),
         ("take.json", [{"pose_landmarks": {"landmark": 3}}], None, "known format"),
         ("take.json", [{"frame": 1, "landmarks": []}, {"landmarks": []}], "frame", "listed twice"),
         ("take.csv", "a,b\n1,2\n", None, "scorer"),

@@ -84,6 +84,7 @@ def test_other_smoothing_states_none(smoothing: Smoothing) -> None:
     assert all(track.uncertainty_m is None for track in animated("room", smoothing=smoothing).tracks)
 
 
+@pytest.mark.slow
 def test_windows_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, found = taken("room")
     whole = animated("room")
