@@ -3,18 +3,22 @@
 import io
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.contents import Units
+from pipeline.calibration.registry import read_calibration, read_contents
 from pipeline.capture import preflight
+from pipeline.errors import InputError, listed
 from pipeline.simulation.scenes import Simulation
 from tests.hostile.calibrations import in_every_format, spoilt_calibrations
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
+from tests.hostile.programs import of_programs, packed, spoilt_programs
 
 SEED = 18
 MAX_S = 10.0  # time limit of a check on a busy machine
@@ -69,6 +73,30 @@ def test_good_ones_are_read_in_every_format(tmp_path: Path, simulation: Simulati
         cameras = read_calibration(tmp_path / name)
         assert [camera.size_px for camera in cameras] == [camera.size_px for camera in simulation.cameras]
     assert len(check(tmp_path / "session", keypoint_files(simulation))["cameras"]) == 2
+
+
+def test_files_of_other_programs(tmp_path: Path, simulation: Simulation) -> None:
+    for name, members in of_programs(simulation.cameras).items():
+        (tmp_path / name).write_bytes(packed(members))
+        units: Units | None = "mm" if name == "anipose.toml" else None
+        assert len(read_contents(tmp_path / name, units).cameras) == len(simulation.cameras)
+    refused = 0
+    for name, content in spoilt_programs(simulation.cameras, SEED, 300):
+        path = tmp_path / name
+        path.write_bytes(content)
+        notes, problems = notes_and_problems(path)
+        refused += bool(problems)
+        assert not problems or is_clear(problems), problems
+        assert all(note.isprintable() and len(note) < 600 for note in notes)
+    assert refused > 150
+
+
+def notes_and_problems(path: Path) -> tuple[Sequence[str], list[dict[str, Any]]]:
+    """Notes of a calibration that is read, or the problems of one that is not."""
+    try:
+        return read_contents(path).notes, []
+    except InputError as error:
+        return (), [asdict(problem) for problem in listed(error.problems)]
 
 
 def test_calibrations(tmp_path: Path, simulation: Simulation) -> None:

@@ -5,7 +5,7 @@ import json
 import random
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from tests.api.conftest import NO_BROKER, Live, running
 from tests.hostile.calibrations import spoilt_calibrations
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
 from tests.hostile.media import good_videos, spoilt_videos
+from tests.hostile.programs import spoilt_programs
 from tests.hostile.test_hostile_files import SEED, is_clear
 
 MAX_S = 30.0
@@ -78,10 +79,8 @@ def test_300_calibrations(live: Live) -> None:
     assert codes[422] > 150
 
 
-@pytest.mark.hostile
-def test_300_calibrations_of_their_own(live: Live) -> None:
-    """The same files as resources of their own; files that are read again after they were taken stay readable."""
-    spoilt = itertools.islice(spoilt_calibrations(simulate().cameras, SEED + 1, 300), 300)
+def send_alone(live: Live, spoilt: Iterable[tuple[str, bytes]]) -> Counter[int]:
+    """Send calibrations as resources of their own; those that are taken stay readable."""
     codes: Counter[int] = Counter()
     for name, content in spoilt:
         answer = post(live, [("calibration", (name, content))], "/v1/calibrations")
@@ -93,6 +92,26 @@ def test_300_calibrations_of_their_own(live: Live) -> None:
                 # A format may be unable to hold a calibration: 404.
                 download = live.client.get(links["file"], params={"format": file_format})
                 assert download.status_code in {200, 404}
+    return codes
+
+
+def test_files_of_other_programs(live: Live) -> None:
+    """Each bomb, and a few files with random damage."""
+    codes = send_alone(live, spoilt_programs(simulate().cameras, SEED, 20))
+    assert codes.total() == 20
+    assert codes[422] >= 8
+
+
+@pytest.mark.hostile
+def test_300_files_of_other_programs(live: Live) -> None:
+    codes = send_alone(live, spoilt_programs(simulate().cameras, SEED + 2, 300))
+    assert codes.total() == 300
+    assert codes[422] > 150
+
+
+@pytest.mark.hostile
+def test_300_calibrations_of_their_own(live: Live) -> None:
+    codes = send_alone(live, itertools.islice(spoilt_calibrations(simulate().cameras, SEED + 1, 300), 300))
     assert codes.total() == 300
     assert codes[422] > 150
 
