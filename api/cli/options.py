@@ -60,6 +60,12 @@ KeypointsOption = Annotated[
 TimestampsOption = Annotated[
     Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
 ]
+PairByOrderOption = Annotated[
+    bool,
+    typer.Option(
+        "--pair-by-order", help="Pair cameras with videos or folders by the order of their names, not by their names."
+    ),
+]
 KeypointRateOption = Annotated[
     float | None, typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default.")
 ]

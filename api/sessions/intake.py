@@ -280,6 +280,8 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
         arguments.append(f"--recordings={json.dumps(said, ensure_ascii=False)}")
     if manifest.frame_rate_hz is not None:
         arguments.append(f"--frame-rate={manifest.frame_rate_hz!r}")
+    if manifest.pair_by_order:
+        arguments.append("--pair-by-order")
     if form.keypoints:
         arguments.append(f"--max-joints={max_joints}")
     return ["--calibration" if word == f"--{INTRINSICS}" else word for word in arguments]

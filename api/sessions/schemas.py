@@ -87,6 +87,13 @@ class Manifest(BaseModel):
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Facts about some cameras of a session of videos."
     )
+    pair_by_order: bool = Field(
+        default=False,
+        strict=True,
+        description="Whether videos or keypoints whose cameras `cameras` does not state are paired with the other "
+        "cameras by the natural order of their names. By default a camera's name is a whole word in the name of its "
+        "file.",
+    )
     units: Literal["m", "cm", "mm"] | None = Field(
         default=None,
         description="Unit of length of a calibration whose format does not state it (such as TOML). "

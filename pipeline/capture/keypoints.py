@@ -20,7 +20,7 @@ from pipeline.capture.keypoint_files.folders import camera_folders, read_folder
 from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
-from pipeline.capture.pairing import pair_by_name
+from pipeline.capture.pairing import pair
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
@@ -123,11 +123,12 @@ def open_keypoints(
     frame_rate_hz: float | None = None,
     units: Units | None = None,
     max_joints: int | None = None,
+    pair_by_order: bool = False,
 ) -> KeypointSession:
     """Open a folder that contains a folder of keypoint files for each camera.
 
-    A folder belongs to the camera of the same name. If no folder has the name of a camera, folders and cameras are
-    paired in sorted order, and a warning lists the pairs. Cameras without a folder are left out, with a warning.
+    A folder belongs to the camera whose name is a whole word in the folder's name, see ``names.cameras_in_names``.
+    Cameras without a folder are left out, with a warning.
 
     Parameters
     ----------
@@ -140,6 +141,8 @@ def open_keypoints(
         See ``read_contents``.
     max_joints
         Limit on the joints of all people in all files, detected or not; ``None``: no limit. Reading stops at the limit.
+    pair_by_order
+        Pair folders with cameras by the natural order of their names; a warning lists the pairs.
 
     Raises
     ------
@@ -159,9 +162,10 @@ def open_keypoints(
     folders = camera_folders(folder, findings, problems)
     pairs: Mapping[str, str] = {}
     if cameras and folders:
-        pairs, unpaired, pairing_findings = pair_by_name(cameras, list(folders), "folder")
-        problems += unpaired
-        findings += pairing_findings
+        pairing = pair(cameras, list(folders), "folder", by_order=pair_by_order)
+        pairs = pairing.pairs
+        problems += pairing.problems
+        findings += pairing.findings
     camera_of = {name: camera for camera, name in pairs.items()}
     sizes_px = {camera.name: camera.size_px for camera in cameras}
     forms: set[str] = set()

@@ -1,8 +1,9 @@
 """Pair cameras with videos, or with folders of keypoints."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
+from pipeline.capture.names import cameras_in_names, natural_key
 from pipeline.data.cameras import Camera
 from pipeline.errors import Problem
 from pipeline.findings import Finding
@@ -14,10 +15,16 @@ from pipeline.problem_codes.sessions import (
     CAMERA_WITHOUT_FOLDER,
     CAMERA_WITHOUT_VIDEO,
     FOLDER_WITHOUT_CAMERA,
+    PAIRING_AMBIGUOUS,
+    PAIRING_COUNTS,
+    PAIRING_UNKNOWN,
     VIDEO_WITHOUT_CAMERA,
 )
 
 MIN_CAMERAS = 2
+
+Thing = Literal["video", "folder"]
+"""Kind of input of a camera."""
 
 
 class _Codes(NamedTuple):
@@ -32,74 +39,61 @@ _CODES = {
     "video": _Codes(VIDEO_WITHOUT_CAMERA, CAMERA_WITH_TWO_VIDEOS, CAMERA_WITHOUT_VIDEO),
     "folder": _Codes(FOLDER_WITHOUT_CAMERA, CAMERA_WITH_TWO_FOLDERS, CAMERA_WITHOUT_FOLDER),
 }
-# Names that a warning lists.
+# Names that a message lists.
 _MAX_SHOWN = 12
 
 
-def pair_by_name(
-    cameras: Sequence[Camera], names: Sequence[str], thing: Literal["video", "folder"], required: Collection[str] = ()
-) -> tuple[dict[str, str], list[Problem], list[Finding]]:
-    """Pair cameras and inputs, either all by exact name or all in sorted order.
+class Pairing(NamedTuple):
+    """Inputs of cameras."""
+
+    pairs: Mapping[str, str]  # Name of the input of each camera, by camera name
+    # Inputs without camera or of several cameras, second inputs of a camera, and required cameras without input; all
+    # cameras without input, if there is another problem, or if fewer than two cameras have one
+    problems: Sequence[Problem]
+    # List of the pairs, if they were paired by order; list of the cameras that are left out
+    findings: Sequence[Finding]
+
+
+def pair(
+    cameras: Sequence[Camera],
+    names: Sequence[str],
+    thing: Thing,
+    stated: Mapping[str, str] | None = None,
+    required: Collection[str] = (),
+    by_order: bool = False,
+) -> Pairing:
+    """Pair cameras and inputs: as stated, and the others by name, or by order if that is asked for.
 
     Parameters
     ----------
     cameras
-        Cameras. An input may have the name of a camera, or of the camera's section in the calibration.
+        Cameras. The name of an input has the name of a camera, or of the camera's section in the calibration, as a
+        whole word; see ``cameras_in_names``.
     names
         Names of the inputs without endings.
-    thing
-        Kind of input, such as ``video``.
+    stated
+        Names of inputs by the names of their cameras, whatever their names say.
     required
         Names of cameras that must have an input, because the manifest names them.
-
-    Returns
-    -------
-    pairs
-        Name of the input of each camera, by camera name.
-    problems
-        Inputs without camera, second inputs of a camera, and required cameras without input; all cameras without
-        input, if there is another problem, or if fewer than two cameras have one.
-    findings
-        List of the pairs, if they were paired in sorted order; list of the cameras that are left out.
+    by_order
+        Pair inputs and cameras by the natural order of their names, whatever the names are.
     """
-    codes = _CODES[thing]
-    known = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
-    called = [camera.name for camera in cameras]
-    if not known.keys() & set(names) and len(called) == len(names):
-        pairs = dict(zip(sorted(called), sorted(names), strict=True))
-        shown = ", ".join(f"{camera}: {name}" for camera, name in pairs.items())
-        return pairs, [], [_sorted(thing, shown)]
-    pairs = {}
-    problems: list[Problem] = []
-    for name in sorted(set(names)):
-        camera = known.get(name)
-        if camera is None:
-            problems.append(
-                Problem(
-                    codes.without_camera,
-                    f"The calibration has no camera with the name of this {thing}.",
-                    file=name,
-                    hint=f"The calibration's cameras are {', '.join(sorted(called))}.",
-                )
-            )
-        elif camera in pairs:
-            problems.append(
-                Problem(
-                    codes.second,
-                    f"This {thing} and {pairs[camera]} belong to the same camera.",
-                    file=name,
-                    camera=camera,
-                    hint="Remove one of them.",
-                )
-            )
-        else:
-            pairs[camera] = name
-    missing = sorted(set(called) - pairs.keys())
+    stated = stated or {}
+    free = sorted({*names} - {*stated.values()}, key=natural_key)
+    if by_order:
+        paired, problems = _by_order([camera.name for camera in cameras if camera.name not in stated], free, thing)
+    else:
+        paired, problems = _by_name(cameras, free, stated, thing)
+    pairs = {**stated, **paired}
+    findings = [_in_order(thing, paired)] if by_order and paired and not problems else []
+    if any(problem.code in {PAIRING_COUNTS, PAIRING_UNKNOWN} for problem in problems):
+        return Pairing(pairs, problems, findings)
+    missing = _sorted(camera.name for camera in cameras if camera.name not in pairs)
     is_subset = not problems and len(pairs) >= MIN_CAMERAS
     refused = [camera for camera in missing if not is_subset or camera in required]
     problems = [
         Problem(
-            codes.missing,
+            _CODES[thing].missing,
             f"The calibration has this camera, but no {thing} has its name.",
             camera=camera,
             hint=f"Add its {thing}, or remove it from the calibration.",
@@ -107,20 +101,78 @@ def pair_by_name(
         for camera in refused
     ] + problems
     left_out = [camera for camera in missing if camera not in refused]
-    return pairs, problems, [_left_out(left_out, thing)] if left_out else []
+    return Pairing(pairs, problems, [*findings, *([_left_out(left_out, thing)] if left_out else [])])
 
 
-def _sorted(thing: str, pairs: str) -> Finding:
-    message = f"No {thing} has the name of a camera. They were paired in sorted order: {pairs}."
-    hint = f"Check the pairs; give each {thing} the name of its camera."
-    return Finding(PAIRED_IN_SORTED_ORDER, message, hint=hint)
+def _by_order(cameras: Sequence[str], names: Sequence[str], thing: Thing) -> tuple[dict[str, str], list[Problem]]:
+    """Pair cameras and inputs by the natural order of their names."""
+    if len(cameras) == len(names):
+        return dict(zip(_sorted(cameras), names, strict=True)), []
+    message = f"{len(names)} {thing}s can't be paired by order with {len(cameras)} cameras."
+    return {}, [Problem(PAIRING_COUNTS, message, hint=_lists(cameras, names, thing))]
 
 
-def _left_out(cameras: Sequence[str], thing: str) -> Finding:
-    shown = ", ".join(cameras[:_MAX_SHOWN]) + (", ..." if len(cameras) > _MAX_SHOWN else "")
-    message = f"{len(cameras)} cameras of the calibration have no {thing}: {shown}. They are left out."
+def _by_name(
+    cameras: Sequence[Camera], names: Sequence[str], stated: Mapping[str, str], thing: Thing
+) -> tuple[dict[str, str], list[Problem]]:
+    """Pair cameras and inputs by name; report inputs of no camera, of several, and of a camera that has one."""
+    codes = _CODES[thing]
+    called = [camera.name for camera in cameras]
+    or_state = ", or state the video of each camera" if thing == "video" else ""
+    found = cameras_in_names(names, {camera.name: [camera.section] for camera in cameras})
+    if names and not stated and not any(found.values()):
+        message = f"No {thing} has the name of a camera."
+        hint = (
+            f"{_lists(called, names, thing)} Name them alike{or_state}, or pair them by order: --pair-by-order, or "
+            "pair_by_order in the manifest."
+        )
+        return {}, [Problem(PAIRING_UNKNOWN, message, hint=hint)]
+    pairs: dict[str, str] = {}
+    problems = []
+    for name, of_name in found.items():
+        if not of_name:
+            message = f"The calibration has no camera with the name of this {thing}."
+            hint = _lists(called, names, thing)
+            problems.append(Problem(codes.without_camera, message, file=name, hint=hint))
+        elif len(of_name) > 1:
+            message = f"The name of this {thing} is that of several cameras: {', '.join(of_name)}."
+            hint = f"{_lists(called, names, thing)} Rename the {thing}{or_state}."
+            problems.append(Problem(PAIRING_AMBIGUOUS, message, file=name, hint=hint))
+        elif (other := stated.get(of_name[0])) is not None:
+            message = f"This {thing} has the name of the camera {of_name[0]}, but {other} is assigned to it."
+            hint = f"Assign this {thing} to its camera, or omit it."
+            problems.append(Problem(codes.second, message, file=name, camera=of_name[0], hint=hint))
+        elif (other := pairs.get(of_name[0])) is not None:
+            message = f"This {thing} and {other} have the name of the same camera."
+            hint = f"Remove one of them{or_state}."
+            problems.append(Problem(codes.second, message, file=name, camera=of_name[0], hint=hint))
+        else:
+            pairs[of_name[0]] = name
+    return pairs, problems
+
+
+def _lists(cameras: Iterable[str], names: Iterable[str], thing: Thing) -> str:
+    return f"The cameras are {_shown(_sorted(cameras))}; the {thing}s are {_shown(_sorted(names))}."
+
+
+def _shown(names: Sequence[str]) -> str:
+    return ", ".join(names[:_MAX_SHOWN]) + (", ..." if len(names) > _MAX_SHOWN else "")
+
+
+def _sorted(names: Iterable[str]) -> list[str]:
+    return sorted(names, key=natural_key)
+
+
+def _in_order(thing: Thing, pairs: Mapping[str, str]) -> Finding:
+    shown = ", ".join(f"{camera}: {name}" for camera, name in pairs.items())
+    message = f"Cameras and {thing}s are paired by the order of their names: {shown}."
+    return Finding(PAIRED_IN_SORTED_ORDER, message, hint=f"Check the pairs; give each {thing} the name of its camera.")
+
+
+def _left_out(cameras: Sequence[str], thing: Thing) -> Finding:
+    message = f"{len(cameras)} cameras of the calibration have no {thing}: {_shown(cameras)}. They are left out."
     if len(cameras) == 1:
-        message = f"The camera {shown} of the calibration has no {thing}: it is left out."
+        message = f"The camera {cameras[0]} of the calibration has no {thing}: it is left out."
     hint = f"If a {thing} is missing, add it."
     return Finding(
         CAMERA_LEFT_OUT,

@@ -1,11 +1,12 @@
 """Check a session, or a calibration, in a child process.
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] [--clock CLOCK] [--frame-rate HZ] |
---keypoints ZIP... [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object:
-the session's report, or ``{"problems": [...]}`` with exit code 2. So a caller can check a session without loading the
-numeric libraries, and without opening untrusted files itself. ``--record FILE`` stores the opened session, so that the
-files need not be examined again. ``--thumbnails FOLDER`` also checks the cameras against each other and a few pictures
-of each video, for ``--pictures-s SECONDS``; their small copies are stored in the folder as ``thumbnail_name`` says.
+--keypoints ZIP... [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--units UNITS] [--pair-by-order]`` prints
+one JSON object: the session's report, or ``{"problems": [...]}`` with exit code 2. So a caller can check a session
+without loading the numeric libraries, and without opening untrusted files itself. ``--record FILE`` stores the opened
+session, so that the files need not be examined again. ``--thumbnails FOLDER`` also checks the cameras against each
+other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies are stored in the folder as
+``thumbnail_name`` says.
 
 Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains. ``--videos``
 without ``--calibration`` are those of a calibration that is to be made.
@@ -119,7 +120,13 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
     units, clock = arguments.units, arguments.clock
     session = open_session(
-        arguments.videos, arguments.calibration, recordings, units, clock, images_rate_hz=arguments.frame_rate
+        arguments.videos,
+        arguments.calibration,
+        recordings,
+        units,
+        clock,
+        arguments.frame_rate,
+        arguments.pair_by_order,
     )
     if arguments.photographs:  # their numbers are no times
         session = replace(
@@ -168,6 +175,7 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
             arguments.frame_rate,
             arguments.units,
             arguments.max_joints,
+            arguments.pair_by_order,
         )
     files = [session.folders[camera.name] + ".zip" for camera in session.cameras]
     preflight = report(session, files, arguments.units)
@@ -224,6 +232,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."
     )
+    parser.add_argument("--pair-by-order", action="store_true", help="Pair by the order of the files' names.")
     parser.add_argument("--photographs", action="store_true", help="The videos are archives of photographs.")
     parser.add_argument("--board", help="Board that the videos show; its specification is checked.")
     parser.add_argument("--record", type=Path)

@@ -13,7 +13,8 @@ from pipeline.calibration.sizes import fit_to_video, guessed_camera
 from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
+from pipeline.capture.names import natural_key, nfc
+from pipeline.capture.pairing import MIN_CAMERAS, pair
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
@@ -22,7 +23,6 @@ from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.problem_codes.findings import CALIBRATION_ADAPTED, CALIBRATION_NOTE, FILE_IGNORED, FRAMES_REPEATED
 from pipeline.problem_codes.sessions import (
-    CAMERA_WITH_TWO_VIDEOS,
     DUPLICATE_RECORDING,
     DUPLICATE_RECORDING_FILE,
     DUPLICATE_VIDEO,
@@ -150,13 +150,14 @@ def open_session(
     units: Units | None = None,
     clock: Clock = "declared",
     images_rate_hz: float | None = None,
+    pair_by_order: bool = False,
 ) -> CaptureSession:
     """Open a folder of videos, or a list of videos, with a calibration.
 
-    Videos are synchronised at their first frames, unless ``recordings`` gives offsets. A video belongs to the camera of
-    the same name. If no video has the name of a camera, videos and cameras are paired in sorted order, and a warning
-    lists the pairs. Cameras without a video are left out, with a warning. A calibration of another picture size is
-    adapted where ``fit_to_picture`` can do it, with a warning.
+    Videos are synchronised at their first frames, unless ``recordings`` gives offsets. A video belongs to the camera
+    for which ``recordings`` names it, else to the camera whose name is a whole word in its name, see
+    ``names.cameras_in_names``. Cameras without a video are left out, with a warning. A calibration of another picture
+    size is adapted where ``fit_to_picture`` can do it, with a warning.
 
     Parameters
     ----------
@@ -171,6 +172,9 @@ def open_session(
         Clock of the videos' starts; offsets of ``recordings`` are added.
     images_rate_hz
         Frame rate of sequences of images, folders or zip archives in place of videos, whose recordings state none.
+    pair_by_order
+        Pair the videos that ``recordings`` does not name with the other cameras by the natural order of their names; a
+        warning lists the pairs.
 
     Raises
     ------
@@ -199,28 +203,20 @@ def open_session(
     problems += _range_problems(recordings)
     recording_of_camera, recording_problems = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
     problems += recording_problems
-    camera_of_file = {
-        recording.file: camera for camera, recording in recording_of_camera.items() if recording.file is not None
-    }
-    names = [camera_of_file.get(path.name, _stem(path)) for path in paths]
-    problems += [
-        Problem(
-            CAMERA_WITH_TWO_VIDEOS,
-            f"This video has the name of the camera {name}, but {recording_of_camera[name].file} is assigned to it.",
-            file=path.name,
-            camera=name,
-            hint="Assign this video to its camera, or omit it.",
-        )
-        for path, name in zip(paths, names, strict=True)
-        if not recording_problems and path.name not in camera_of_file and name in camera_of_file.values()
-    ]
-    infos = {name: result for name, result in zip(names, probed, strict=True) if isinstance(result, VideoInfo)}
     if cameras and not recording_problems:
-        pairs, unpaired, pairing_findings = pair_by_name(cameras, names, "video", recording_of_camera.keys())
-        problems += unpaired
-        findings += pairing_findings
-        videos_of = {camera: infos[name] for camera, name in pairs.items() if name in infos}
-        cameras = _fitted([camera for camera in cameras if camera.name in pairs], videos_of, findings, problems)
+        path_of = {nfc(path.name): path for path in paths}
+        stated = {
+            camera: _stem(path_of[nfc(recording.file)])
+            for camera, recording in recording_of_camera.items()
+            if recording.file is not None
+        }
+        names = [_stem(path) for path in paths]
+        pairing = pair(cameras, names, "video", stated, recording_of_camera.keys(), pair_by_order)
+        problems += pairing.problems
+        findings += pairing.findings
+        infos = {name: result for name, result in zip(names, probed, strict=True) if isinstance(result, VideoInfo)}
+        videos_of = {camera: infos[name] for camera, name in pairing.pairs.items() if name in infos}
+        cameras = _fitted([camera for camera in cameras if camera.name in pairing.pairs], videos_of, findings, problems)
     if problems:
         raise InputError(problems)
     stated_hz = {name: recording.frame_rate_hz for name, recording in recording_of_camera.items()}
@@ -283,12 +279,12 @@ def _known_recordings(
 ) -> tuple[dict[str, Recording], list[Problem]]:
     """Sort recordings by camera; report unknown cameras and files, and cameras and files that occur twice."""
     names = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
-    files = {path.name for path in paths}
+    files = {nfc(path.name) for path in paths}
     known: dict[str, Recording] = {}
     problems = []
     for recording in recordings:
         camera = names.get(recording.camera)
-        hint = f"The calibration's cameras are {', '.join(sorted(names.values()))}."
+        hint = f"The calibration's cameras are {', '.join(sorted({*names.values()}, key=natural_key))}."
         if camera is None:
             message = "The calibration has no camera of this name."
             problems.append(Problem(RECORDING_CAMERA_UNKNOWN, message, camera=recording.camera, hint=hint))
@@ -296,10 +292,10 @@ def _known_recordings(
             problems.append(
                 Problem(DUPLICATE_RECORDING, "There is more than one recording for this camera.", camera=camera)
             )
-        elif recording.file is not None and recording.file not in files:
+        elif recording.file is not None and nfc(recording.file) not in files:
             message = "There is no video of this name."
             problems.append(Problem(RECORDING_FILE_UNKNOWN, message, file=recording.file, camera=camera))
-        elif recording.file is not None and recording.file in {other.file for other in known.values()}:
+        elif recording.file is not None and nfc(recording.file) in {nfc(other.file or "") for other in known.values()}:
             message = "The video is already assigned to another camera."
             problems.append(Problem(DUPLICATE_RECORDING_FILE, message, file=recording.file, camera=camera))
         else:

@@ -19,7 +19,7 @@ FILE_IGNORED = FILES.code(
 PAIRED_IN_SORTED_ORDER = FILES.code(
     "paired_in_sorted_order",
     _FINDING,
-    "No video or folder has the name of a camera, so they were paired in sorted order.",
+    "Videos or folders were paired with cameras by the natural order of their names, as it was asked for.",
     "Check the pairs; give the files the names of the cameras.",
 )
 CAMERA_LEFT_OUT = FILES.code(

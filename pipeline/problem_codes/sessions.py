@@ -176,8 +176,29 @@ TOO_FEW_VIDEOS = VIDEOS.code(
 DUPLICATE_VIDEO = VIDEOS.code(
     "duplicate_video", _FILES, "Two videos have the same name except for the suffix.", "Rename one."
 )
+PAIRING_UNKNOWN = VIDEOS.code(
+    "pairing_unknown",
+    _FILES,
+    "No video or folder has the name of a camera as a whole word in its name.",
+    "Name them alike, state the file of each camera, or ask for pairing by order: `pair_by_order`, `--pair-by-order`.",
+)
+PAIRING_AMBIGUOUS = VIDEOS.code(
+    "pairing_ambiguous",
+    _FILES,
+    "The name of a video or folder has the names of several cameras.",
+    "Rename it, or state the file of each camera.",
+)
+PAIRING_COUNTS = VIDEOS.code(
+    "pairing_counts",
+    _FILES,
+    "Videos or folders are to be paired with cameras by order, and there are not as many.",
+    "Name them as the cameras, or leave out what is too much.",
+)
 VIDEO_WITHOUT_CAMERA = VIDEOS.code(
-    "video_without_camera", _FILES, "No camera of the calibration has the video's name.", "Rename the video."
+    "video_without_camera",
+    _FILES,
+    "No camera's name is a whole word in the video's name, while other videos have cameras' names.",
+    "Rename the video, or state its camera.",
 )
 CAMERA_WITHOUT_VIDEO = VIDEOS.code(
     "camera_without_video",
@@ -262,7 +283,10 @@ TOO_FEW_FOLDERS = KEYPOINTS.code(
     "too_few_folders", _FILES, "There are fewer than two folders.", "Give a folder for each camera."
 )
 FOLDER_WITHOUT_CAMERA = KEYPOINTS.code(
-    "folder_without_camera", _FILES, "No camera of the calibration has the folder's name.", "Rename the folder."
+    "folder_without_camera",
+    _FILES,
+    "No camera's name is a whole word in the folder's name, while other folders have cameras' names.",
+    "Rename the folder.",
 )
 CAMERA_WITHOUT_FOLDER = KEYPOINTS.code(
     "camera_without_folder",

@@ -200,29 +200,6 @@ def test_cameras_are_corrected_and_left_out(page: Page, served: Served, keypoint
     assert served.client.get("/v1/sessions?name=Exchanged").json()["sessions"] == []
 
 
-NAMES = [
-    # the same name; with a prefix; with another case and separators; a name that is part of another
-    (["cam_0.mp4", "cam_1.mp4"], ["cam_0", "cam_1"], {"cam_0.mp4": "cam_0", "cam_1.mp4": "cam_1"}, False),
-    (["3_cam01.mp4", "3_cam02.mp4"], ["cam01", "cam02"], {"3_cam01.mp4": "cam01", "3_cam02.mp4": "cam02"}, False),
-    (["Cam 1.MOV", "cam-10.mov"], ["cam_1", "cam_10"], {"Cam 1.MOV": "cam_1", "cam-10.mov": "cam_10"}, False),
-    (["left.mp4", "left_back.mp4"], ["left", "left_back"], {"left.mp4": "left", "left_back.mp4": "left_back"}, False),
-    # no camera for a file; as many files as cameras, without a common name
-    (["cam_0.mp4", "witness.mp4"], ["cam_0", "cam_1"], {"cam_0.mp4": "cam_0"}, False),
-    (["GX10.mp4", "GX9.mp4"], ["a", "b"], {"GX9.mp4": "a", "GX10.mp4": "b"}, True),
-    (["GX10.mp4", "GX9.mp4", "GX8.mp4"], ["a", "b"], {}, False),
-]  # fmt: skip
-
-
-def test_files_are_matched_to_cameras_by_their_names(page: Page) -> None:
-    script = """async (cases) => {
-      const { matchCameras } = await import("/portal/send/files.js");
-      const all = cases.map(([names, cameras]) => matchCameras(names, cameras));
-      return all.map(({ matched, isGuess }) => [Object.fromEntries(matched), isGuess]);
-    }"""
-    found = page.evaluate(script, [[names, cameras] for names, cameras, *_ in NAMES])
-    assert found == [[matched, is_guess] for *_, matched, is_guess in NAMES]
-
-
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_views_are_accessible_and_fit(
     served: Served, keypoints: dict[str, Path], width: int, scheme: Literal["light", "dark"]

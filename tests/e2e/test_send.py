@@ -94,6 +94,24 @@ def test_the_page_of_a_running_job_shows_its_progress_at_once(
             process.resume()
 
 
+def test_files_of_other_names_are_paired_by_order_if_that_is_asked_for(
+    page: Page, videos: dict[str, Path], tmp_path: Path
+) -> None:
+    files = [tmp_path / name for name in ("video 9.mp4", "video 10.mp4")]
+    for file, video in zip(files, (videos["left.mp4"], videos["right.mp4"]), strict=True):
+        file.write_bytes(video.read_bytes())
+    choose(page, *files, videos["calibration.json"])
+    notice = page.get_by_text("No camera's name, or more than one, is in the names of")
+    expect(notice).to_contain_text("video 10.mp4. Free cameras: left, right.", timeout=180_000)
+    cameras = [page.get_by_label(f"Camera of {file.name}") for file in files]
+    for camera in cameras:
+        expect(camera).to_have_value("")
+    page.get_by_role("button", name="Pair by the order of names").click()
+    expect(cameras[0]).to_have_value("left")
+    expect(cameras[1]).to_have_value("right")
+    expect(notice).to_be_hidden()
+
+
 def test_a_refused_file_is_replaced_by_another_of_its_name(
     page: Page, served: Served, videos: dict[str, Path], tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ import typer
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, warn
 from api.cli.options import (
     KeypointsOption,
+    PairByOrderOption,
     TimestampsOption,
     UnitsOption,
     checked,
@@ -151,6 +152,7 @@ def command(
     units: UnitsOption = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
+    pair_by_order: PairByOrderOption = False,
     frame_rate: Annotated[
         float | None,
         typer.Option(
@@ -190,13 +192,15 @@ def command(
         check_sources(videos, keypoints, timestamps, offsets)
         session: Session
         if keypoints is not None:
-            session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
+            session = open_keypoints(
+                keypoints, calibration, timestamps, frame_rate, known_units(units), pair_by_order=pair_by_order
+            )
         else:
             named = [*(videos or []), *(more_videos or [])]
             recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
             files = named[0] if len(named) == 1 else named
             session = open_session(
-                files, calibration, recordings, known_units(units), known_clock(clock), images_rate_hz=frame_rate
+                files, calibration, recordings, known_units(units), known_clock(clock), frame_rate, pair_by_order
             )
             if frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
                 message = "A frame rate belongs to keypoints and to images; videos have their own times."

@@ -1,6 +1,4 @@
-// Files of a capture: what they are, by their names, and which camera a file belongs to.
-
-import { stem } from "../shared/format.js";
+// Files of a capture: what they are, by their names.
 
 const KINDS = {
   video: ["mp4", "mov", "m4v", "mkv", "webm", "avi", "ts", "mts", "m2ts", "mpg", "mpeg"],
@@ -61,39 +59,4 @@ async function walk(entry, files) {
     if (piece.length === 0) return;
     for (const child of piece) await walk(child, files);
   }
-}
-
-const plain = (text) => text.toLowerCase().replace(/[^a-z0-9]+/g, "");
-const words = (text) => text.toLowerCase().split(/[^a-z0-9]+/).filter(Boolean);
-
-// Camera of a file by its name: the same name, or the only camera whose name is part of it.
-function cameraOf(name, cameras) {
-  const file = stem(name);
-  const exact = cameras.find((camera) => camera === file)
-    ?? cameras.find((camera) => stem(camera) === file)
-    ?? cameras.find((camera) => plain(camera) === plain(file));
-  if (exact) return exact;
-  const parts = cameras.filter((camera) => words(file).join(" ").includes(words(camera).join(" ")));
-  const longest = parts.sort((one, other) => other.length - one.length)[0];
-  return longest !== undefined && parts.every((part) => longest.includes(part)) ? longest : null;
-}
-
-// Camera by name of a file, a camera once. If no file has the name of a camera and there are as many files as cameras,
-// they are paired in the order of their names, which has to be checked.
-export function matchCameras(names, cameras) {
-  const matched = new Map();
-  const free = new Set(cameras);
-  for (const name of names) {
-    const camera = cameraOf(name, cameras);
-    if (camera === null || !free.has(camera)) continue;
-    matched.set(name, camera);
-    free.delete(camera);
-  }
-  const isGuess = matched.size === 0 && names.length > 0 && names.length === cameras.length;
-  if (isGuess) {
-    const order = (list) => [...list].sort((one, other) => one.localeCompare(other, "en", { numeric: true }));
-    const sorted = order(cameras);
-    order(names).forEach((name, index) => matched.set(name, sorted[index]));
-  }
-  return { matched, isGuess };
 }

@@ -12,7 +12,7 @@ import { captureOf, jobBody, sessionBody } from "./capture.js";
 import { addFiles } from "./chosen_files.js";
 import { emptyDraft, loadDraft, saveDraft } from "./draft.js";
 import { faultsOf } from "./faults.js";
-import { matchCameras } from "./files.js";
+import { inOrder, matchCameras } from "./matching.js";
 import { Rig } from "./rig.js";
 import { Uploads } from "./uploads.js";
 
@@ -75,7 +75,9 @@ class Sending extends EventTarget {
   get takesFiles() { return !this.isLocked || (this.phase === "checked" && hasErrors(this.session)); }
   // Files that were being sent when the page was closed, and have to be chosen again.
   get missing() { return this.used.filter((row) => row.file === null && !row.isSent); }
-  get isGuessed() { return this.#match().isGuess; }
+  // Files whose names don't tell their camera, once there is a calibration, and the cameras that no file has.
+  get unpaired() { return this.cameraNames.length ? this.used.filter(({ kind, camera }) => kind !== "timestamps" && camera === null) : []; }
+  get freeCameras() { return this.cameraNames.filter((name) => !this.used.some(({ camera }) => camera === name)); }
 
   // What Send waits for, as words.
   get unread() {
@@ -193,18 +195,13 @@ class Sending extends EventTarget {
     this.#go("draft");
   }
 
-  #match() {
-    const names = this.rows.filter(({ kind }) => kind !== "timestamps").map(({ name }) => name);
-    return matchCameras(names, this.cameraNames);
-  }
-
   get cameraNames() { return this.rig.record?.cameras.map(({ name }) => name) ?? []; }
 
   // Give a camera to files that have none, by their names.
   assignCameras() {
     const names = this.cameraNames;
     if (names.length === 0 || this.isLocked) return;
-    const { matched } = this.#match();
+    const matched = matchCameras(this.rows.filter(({ kind }) => kind !== "timestamps").map(({ name }) => name), names);
     for (const row of this.rows) {
       if (row.kind === "timestamps") continue;
       if (!names.includes(row.camera)) row.camera = null;
@@ -212,6 +209,12 @@ class Sending extends EventTarget {
       const camera = matched.get(row.name);
       if (row.camera === null && camera && isFree(camera)) this.assign(row, { camera });
     }
+  }
+
+  // Give the free cameras to the files that have none, both in the natural order of their names.
+  pairByOrder() {
+    const paired = inOrder(this.unpaired.map(({ name }) => name), this.freeCameras);
+    for (const row of this.unpaired) this.assign(row, { camera: paired.get(row.name) });
   }
 
   chooseCalibration(id, name = null) {

@@ -105,8 +105,16 @@ export function open(place) {
       ${sending.notes.map((note) => html`<p class="notice" role="status">${note}</p>`)}
       ${sending.rows.length ? fileTable({ sending, change, remove }) : nothing}
       ${timePart(isLocked)}
-      ${sending.rows.length && sending.isGuessed ? html`<p class="notice">No file has the name of a camera. Files and cameras are paired in the order of their names: check them.</p>` : nothing}
+      ${sending.unpaired.length ? pairing(isLocked) : nothing}
     </section>`;
+  }
+
+  // Files and cameras whose names don't match.
+  function pairing(isLocked) {
+    const { unpaired, freeCameras: free } = sending;
+    const listed = (names) => names.join(", ");
+    return html`<p class="notice">No camera's name, or more than one, is in the ${unpaired.length === 1 ? "name" : "names"} of ${listed(unpaired.map(({ name }) => name))}. ${free.length ? `Free cameras: ${listed(free)}. Choose the camera of each file.` : "No camera is free."}
+      ${free.length === unpaired.length ? html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.pairByOrder()}>Pair by the order of names</button>` : nothing}</p>`;
   }
 
   function page() {

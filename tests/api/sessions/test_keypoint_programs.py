@@ -77,6 +77,43 @@ def test_a_wrong_cell_is_named_with_file_frame_and_field(checking: Live, simulat
     assert "individual1 nose y" in json.dumps(item)
 
 
+def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
+    checking: Live, simulation: Simulation, tmp_path: Path
+) -> None:
+    files = keypoint_files(simulation, "AlphaPose")
+    cameras = [camera.name for camera in simulation.cameras]
+
+    def sent(names: list[str], manifest: Mapping[str, Any] = {}) -> Any:
+        renamed = {name: files[camera] for name, camera in zip(names, cameras, strict=True)}
+        part = ("manifest", (None, json.dumps(manifest)))
+        return checking.client.post("/v1/sessions", files=[*parts(simulation, renamed), part])
+
+    def pairs(answer: Any) -> dict[str, str]:
+        return {camera["name"]: camera["file"] for camera in answer.json()["preflight"]["cameras"]}
+
+    words = [f"Walk 1_{camera.upper()}_alphapose" for camera in cameras]
+    assert pairs(sent(words)) == {camera: f"{name}.zip" for camera, name in zip(cameras, words, strict=True)}
+    others = ["view10", "view9"]
+    (item,) = problem_of(sent(others), 422, "invalid_request")["errors"]
+    assert item["code"] == "pairing_unknown"
+    assert f"The cameras are {', '.join(cameras)}; the folders are view9, view10." in item["hint"]
+    answer = sent(others, {"pair_by_order": True})
+    assert pairs(answer) == dict(zip(cameras, ["view9.zip", "view10.zip"], strict=True))
+    assert "paired_in_sorted_order" in {one["code"] for one in answer.json()["preflight"]["findings"]}
+
+    write_session(simulation, "AlphaPose", tmp_path)
+    for camera, name in zip(cameras, others, strict=True):
+        (tmp_path / "keypoints" / camera).rename(tmp_path / "keypoints" / name)
+    command = ["check", "--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")]
+    command += ["--calibration", str(tmp_path / "calibration.json"), "--json"]
+    codes = [
+        {one["code"] for one in json.loads(CliRunner().invoke(app, said).stdout)["findings"]}
+        for said in (command, [*command, "--pair-by-order"])
+    ]
+    assert codes[0] == {"pairing_unknown"}
+    assert "paired_in_sorted_order" in codes[1]
+
+
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_folder_at_the_command_line(tmp_path: Path, simulation: Simulation, program: str) -> None:
     write_session(simulation, program, tmp_path)

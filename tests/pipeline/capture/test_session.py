@@ -136,8 +136,10 @@ def test_videos_match_cameras_by_name_in_the_calibrations_order(folder: Path, tm
     assert session.warnings == ()
 
 
-def test_without_common_names_the_sorted_order_decides_and_is_said(folder: Path, tmp_path: Path) -> None:
-    session = open_session(folder, calibration(tmp_path / "c.json", ["right", "left"]))
+def test_order_decides_only_if_it_is_asked_for_and_is_said(folder: Path, tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["right", "left"])
+    assert problems_of(folder, cameras) == {("pairing_unknown", None)}
+    session = open_session(folder, cameras, pair_by_order=True)
     pairs = {camera.name: video.path.name for camera, video in zip(session.cameras, session.videos, strict=True)}
     assert pairs == {"left": "a.mp4", "right": "b.mp4"}
     (warning,) = session.warnings

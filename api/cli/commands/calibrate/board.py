@@ -10,6 +10,7 @@ from rich.progress import Progress
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import JsonOption, console, reporting, warn
+from api.cli.options import PairByOrderOption
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.source import (
     find_photographs,
@@ -41,6 +42,7 @@ def command(
     intrinsics: Annotated[
         Path | None, typer.Option(help="Calibration whose intrinsics are kept; its poses are ignored.")
     ] = None,
+    pair_by_order: PairByOrderOption = False,
     floor_time: Annotated[
         float | None,
         typer.Option(help="Second at which the board lies on the floor. Default: the longest time it lies still."),
@@ -60,7 +62,7 @@ def command(
             )
         with Progress(console=console, disable=as_json, transient=True) as progress:
             if videos is not None:
-                session = open_session(videos, intrinsics)
+                session = open_session(videos, intrinsics, pair_by_order=pair_by_order)
                 for sentence in () if as_json else session.warnings:
                     warn(sentence)
                 views = list(_in_videos(session, found, progress))

@@ -8,7 +8,7 @@ import typer
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import JsonOption, StageBars, reporting, warn
-from api.cli.options import KeypointsOption, TimestampsOption, checked, with_choices
+from api.cli.options import KeypointsOption, PairByOrderOption, TimestampsOption, checked, with_choices
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
@@ -41,6 +41,7 @@ def command(
     videos: Annotated[Path | None, typer.Option(help="Folder of synchronised videos, one for each camera.")] = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
+    pair_by_order: PairByOrderOption = False,
     intrinsics: Annotated[
         Path | None,
         typer.Option(
@@ -60,10 +61,10 @@ def command(
         config = checked(chosen)
         session: CaptureSession | KeypointSession
         if keypoints is not None and intrinsics is not None:
-            session = open_keypoints(keypoints, intrinsics, timestamps)
+            session = open_keypoints(keypoints, intrinsics, timestamps, pair_by_order=pair_by_order)
             detections, joints = session.detections, session.joints
         else:
-            session = open_session(videos or Path(), intrinsics)
+            session = open_session(videos or Path(), intrinsics, pair_by_order=pair_by_order)
             detections, joints = detect_people(session, config, bars.update), detection_joints(config)
         for sentence in () if as_json else session.warnings:
             warn(sentence)

@@ -9,7 +9,15 @@ import typer
 
 from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
 from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, emit, reporting, show_findings, warn
-from api.cli.options import KeypointsOption, TimestampsOption, UnitsOption, checked, known_units, with_choices
+from api.cli.options import (
+    KeypointsOption,
+    PairByOrderOption,
+    TimestampsOption,
+    UnitsOption,
+    checked,
+    known_units,
+    with_choices,
+)
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session, open_session
@@ -33,6 +41,7 @@ def command(
     ] = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
+    pair_by_order: PairByOrderOption = False,
     units: UnitsOption = None,
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
@@ -48,9 +57,9 @@ def command(
             cameras = contents.cameras
             session: Session | None = None
             if keypoints is not None:
-                session = open_keypoints(keypoints, file, timestamps, units=unit)
+                session = open_keypoints(keypoints, file, timestamps, units=unit, pair_by_order=pair_by_order)
             elif videos is not None:
-                session = open_session(videos, file, units=unit)
+                session = open_session(videos, file, units=unit, pair_by_order=pair_by_order)
         except InputError as error:
             findings = [*check_cameras(cameras)] if cameras else []
             findings += [from_problem(problem) for problem in error.problems]

@@ -14,6 +14,7 @@ from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, console, emit
 from api.cli.options import (
     KeypointRateOption,
     KeypointsOption,
+    PairByOrderOption,
     TimestampsOption,
     UnitsOption,
     checked,
@@ -49,6 +50,7 @@ def command(
     ] = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
+    pair_by_order: PairByOrderOption = False,
     frame_rate: KeypointRateOption = None,
     units: UnitsOption = None,
     chosen: Mapping[str, Any],
@@ -71,11 +73,14 @@ def command(
         try:
             session: Session
             if keypoints is not None:
-                session = open_keypoints(keypoints, calibration, timestamps, frame_rate, unit)
+                session = open_keypoints(
+                    keypoints, calibration, timestamps, frame_rate, unit, pair_by_order=pair_by_order
+                )
             else:
                 paths = videos or []
                 recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
-                session = open_session(paths[0] if len(paths) == 1 else paths, calibration, recordings, unit)
+                files = paths[0] if len(paths) == 1 else paths
+                session = open_session(files, calibration, recordings, unit, pair_by_order=pair_by_order)
         except InputError as error:
             findings = [from_problem(problem) for problem in error.problems]
         else:

@@ -12,6 +12,7 @@ from api.cli.console import EXIT_FAILED, JsonOption, StageBars, emit, print_tabl
 from api.cli.options import (
     KeypointRateOption,
     KeypointsOption,
+    PairByOrderOption,
     TimestampsOption,
     UnitsOption,
     checked,
@@ -34,6 +35,7 @@ def command(
     videos: Annotated[Path | None, typer.Option(help="Folder with one video of each camera.")] = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
+    pair_by_order: PairByOrderOption = False,
     frame_rate: KeypointRateOption = None,
     units: UnitsOption = None,
     chosen: Mapping[str, Any],
@@ -52,9 +54,11 @@ def command(
         config = checked(chosen)
         session: Session
         if keypoints is not None:
-            session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
+            session = open_keypoints(
+                keypoints, calibration, timestamps, frame_rate, known_units(units), pair_by_order=pair_by_order
+            )
         else:
-            session = open_session(videos or Path(), calibration, units=known_units(units))
+            session = open_session(videos or Path(), calibration, units=known_units(units), pair_by_order=pair_by_order)
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
             warn(sentence)
