@@ -284,7 +284,7 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
         arguments.append("--pair-by-order")
     if form.keypoints:
         arguments.append(f"--max-joints={max_joints}")
-    return ["--calibration" if word == f"--{INTRINSICS}" else word for word in arguments]
+    return arguments
 
 
 def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:

@@ -104,10 +104,10 @@ def read_calibration(path: Path, units: Units | None = None) -> tuple[Camera, ..
     return read_contents(path, units).cameras
 
 
-def read_intrinsics(path: Path) -> tuple[Camera, ...]:
-    """Read cameras for their intrinsics, from a file in any supported format; poses are missing or in any unit."""
+def read_intrinsics(path: Path) -> CameraFile:
+    """Read a file in any supported format for the intrinsics of its cameras; poses are missing, or in any unit."""
     contents = _read(path)
-    return (*contents.cameras, *contents.unposed)
+    return replace(contents, cameras=(*contents.cameras, *contents.unposed), unposed=())
 
 
 def read_contents(path: Path, units: Units | None = None) -> CameraFile:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
-from pipeline.calibration.registry import read_contents
+from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.capture.keypoint_files.folders import camera_folders, read_folder
 from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
@@ -124,6 +124,8 @@ def open_keypoints(
     units: Units | None = None,
     max_joints: int | None = None,
     pair_by_order: bool = False,
+    *,
+    keeps_poses: bool = True,
 ) -> KeypointSession:
     """Open a folder that contains a folder of keypoint files for each camera.
 
@@ -143,6 +145,8 @@ def open_keypoints(
         Limit on the joints of all people in all files, detected or not; ``None``: no limit. Reading stops at the limit.
     pair_by_order
         Pair folders with cameras by the natural order of their names; a warning lists the pairs.
+    keeps_poses
+        See ``open_session``.
 
     Raises
     ------
@@ -153,7 +157,7 @@ def open_keypoints(
     findings: list[Finding] = []
     cameras: tuple[Camera, ...] = ()
     try:
-        contents = read_contents(calibration, units)
+        contents = read_contents(calibration, units) if keeps_poses else read_intrinsics(calibration)
         cameras = contents.cameras
         findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
         problems += [_unknown_size(camera, calibration) for camera in cameras if camera.size_px == UNKNOWN_SIZE]

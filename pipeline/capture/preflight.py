@@ -9,7 +9,7 @@ other and a few pictures of each video, for ``--pictures-s SECONDS``; their smal
 ``thumbnail_name`` says.
 
 Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains. ``--videos``
-without ``--calibration`` are those of a calibration that is to be made.
+without ``--calibration``, or with ``--intrinsics`` in its place, are those of a calibration that is to be made.
 """
 
 import argparse
@@ -121,12 +121,13 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     units, clock = arguments.units, arguments.clock
     session = open_session(
         arguments.videos,
-        arguments.calibration,
+        arguments.intrinsics or arguments.calibration,
         recordings,
         units,
         clock,
         arguments.frame_rate,
         arguments.pair_by_order,
+        keeps_poses=arguments.intrinsics is None,
     )
     if arguments.photographs:  # their numbers are no times
         session = replace(
@@ -224,6 +225,7 @@ def main(words: Sequence[str] | None = None) -> int:
     views.add_argument("--videos", nargs="+", type=Path)
     views.add_argument("--keypoints", nargs="+", type=Path)
     parser.add_argument("--calibration", type=Path)
+    parser.add_argument("--intrinsics", type=Path, help="Calibration in place of --calibration; its poses don't count.")
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--recordings", default="[]", help="JSON list of recordings: facts about the videos.")

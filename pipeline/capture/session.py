@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
-from pipeline.calibration.registry import read_contents
+from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.calibration.sizes import fit_to_video, guessed_camera
 from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
@@ -151,6 +151,8 @@ def open_session(
     clock: Clock = "declared",
     images_rate_hz: float | None = None,
     pair_by_order: bool = False,
+    *,
+    keeps_poses: bool = True,
 ) -> CaptureSession:
     """Open a folder of videos, or a list of videos, with a calibration.
 
@@ -175,6 +177,8 @@ def open_session(
     pair_by_order
         Pair the videos that ``recordings`` does not name with the other cameras by the natural order of their names; a
         warning lists the pairs.
+    keeps_poses
+        Whether the calibration's poses count; else it may have intrinsics alone, and poses in any unit.
 
     Raises
     ------
@@ -185,7 +189,7 @@ def open_session(
     cameras: tuple[Camera, ...] = ()
     if calibration is not None:
         try:
-            contents = read_contents(calibration, units)
+            contents = read_contents(calibration, units) if keeps_poses else read_intrinsics(calibration)
             cameras = contents.cameras
             findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
         except InputError as error:

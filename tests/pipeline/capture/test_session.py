@@ -1,7 +1,9 @@
 """Sessions from valid and invalid folders: all problems at once, each with its file or camera."""
 
+import io
 import json
 import shutil
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.capture.preflight import report
+from pipeline.capture.preflight import main, report
 from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import InputError
@@ -390,3 +392,37 @@ class TestTimesOfVideos:
             ("session_too_long", "a.mkv", "a", "rate"),
             ("session_too_long", "b.mkv", "b", "rate"),
         ]
+
+
+def test_intrinsics_need_neither_poses_nor_a_unit(folder: Path, tmp_path: Path) -> None:
+    """Footage of a calibration that is to be made, with lenses that are known."""
+    alone = tmp_path / "intrinsics.toml"
+    lens = "size = [64, 48]\nmatrix = [[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]]\n"
+    sections = [f"[{name}]\n{lens}" for name in "ab"]
+    alone.write_text("".join(sections))
+    in_mm = tmp_path / "in_mm.toml"
+    poses = [f"rotation = [0, 0, 0]\ntranslation = [{1e4 * k}, 0, 0]\n" for k in range(2)]
+    in_mm.write_text("".join(section + pose for section, pose in zip(sections, poses, strict=True)))
+    assert problems_of(folder, alone) == {("calibration_unposed", "intrinsics.toml")}
+    assert problems_of(folder, in_mm) == {("calibration_units_unstated", "in_mm.toml")}
+    for path in (alone, in_mm):
+        session = open_session(folder, path, keeps_poses=False)
+        assert [camera.name for camera in session.cameras] == ["a", "b"]
+        np.testing.assert_array_equal(session.cameras[1].matrix.diagonal(), [50.0, 50.0, 1.0])
+
+
+@pytest.mark.parametrize("part", ["calibration", "intrinsics"])
+def test_the_check_takes_intrinsics_alone_in_their_own_part(folder: Path, tmp_path: Path, part: str) -> None:
+    alone = tmp_path / "lens.toml"
+    alone.write_text(
+        "".join(f"[{n}]\nsize = [64, 48]\nmatrix = [[50, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]\n" for n in "ab")
+    )
+    words = ["--videos", *map(str, sorted(folder.iterdir())), f"--{part}", str(alone)]
+    output = io.StringIO()
+    with redirect_stdout(output):
+        code = main(words)
+    answer = json.loads(output.getvalue())
+    if part == "calibration":
+        assert (code, [problem["code"] for problem in answer["problems"]]) == (2, ["calibration_unposed"])
+    else:
+        assert (code, [camera["name"] for camera in answer["cameras"]]) == (0, ["a", "b"])

@@ -62,7 +62,7 @@ def command(
             )
         with Progress(console=console, disable=as_json, transient=True) as progress:
             if videos is not None:
-                session = open_session(videos, intrinsics, pair_by_order=pair_by_order)
+                session = open_session(videos, intrinsics, pair_by_order=pair_by_order, keeps_poses=False)
                 for sentence in () if as_json else session.warnings:
                     warn(sentence)
                 views = list(_in_videos(session, found, progress))
@@ -106,7 +106,7 @@ def _in_photographs(folder: Path, board: Board, progress: Progress) -> Iterator[
 
 def _named(intrinsics: Path, views: list[BoardViews]) -> dict[str, Camera]:
     """Cameras of a calibration file by name, which must be those of the photographs."""
-    cameras = {camera.name: camera for camera in read_intrinsics(intrinsics)}
+    cameras = {camera.name: camera for camera in read_intrinsics(intrinsics).cameras}
     problems = [
         Problem(CAMERA_UNKNOWN, "The calibration has no camera of this name.", file=intrinsics.name, camera=view.camera)
         for view in views

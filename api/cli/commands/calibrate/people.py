@@ -61,10 +61,10 @@ def command(
         config = checked(chosen)
         session: CaptureSession | KeypointSession
         if keypoints is not None and intrinsics is not None:
-            session = open_keypoints(keypoints, intrinsics, timestamps, pair_by_order=pair_by_order)
+            session = open_keypoints(keypoints, intrinsics, timestamps, pair_by_order=pair_by_order, keeps_poses=False)
             detections, joints = session.detections, session.joints
         else:
-            session = open_session(videos or Path(), intrinsics, pair_by_order=pair_by_order)
+            session = open_session(videos or Path(), intrinsics, pair_by_order=pair_by_order, keeps_poses=False)
             detections, joints = detect_people(session, config, bars.update), detection_joints(config)
         for sentence in () if as_json else session.warnings:
             warn(sentence)

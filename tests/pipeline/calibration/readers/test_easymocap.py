@@ -59,7 +59,7 @@ def test_easymocap(tmp_path: Path, way: str, with_sizes: bool) -> None:
 def test_easymocap_without_extrinsics(tmp_path: Path) -> None:
     path = write_storage(tmp_path / "intri.yml", easymocap(True)[0])
     assert problems_of(path) == [("calibration_unposed", None)]
-    assert [one.name for one in read_intrinsics(path)] == [one.name for one in RIG]
+    assert [one.name for one in read_intrinsics(path).cameras] == [one.name for one in RIG]
 
 
 @pytest.mark.parametrize("way", ["zip", "joined"])

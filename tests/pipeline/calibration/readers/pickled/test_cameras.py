@@ -96,7 +96,7 @@ def test_intrinsics_of_a_phone_alone(tmp_path: Path, form: str) -> None:
     (problem,) = error.value.problems
     assert problem.code == "calibration_unposed"
     assert "extrinsics" in str(problem.hint)
-    (camera,) = read_intrinsics(path)
+    (camera,) = read_intrinsics(path).cameras
     assert camera.size_px == RIG[0].size_px
     np.testing.assert_array_equal(camera.matrix, RIG[0].matrix)
 
