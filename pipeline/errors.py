@@ -25,6 +25,8 @@ DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _MAX_LISTED = 60
 _MAX_LISTED_ALIKE = 10
 _MAX_TEXT = 1000
+_MAX_NAMES = 8
+_MAX_NAME_LENGTH = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +78,17 @@ def listed(problems: Sequence[Problem]) -> tuple[Problem, ...]:
         message = f"{more:,} more problems are not listed."
         shown.append(Problem(MORE_PROBLEMS, message, hint="Correct these first."))
     return tuple(_printable_problem(problem) for problem in shown)
+
+
+def listed_names(names: Sequence[object]) -> str:
+    """List some names of an untrusted file in a sentence, and the number of the others.
+
+    >>> listed_names(["a", "b"])
+    'a, b'
+    """
+    shown = [printable(str(name)[:_MAX_NAME_LENGTH]) for name in names[:_MAX_NAMES]]
+    more = len(names) - len(shown)
+    return ", ".join(shown) + (f" and {more:,} more" if more else "")
 
 
 def printable(text: str) -> str:

@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.calibration.advice import SUPPORTED
 from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
 from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem, printable
+from pipeline.errors import InputError, Problem, listed_names
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.sessions import CALIBRATION_EMPTY, DUPLICATE_CAMERA, TOO_MANY_CAMERAS, UNSUPPORTED_LENS
 
 _DISTORTION = re.compile("(?!undist).*dist(ort|coef|_coef)", re.IGNORECASE)
-_MAX_LISTED = 8
-_MAX_NAME_LENGTH = 40
 
 
 class Reading:
@@ -62,7 +61,7 @@ class Reading:
         """Note something about cameras, as the end of the sentence "camera left is ..."; nothing if there are none."""
         if cameras:
             noun, verb = ("cameras", "are") if len(cameras) > 1 else ("camera", "is")
-            self.notes.append(f"{self.file}: {noun} {_listed(cameras)} {verb} {statement}.")
+            self.notes.append(f"{self.file}: {noun} {listed_names(cameras)} {verb} {statement}.")
 
     def leave_out(self, cameras: Sequence[object], reason: str) -> None:
         """Note cameras that can't serve, with the reason in a few words."""
@@ -93,7 +92,7 @@ class Reading:
         if posed:
             self.leave_out([each.name for each in unposed], "no pose in the file")
         if self._unread:
-            self.notes.append(f"{self.file}: fields that are not read: {_listed(list(self._unread))}.")
+            self.notes.append(f"{self.file}: fields that are not read: {listed_names(list(self._unread))}.")
         cameras = self._build(posed or unposed or raw)
         factor = 1.0 if unit is None else UNITS_M[unit]
         return CameraFile(
@@ -113,7 +112,7 @@ class Reading:
     def _build(self, raw: Sequence[RawCamera]) -> tuple[Camera, ...]:
         """Check cameras and build them; raises ``InputError`` with all problems of the file."""
         if not raw and not self.problems:
-            self.complain(CALIBRATION_EMPTY, "The calibration has no camera.")
+            self.complain(CALIBRATION_EMPTY, " ".join(["The calibration has no camera.", *self.notes]), hint=SUPPORTED)
         if len(raw) > MAX_CAMERAS:
             self.complain(TOO_MANY_CAMERAS, f"The calibration has more than {MAX_CAMERAS} cameras.")
         cameras: list[Camera] = []
@@ -133,10 +132,3 @@ class Reading:
 
 def _with_still_pose(raw_camera: RawCamera) -> RawCamera:
     return replace(raw_camera, rotation=np.eye(3), translation_m=np.zeros(3))
-
-
-def _listed(names: Sequence[object]) -> str:
-    """List of some names, and the number of the others."""
-    shown = [printable(str(name)[:_MAX_NAME_LENGTH]) for name in names[:_MAX_LISTED]]
-    more = len(names) - len(shown)
-    return ", ".join(shown) + (f" and {more:,} more" if more else "")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from defusedxml.ElementTree import fromstring
 
+from pipeline.calibration.advice import SUPPORTED, other_format, other_keys
 from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
 from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
@@ -31,10 +32,8 @@ Reader = Callable[[bytes, str], CameraFile]
 # 128 cameras take about 200 kB in the most verbose format.
 MAX_BYTES = 4 * 2**20
 
-SUPPORTED = (
-    "Use Qualisys QCA, Vicon XCP, OptiTrack MCAL, TOML (Caliscope, anipose, Pose2Sim, FreeMoCap), JSON, OpenCV's YAML "
-    "or XML, EasyMocap, COLMAP, CMU Panoptic, VoxelPose, MVPose, OpenCap or bioCV."
-)
+# Start of the root element of what Qualisys's real-time protocol sends.
+_PARAMETERS = "QTM_Parameters_Ver_"
 
 
 def _read_yaml(content: bytes, file: str) -> CameraFile:
@@ -44,26 +43,29 @@ def _read_yaml(content: bytes, file: str) -> CameraFile:
 def _read_xml(content: bytes, file: str) -> CameraFile:
     """Read XML by its root element; Qualisys QCA if the file is not XML, so that its reader reports the problem."""
     try:
-        root = parse(fromstring, content).tag
+        root = str(parse(fromstring, content).tag)
     except UnreadableError:
-        root = ""
+        root = qca.ROOT
     if root == "opencv_storage":
         return _read_file_storage(read_xml, content, file)
-    readers: Mapping[str, Reader] = {vicon.ROOT: vicon.read, optitrack.ROOT: optitrack.read}
-    return readers.get(root, qca.read)(content, file)
+    readers: Mapping[str, Reader] = {vicon.ROOT: vicon.read, optitrack.ROOT: optitrack.read, qca.ROOT: qca.read}
+    reader = qca.read if root.startswith(_PARAMETERS) else readers.get(root)
+    if reader is None:
+        message = f"The XML file has the root element {root[:40]}, which no supported format has."
+        raise InputError([Problem(CALIBRATION_FORMAT, message, file=file, hint=SUPPORTED)])
+    return reader(content, file)
 
 
 def _read_file_storage(parser: Callable[[bytes], Mapping[str, object]], content: bytes, file: str) -> CameraFile:
     try:
-        contents = opencv.read_fields(parser(content), file)
+        fields = parser(content)
+        contents = opencv.read_fields(fields, file)
     except UnreadableError as error:
         message = "The file is damaged, or not as OpenCV writes it."
         raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
     if contents is None:
-        message = "The file has no camera: a camera matrix, with a rotation and a translation."
-        raise InputError(
-            [Problem(CALIBRATION_EMPTY, message, file=file, hint="Send a zip of the files of all cameras.")]
-        )
+        message, hint = other_keys(fields)
+        raise InputError([Problem(CALIBRATION_EMPTY, message, file=file, hint=hint)])
     return contents
 
 
@@ -172,6 +174,5 @@ def _read(path: Path) -> CameraFile:
         raise _refusal(path, CALIBRATION_UNREADABLE, "The file can't be read.", "Check its permissions.") from error
     reader = _reader(path.name, content)
     if reader is None:
-        message = "The format of the calibration file is not supported."
-        raise _refusal(path, CALIBRATION_FORMAT, message, SUPPORTED)
+        raise _refusal(path, CALIBRATION_FORMAT, *other_format(path.name))
     return reader(content, path.name)

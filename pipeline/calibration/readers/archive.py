@@ -5,6 +5,7 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import PurePosixPath
 
+from pipeline.calibration.advice import other_members
 from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers import colmap, opencv
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
@@ -32,9 +33,7 @@ def read(content: bytes, file: str) -> CameraFile:
         message = "The archive, or a file in it, is damaged, not in its format, or too large."
         raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
     if contents is None:
-        message = "The archive has no calibration of a supported format."
-        files = "a file of OpenCV, OpenCap or bioCV for each camera"
-        hint = f"Pack intri.yml and extri.yml, cameras.txt and images.txt, or {files}."
+        message, hint = other_members(members)
         raise InputError([Problem(CALIBRATION_FORMAT, message, file=file, hint=hint)])
     return contents
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, get_args
 
+from pipeline.calibration.advice import other_keys
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.readers import json_datasets, opencv
 from pipeline.calibration.readers.file_storage import with_matrices
@@ -31,8 +32,8 @@ def read(content: bytes, file: str) -> CameraFile:
         return contents
     listed = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(listed, list) or not all(isinstance(camera, dict) for camera in listed):
-        message = "The file has no list of cameras."
-        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, field="cameras")])
+        message, hint = other_keys(document if isinstance(document, dict) else ())
+        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, field="cameras", hint=hint)])
     return _read_own(document, listed, file)
 
 

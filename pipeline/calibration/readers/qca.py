@@ -18,6 +18,8 @@ from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.problem_codes.sessions import CALIBRATION_EMPTY, UNSUPPORTED_LENS
 
+ROOT = "calibration"
+
 _SUBPIXELS = 64.0
 _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 _UNUSED = {"active": {"0", "false"}, "calibrated": {"0", "false"}}
@@ -27,7 +29,7 @@ def read(content: bytes, file: str) -> CameraFile:
     """Read the video cameras of a file; ``InputError`` lists all its problems."""
     root = read_root(content, file)
     # The protocol wraps the calibration in its parameters.
-    calibration = root if root.tag == "calibration" else root.find("./calibration")
+    calibration = root if root.tag == ROOT else root.find(f"./{ROOT}")
     elements = [] if calibration is None else calibration.findall("./cameras/camera")
     reading = Reading(file)
     videos = video_cameras(elements, _films_video, "serial", reading)
