@@ -14,8 +14,9 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
+from pipeline.calibration.contents import scaled
 from pipeline.calibration.registry import read_calibration
-from pipeline.calibration.write import encode
+from pipeline.calibration.write import encode, encode_toml
 from pipeline.runtime.packages.samples import Sample
 from tests.e2e.browsing import choose_option, opened
 from tests.e2e.serving import Served, digests, serving
@@ -103,6 +104,19 @@ def test_all_problems_of_a_capture_are_shown(served: Served, sample: Sample, tmp
         page.get_by_role("button", name="Send and reconstruct").click()
         expect(problems).to_contain_text("cam01.mp4", timeout=60_000)
         expect(problems).to_contain_text("cam02.mp4")
+        expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
+
+
+def test_a_unit_that_nothing_states_is_asked_for(served: Served, sample: Sample, tmp_path: Path) -> None:
+    in_mm = tmp_path / "rig.toml"
+    in_mm.write_bytes(encode_toml([scaled(camera, 1000.0) for camera in read_calibration(sample.calibration)]))
+    with opened(f"{served.client.base_url}#/new", allowed=("422 (Unprocessable",)) as page:
+        choose(page, in_mm, *sample.videos.values())
+        send = page.get_by_role("region", name="Send")
+        expect(send.get_by_role("alert")).to_contain_text("m if they are millimetres", timeout=60_000)
+        page.get_by_label("Unit of length").select_option("mm")
+        expect(page.get_by_text("in mm")).to_be_visible(timeout=60_000)
+        expect(send.get_by_role("alert")).to_have_count(0)
         expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
 
 

@@ -2,13 +2,15 @@
 
 const MIN_CAMERAS = 2;
 
+const asksForUnit = (problem) => problem.items?.some(({ code }) => code === "calibration_units_unstated");
 const listed = (rows) => rows.map(({ name }) => name).join(", ");
 
 export function faultsOf({ files, views, calibration, needsFrameRate, frameRate_hz }, rig) {
   const faults = [];
   const missing = files.filter((row) => row.file === null && !row.isSent);
   if (views.length < MIN_CAMERAS) faults.push(`Add the videos of at least ${MIN_CAMERAS} cameras.`);
-  if (rig.problem) faults.push(`The calibration ${rig.name ?? ""} could not be read. Choose or add another one.`);
+  if (rig.problem && asksForUnit(rig.problem)) faults.push(`State the unit of length of ${rig.name}.`);
+  else if (rig.problem) faults.push(`The calibration ${rig.name ?? ""} could not be read. Choose or add another one.`);
   else if (!calibration) faults.push("Choose or add the calibration of the cameras.");
   if (missing.length) faults.push(`Choose again: ${listed(missing)}.`);
   if (needsFrameRate && !(frameRate_hz >= 1)) faults.push("State the frame rate of the keypoints, or add their timestamps, a CSV file.");
