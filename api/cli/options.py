@@ -67,7 +67,7 @@ PairByOrderOption = Annotated[
     ),
 ]
 KeypointRateOption = Annotated[
-    float | None, typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default.")
+    float | None, typer.Option(help="Frame rate in Hz of keypoints without timestamps, or of images.")
 ]
 
 

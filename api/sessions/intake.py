@@ -23,14 +23,16 @@ from api.http.bodies.form_kinds import (
     INTRINSICS,
     MANIFEST,
     SPEC,
+    TIMESTAMPS,
     VIDEOS,
 )
 from api.jobs.spec_checks import callback_errors, for_session, limit_errors, network_errors, spec_errors
 from api.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.sessions.receiving import Sent, adopted, document, form_of
-from api.sessions.schemas import Manifest, UploadedCapture, UploadedSession
+from api.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from pipeline.problem_codes.fields import WRONG_FORMAT
+from pipeline.problem_codes.findings import PAIRED_IN_SORTED_ORDER
 from pipeline.problem_codes.requests import (
     CALIBRATION_UNKNOWN,
     CALIBRATION_UNMADE,
@@ -39,7 +41,7 @@ from pipeline.problem_codes.requests import (
 )
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
-from worker.jobs.model.sessions import InputFile
+from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
@@ -231,7 +233,30 @@ def _named(services: Services, records: TenantRecords, sent: Sent, names: Upload
     form = adopted(services, records, sent, names)
     spec = names.spec if isinstance(names, UploadedCapture) else JobSpec()
     calibration_id = str(names.calibration_id) if names.calibration_id else None
-    return Arrival(form, names.manifest, spec, calibration_id=calibration_id, upload_ids=names.upload_ids())
+    manifest = names.manifest
+    if (source_id := names.source_id()) is not None:
+        with contextlib.suppress(NotFound):  # the form says so
+            manifest = _as_before(manifest, records.sessions.get(source_id))
+    return Arrival(form, manifest, spec, calibration_id=calibration_id, upload_ids=names.upload_ids())
+
+
+def _as_before(manifest: Manifest, source: Session) -> Manifest:
+    """Manifest of a copied session: what it leaves unset is as it was of the session whose footage is copied."""
+    preflight = source.preflight
+    before: dict[str, Any] = {
+        "cameras": tuple(
+            CameraManifest(
+                name=recording.camera, file=recording.file, offset_s=recording.offset_s, rate=recording.frame_rate_hz
+            )
+            for recording in preflight.recordings
+        ),
+        "clock": preflight.clock,
+        "sync": preflight.sync,
+        "pair_by_order": any(finding.code == PAIRED_IN_SORTED_ORDER for finding in preflight.findings),
+    }
+    if not any(file.kind == TIMESTAMPS for file in source.files):
+        before["frame_rate_hz"] = preflight.timebase.frame_rate_hz
+    return manifest.model_copy(update={name: before[name] for name in before.keys() - manifest.model_fields_set})
 
 
 def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) -> Arrival:

@@ -81,7 +81,7 @@ class Manifest(BaseModel):
         ge=1.0,
         le=1000.0,
         allow_inf_nan=False,
-        description="Frame rate of keypoints without timestamps, by default 25 Hz; or of images in place of videos, "
+        description="Frame rate of keypoints without timestamps, which need one; or of images in place of videos, "
         "which need one unless their cameras have a `rate`.",
     )
     cameras: tuple[CameraManifest, ...] = Field(
@@ -133,7 +133,8 @@ class UploadedSession(UploadedFiles):
     session_id: UUID | None = Field(
         default=None,
         description="Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as "
-        "the session of a calibration. Name, offsets and rates are those of `manifest`.",
+        "the session of a calibration. Cameras, clock, rates and `sync` that `manifest` leaves unset are those of the "
+        "session.",
     )
     manifest: Manifest = Manifest()
 

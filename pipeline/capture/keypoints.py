@@ -138,7 +138,7 @@ def open_keypoints(
         CSV file with the columns ``camera``, ``frame`` and ``time_s``: seconds on the clock that all cameras share,
         which starts at 0. Without it, frame k of all cameras is at k / ``frame_rate_hz``.
     frame_rate_hz
-        Rate of all cameras; 25 by default, with a warning. Not allowed together with ``timestamps``.
+        Rate of all cameras; needed without ``timestamps``, and not allowed together with them.
     units
         See ``read_contents``.
     max_joints
@@ -196,7 +196,7 @@ def open_keypoints(
             Problem(TWO_CLOCKS, "There are both timestamps and a frame rate.", hint="Provide only one of them.")
         )
     times, timebase = (
-        times_from_rate(people_by_camera, pairs, frame_rate_hz, findings, problems)
+        times_from_rate(people_by_camera, pairs, frame_rate_hz, problems)
         if timestamps is None
         else times_from_file(people_by_camera, timestamps, problems)
     )

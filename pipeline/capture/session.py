@@ -16,6 +16,7 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.names import natural_key, nfc
 from pipeline.capture.pairing import MIN_CAMERAS, pair
 from pipeline.capture.preflight_record import Clock
+from pipeline.capture.slow_motion import slow_motion
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
@@ -130,7 +131,7 @@ class Recording:
     camera
         Name of the camera, or of its section in the calibration.
     file
-        Name of the video file; ``None``: the video with the camera's name.
+        Name or path of the video file; ``None``: the video with the camera's name.
     offset_s
         Time of the first frame, on the clock that all cameras share.
     frame_rate_hz
@@ -208,9 +209,8 @@ def open_session(
     recording_of_camera, recording_problems = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
     problems += recording_problems
     if cameras and not recording_problems:
-        path_of = {nfc(path.name): path for path in paths}
         stated = {
-            camera: _stem(path_of[nfc(recording.file)])
+            camera: _stem(next(path for path in paths if _is_named(path, recording.file)))
             for camera, recording in recording_of_camera.items()
             if recording.file is not None
         }
@@ -243,6 +243,7 @@ def open_session(
         if doubt.code not in OF_TIMES or video.codec == SEQUENCE or stated_hz.get(name) is None
     ]
     findings += clock_findings(paired, clock)
+    findings += slow_motion(times, {name: video.path.name for name, video in paired.items() if not stated_hz.get(name)})
     return CaptureSession(cameras, tuple(paired.values()), times, tuple(findings))
 
 
@@ -283,7 +284,6 @@ def _known_recordings(
 ) -> tuple[dict[str, Recording], list[Problem]]:
     """Sort recordings by camera; report unknown cameras and files, and cameras and files that occur twice."""
     names = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
-    files = {nfc(path.name) for path in paths}
     known: dict[str, Recording] = {}
     problems = []
     for recording in recordings:
@@ -296,15 +296,21 @@ def _known_recordings(
             problems.append(
                 Problem(DUPLICATE_RECORDING, "There is more than one recording for this camera.", camera=camera)
             )
-        elif recording.file is not None and nfc(recording.file) not in files:
+        elif recording.file is not None and not any(_is_named(path, recording.file) for path in paths):
             message = "There is no video of this name."
-            problems.append(Problem(RECORDING_FILE_UNKNOWN, message, file=recording.file, camera=camera))
+            problems.append(Problem(RECORDING_FILE_UNKNOWN, message, file=Path(recording.file).name, camera=camera))
         elif recording.file is not None and nfc(recording.file) in {nfc(other.file or "") for other in known.values()}:
             message = "The video is already assigned to another camera."
-            problems.append(Problem(DUPLICATE_RECORDING_FILE, message, file=recording.file, camera=camera))
+            file = Path(recording.file).name
+            problems.append(Problem(DUPLICATE_RECORDING_FILE, message, file=file, camera=camera))
         else:
             known[camera] = recording
     return known, problems
+
+
+def _is_named(path: Path, file: str) -> bool:
+    """Whether a video has a name or a path, however its accents are composed."""
+    return nfc(file) in {nfc(path.name), nfc(str(path))}
 
 
 def _without_rate(videos: Mapping[str, VideoInfo], rates_hz: Mapping[str, float | None]) -> list[Problem]:

@@ -46,9 +46,6 @@ KEYPOINTS_FORM = FILES.code(
     "Keypoint files of another program than OpenPose were recognised by their content.",
     "Check that they are of this program.",
 )
-FRAME_RATE_ASSUMED = FILES.code(
-    "frame_rate_assumed", _FINDING, "Keypoints came without a frame rate.", "State the frame rate, or give timestamps."
-)
 CAMERA_SAW_NOBODY = FILES.code(
     "camera_saw_nobody", _FINDING, "Keypoints of a camera show nobody.", "Check the detector's output."
 )
@@ -66,6 +63,12 @@ FRAMES_TOO_CLOSE = FILES.code(
 )
 FRAME_RATE_VARIES = FILES.code(
     "frame_rate_varies", _FINDING, "The frame rate of a video varies.", "Record at a constant rate for fast motion."
+)
+SLOW_MOTION = FILES.code(
+    "slow_motion",
+    _FINDING,
+    "A video is a whole number of times as long as the others: it seems to be slow motion.",
+    "State the rate at which its camera filmed (`rate`, `--rate`), unless the camera only ran longer.",
 )
 COARSE_CLOCK = FILES.code(
     "coarse_clock",

@@ -168,7 +168,10 @@ IMAGES_ARCHIVE = VIDEOS.code(
 )
 NO_IMAGES = VIDEOS.code("no_images", _FILES, "A folder or an archive has no images.", "Send JPEG, PNG, BMP or TIFF.")
 NO_FRAME_RATE = VIDEOS.code(
-    "no_frame_rate", _FILES, "Images have no frame rate.", "State `frame_rate_hz`, or a camera's `rate`."
+    "no_frame_rate",
+    _FILES,
+    "Images, or keypoints without timestamps, have no frame rate.",
+    "State it: `frame_rate_hz`, `--frame-rate`, a camera's `rate`; or give timestamps of keypoints.",
 )
 TOO_FEW_VIDEOS = VIDEOS.code(
     "too_few_videos", _FILES, "There are fewer than two videos.", "Give one video of each camera."

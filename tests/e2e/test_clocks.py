@@ -194,7 +194,8 @@ def test_an_output_rate_that_would_make_millions_of_frames(served: Served) -> No
     first = next(name for name in files if name.endswith(".zip"))
     files[first] = archive(far | {"frame_2_keypoints.json": frames_of(simulate(Clock(25.0), 0.3))["cam_00"][2]})
     spec = ("spec", (None, json.dumps({"output_rate_hz": 60})))
-    answer = served.client.post("/v1/jobs", files=[*keypoint_parts(files), spec])
+    manifest = ("manifest", (None, json.dumps({"frame_rate_hz": 25.0})))
+    answer = served.client.post("/v1/jobs", files=[*keypoint_parts(files), spec, manifest])
     assert answer.status_code == 422, answer.text
     assert [(item["code"], item["pointer"]) for item in answer.json()["errors"]] == [
         ("too_many_frames", "/spec/output_rate_hz")

@@ -19,17 +19,15 @@ from api.cli.options import (
     known_units,
     with_choices,
 )
+from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_footage, parameters
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
-from pipeline.capture.session import Recording, Session, open_session
+from pipeline.capture.session import Session
 from pipeline.config import method_warnings
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.commands import PARAMETER_UNREADABLE, SOURCES
 from pipeline.quality.report import all_checks
 from pipeline.stages.local import reconstruct_to_files
 from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME
-from pipeline.video.images.files import SEQUENCE
 
 
 def _what_is_left(paths: Sequence[Path], folder: Path) -> str:
@@ -86,62 +84,15 @@ def _users_cache() -> Path | None:
     return None
 
 
-def check_sources(
-    videos: list[Path] | None,
-    keypoints: Path | None,
-    timestamps: Path | None,
-    offsets: Mapping[str, float],
-) -> None:
-    """Raise ``InputError`` if options of videos and of keypoints are mixed, or neither is given."""
-    problems = []
-    if (videos is None) == (keypoints is None):
-        problems.append(Problem(SOURCES, "A session has either videos or keypoints.", hint="Give one of them."))
-    if keypoints is None and timestamps is not None:
-        message = "Timestamps belong to keypoints; videos have their own times."
-        problems.append(Problem(SOURCES, message, hint="Omit --timestamps."))
-    if keypoints is not None and offsets:
-        message = "Offsets belong to videos; keypoints have timestamps."
-        problems.append(Problem(SOURCES, message, hint="Omit --offset."))
-    if problems:
-        raise InputError(problems)
-
-
-def parameters(said: Sequence[str], example: str) -> dict[str, float]:
-    """NAME=VALUE pairs as numbers by name."""
-    changes: dict[str, float] = {}
-    problems = []
-    for text in said:
-        name, _, value = text.partition("=")
-        try:
-            changes[name.strip()] = float(value)
-        except ValueError:
-            hint = f"Write it as {example}."
-            problems.append(Problem(PARAMETER_UNREADABLE, f"{text!r} is not NAME=NUMBER.", hint=hint))
-    if problems:
-        raise InputError(problems)
-    return changes
-
-
 @with_choices()
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
-    videos: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Folder with one video of each camera, or the videos; or folders or zips of images.",
-            show_default=False,
-        ),
-    ] = None,
+    videos: VideosOption = None,
     more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
-    offset: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="CAMERA=SECONDS",
-            help="Time of a video's first frame on the common clock; repeatable.",
-        ),
-    ] = None,
+    offset: OffsetOption = None,
+    rate: RateOption = None,
     clock: Annotated[
         str,
         typer.Option(
@@ -155,9 +106,7 @@ def command(
     pair_by_order: PairByOrderOption = False,
     frame_rate: Annotated[
         float | None,
-        typer.Option(
-            help="Frame rate in Hz: of keypoints without timestamps, 25 by default; of images, which need one."
-        ),
+        typer.Option(help="Frame rate in Hz: of keypoints without timestamps, or of images."),
     ] = None,
     chosen: Mapping[str, Any],
     tracking: Annotated[
@@ -188,23 +137,23 @@ def command(
             tracking=parameters(tracking or [], "alpha_3d_m=0.2"),
             clustering=parameters(clustering or [], "tau2=0.25"),
         )
-        offsets = parameters(offset or [], "cam_2=0.48")
-        check_sources(videos, keypoints, timestamps, offsets)
+        check_sources(videos, keypoints, timestamps, offset, rate)
         session: Session
         if keypoints is not None:
             session = open_keypoints(
                 keypoints, calibration, timestamps, frame_rate, known_units(units), pair_by_order=pair_by_order
             )
         else:
-            named = [*(videos or []), *(more_videos or [])]
-            recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
-            files = named[0] if len(named) == 1 else named
-            session = open_session(
-                files, calibration, recordings, known_units(units), known_clock(clock), frame_rate, pair_by_order
+            session = open_footage(
+                [*(videos or []), *(more_videos or [])],
+                calibration,
+                offset,
+                rate,
+                known_units(units),
+                known_clock(clock),
+                frame_rate,
+                pair_by_order,
             )
-            if frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
-                message = "A frame rate belongs to keypoints and to images; videos have their own times."
-                raise InputError([Problem(SOURCES, message, hint="Omit --frame-rate.")])
         for warning in session.warnings:
             warn(warning)
         sources = (calibration, *([] if timestamps is None else [timestamps]))

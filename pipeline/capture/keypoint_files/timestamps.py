@@ -11,20 +11,17 @@ from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoint_files.people import People
 from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.errors import Problem
-from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
-from pipeline.problem_codes.findings import FRAME_RATE_ASSUMED
 from pipeline.problem_codes.sessions import (
     FRAME_RATE,
+    NO_FRAME_RATE,
     TIMESTAMPS_INVALID,
     TIMESTAMPS_MISSING,
     TIMESTAMPS_ORDER,
     TIMESTAMPS_START,
     TOO_FEW_FRAMES,
 )
-from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
-
-DEFAULT_FRAME_RATE_HZ = float(DEFAULT_RATE)
+from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 
 _MAX_START_S = 3600.0
 _START_HINT = "Subtract the time at which the capture started."
@@ -41,16 +38,15 @@ class _LateError(_InvalidError):
 def times_from_rate(
     frames: Mapping[str, Mapping[int, People]],
     folders: Mapping[str, str],
-    frame_rate_hz: float | None,
-    findings: list[Finding],
+    rate_hz: float | None,
     problems: list[Problem],
 ) -> tuple[dict[str, FrameTimes], Timebase | None]:
-    """Times from frame numbers: frame k of all cameras is at k over the frame rate."""
-    rate_hz = DEFAULT_FRAME_RATE_HZ if frame_rate_hz is None else frame_rate_hz
-    if frame_rate_hz is None:
-        message = f"No frame rate was given: {rate_hz:g} Hz is assumed."
-        hint = "State the frame rate, or give timestamps."
-        findings.append(Finding(FRAME_RATE_ASSUMED, message, hint=hint, evidence={"frame_rate_hz": rate_hz}))
+    """Times from frame numbers: frame k of all cameras is at k over the frame rate, which must be known."""
+    if rate_hz is None:
+        message = "Keypoints have no times: the frame rate of their videos must be stated, or their timestamps."
+        hint = "State frames a second (--frame-rate, or frame_rate_hz in the manifest), or give timestamps."
+        problems.append(Problem(NO_FRAME_RATE, message, field="frame_rate_hz", hint=hint))
+        return {}, None
     if not FRAME_RATE_HZ.holds(rate_hz):
         problems.append(
             Problem(FRAME_RATE, f"A frame rate of {rate_hz:g} Hz is not allowed.", hint=f"Use {FRAME_RATE_HZ}.")

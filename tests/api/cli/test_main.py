@@ -119,13 +119,34 @@ def test_offsets_that_make_no_session(tmp_path: Path, offsets: list[str], found:
     assert all(problem["field"] == "offset_s" and problem["hint"] for problem in problems)
 
 
+def test_cameras_and_rates_are_stated_by_options(tmp_path: Path) -> None:
+    """Two files of one name in folders of their cameras, the second in slow motion, and one of its camera's name."""
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+    clip = write_video(tmp_path / "one" / "GX010001.mp4", 5)
+    slow = write_video(tmp_path / "two" / "GX010007.mp4", 20)
+    third = write_video(tmp_path / "take_c.mp4", 5)
+    rig = calibration(tmp_path / "rig.json", ["a", "b", "c"])
+    arguments = ["check", f"--calibration={rig}", "--json", f"--videos=b={slow}", f"--videos={third}"]
+
+    def codes(*more: str) -> set[str]:
+        result = runner.invoke(app, [*arguments, *more])
+        return {finding["code"] for finding in json.loads(result.stdout)["findings"]}
+
+    assert "camera_left_out" in codes()
+    assert codes(f"--videos=a={clip}") & {"slow_motion", "camera_left_out"} == {"slow_motion"}
+    assert not codes(f"--videos=a={clip}", "--rate=b=100") & {"slow_motion", "camera_left_out"}
+    assert codes(f"--videos=a={clip}", "--rate=b=fast") == {"parameter_unreadable"}
+    assert "recording_camera_unknown" in codes(f"--videos=d={clip}")
+
+
 def test_an_output_rate_that_makes_too_many_frames(tmp_path: Path) -> None:
     write_simulation(record(replace(find_scene("unsynchronised"), duration_s=0.5), seed=4, num_views=2), tmp_path)
     for folder in (tmp_path / "keypoints").iterdir():
         (folder / "frame_900000_keypoints.json").write_text('{"people": []}')
     session = [f"--keypoints={tmp_path / 'keypoints'}", f"--calibration={tmp_path / 'calibration.json'}"]
     arguments = ["reconstruct", *session, f"--out={tmp_path / 'out'}", "--json"]
-    result = runner.invoke(app, [*arguments, "--output-rate=60"])
+    result = runner.invoke(app, [*arguments, "--output-rate=60", "--frame-rate=25"])
     assert result.exit_code == 2
     assert [one["code"] for one in json.loads(result.stdout)["problems"]] == ["too_many_frames"]
     result = runner.invoke(app, [*arguments, "--frame-rate=1"])
@@ -164,7 +185,11 @@ def test_parameters_of_clustering_that_can_not_be_are_refused(
     tmp_path: Path, options: list[str], codes: list[str]
 ) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=0.2), 0, 2), tmp_path)
-    session = [f"--keypoints={tmp_path / 'keypoints'}", f"--calibration={tmp_path / 'calibration.json'}"]
+    session = [
+        f"--keypoints={tmp_path / 'keypoints'}",
+        f"--calibration={tmp_path / 'calibration.json'}",
+        "--frame-rate=25",
+    ]
     arguments = ["reconstruct", *session, f"--out={tmp_path / 'out'}", "--json", *options]
     result = runner.invoke(app, arguments)
     assert result.exit_code == 2

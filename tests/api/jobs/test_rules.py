@@ -35,7 +35,7 @@ runner = CliRunner()
 def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
     folder = tmp_path_factory.mktemp("session")
     write_simulation(record(replace(find_scene("room"), duration_s=0.2), 0, 2), folder)
-    return open_keypoints(folder / "keypoints", folder / "calibration.json")
+    return open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
 
 
 def wrong_values(choice: Choice) -> Iterator[Any]:
@@ -140,5 +140,5 @@ def test_choices_that_do_not_suit_a_session(
     ]
     assert of_python(long, chosen) == said
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reconstruct_command, "open_keypoints", lambda *arguments: long)
+        patch.setattr(reconstruct_command, "open_keypoints", lambda *arguments, **options: long)
         assert of_command(chosen, tmp_path_factory.mktemp("command")) == said

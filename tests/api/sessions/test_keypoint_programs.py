@@ -114,6 +114,36 @@ def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
     assert "paired_in_sorted_order" in codes[1]
 
 
+def test_a_rate_is_asked_for_and_kept_with_the_pairs_of_copied_footage(checking: Live, simulation: Simulation) -> None:
+    files = keypoint_files(simulation, "AlphaPose")
+    renamed = {f"view{number}": files[camera.name] for number, camera in enumerate(simulation.cameras)}
+    sent = [part for part in parts(simulation, renamed) if part[0] != "timestamps"]
+    rig = next(content for name, content in sent if name == "calibration")
+
+    def manifest(**stated: Any) -> tuple[str, Any]:
+        return "manifest", (None, json.dumps({"pair_by_order": True} | stated))
+
+    (item,) = problem_of(checking.client.post("/v1/sessions", files=[*sent, manifest()]), 422, "invalid_request")[
+        "errors"
+    ]
+    assert (item["code"], item["field"]) == ("no_frame_rate", "frame_rate_hz")
+    session = checking.client.post("/v1/sessions", files=[*sent, manifest(frame_rate_hz=50.0)]).json()
+    assert session["preflight"]["timebase"]["frame_rate_hz"] == 50.0
+    spec = ("spec", (None, json.dumps({"method": "file"})))
+    stored = checking.client.post("/v1/calibrations", files=[("calibration", rig), spec]).raise_for_status().json()
+    body: dict[str, Any] = {"session_id": session["id"], "calibration_id": stored["id"], "manifest": {"name": "Again"}}
+    again = checking.client.post("/v1/sessions", json=body).raise_for_status().json()
+    assert again["name"] == "Again"
+    for field in ("cameras", "timebase"):
+        assert again["preflight"][field] == session["preflight"][field]
+    body["manifest"] = {"frame_rate_hz": 25.0}
+    other = checking.client.post("/v1/sessions", json=body).raise_for_status().json()
+    assert other["preflight"]["timebase"]["frame_rate_hz"] == 25.0
+    body["manifest"] = {"pair_by_order": False}
+    refused = problem_of(checking.client.post("/v1/sessions", json=body), 422, "invalid_request")
+    assert [item["code"] for item in refused["errors"]] == ["pairing_unknown"]
+
+
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_folder_at_the_command_line(tmp_path: Path, simulation: Simulation, program: str) -> None:
     write_session(simulation, program, tmp_path)

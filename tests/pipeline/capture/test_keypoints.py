@@ -71,15 +71,20 @@ def test_what_was_simulated_comes_back(scene: Path, simulation: Simulation) -> N
 def test_without_timestamps_frame_k_is_file_k(scene: Path) -> None:
     first, *_, last = frames_of(scene)
     first.unlink()
-    session = opened(scene, timed=False)
+    session = opened(scene, timed=False, frame_rate_hz=25.0)
     camera = first.parent.name
-    assert any("25 Hz" in warning for warning in session.warnings)
     assert session.times[camera].time_s[0] == 1 / 25
     assert session.timebase.start_time_s == 0.0
     assert session.timebase.num_frames >= int(last.name[6:18]) + 1
     faster = opened(scene, timed=False, frame_rate_hz=50.0)
     assert faster.times[camera].time_s[0] == 1 / 50
     assert faster.timebase.frame_rate_hz == 50.0
+
+
+def test_no_rate_is_assumed(scene: Path) -> None:
+    (problem,) = problems_of(scene, timed=False).items()
+    assert problem[0] == "no_frame_rate"
+    assert "--frame-rate" in problem[1]
 
 
 @pytest.mark.parametrize("joints", [BODY_25, COCO_18], ids=["BODY_25", "COCO-18"])
@@ -190,7 +195,7 @@ def test_cameras_without_a_folder_are_left_out(scene: Path) -> None:
     rig = json.loads((scene / "calibration.json").read_text())
     rig["cameras"].insert(0, rig["cameras"][0] | {"name": "ceiling"})
     (scene / "calibration.json").write_text(json.dumps(rig))
-    session = opened(scene, timed=False)
+    session = opened(scene, timed=False, frame_rate_hz=25.0)
     assert "ceiling" not in {camera.name for camera in session.cameras}
     assert len(session.cameras) == len(session.detections) == len(rig["cameras"]) - 1
     assert any("ceiling" in warning for warning in session.warnings)
@@ -332,13 +337,13 @@ def test_times_too_close_to_be_frames(scene: Path, step_s: float) -> None:
 @pytest.mark.parametrize(
     ("number", "frame_rate_hz", "codes"),
     [
-        (999_999_999_999_999, None, {"session_too_long"}),
+        (999_999_999_999_999, 25.0, {"session_too_long"}),
         (1_100_000, 1.0, {"session_too_long"}),
         (1_000_000, 1000.0, {"too_many_frames"}),
         (999_999, 1000.0, set()),
     ],
 )
-def test_numbers_of_files_are_times_too(scene: Path, number: int, frame_rate_hz: float | None, codes: set[str]) -> None:
+def test_numbers_of_files_are_times_too(scene: Path, number: int, frame_rate_hz: float, codes: set[str]) -> None:
     for camera in range(3):
         last = frames_of(scene, camera)[-1]
         last.rename(last.with_name(f"frame_{number:015d}_keypoints.json"))

@@ -267,6 +267,17 @@ class TestRecordings:
         np.testing.assert_allclose(session.times["a"].time_s, 0.1 + np.arange(10) / 50.0)
         assert session.timebase.frame_rate_hz == 50.0
 
+    def test_slow_motion_is_named_until_its_rate_is_stated(self, folder: Path, tmp_path: Path) -> None:
+        write_video(folder / "b.mp4", 40)
+        cameras = calibration(tmp_path / "c.json", ["a", "b"])
+        session = open_session(folder, cameras)
+        (finding,) = session.findings
+        assert (finding.code, finding.camera) == ("slow_motion", "b")
+        assert "filmed at 100 Hz, stored at 25 Hz" in finding.message
+        session = open_session(folder, cameras, [Recording("b", frame_rate_hz=100.0)])
+        assert session.findings == ()
+        assert session.times["b"].time_s[-1] == pytest.approx(0.39)
+
     @pytest.mark.parametrize("rate_hz", [1.0, 1000.0])
     @pytest.mark.parametrize("offset_s", [0.0, 0.1, 0.25])
     def test_the_limits_of_rates_are_taken_whatever_the_offset(
@@ -288,9 +299,17 @@ class TestRecordings:
         session = open_session(folder, cameras, [Recording("left", "b.mp4"), Recording("right", "a.mp4")])
         assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
         assert session.warnings == ()
+        paths = [Recording("left", str(folder / "b.mp4")), Recording("right", str(folder / "a.mp4"))]
+        assert open_session(folder, cameras, paths).video_of["left"].path.name == "b.mp4"
         some = calibration(tmp_path / "d.json", ["a", "right"])
         session = open_session(folder, some, [Recording("right", "b.mp4")])
         assert [video.path.name for video in session.videos] == ["a.mp4", "b.mp4"]
+
+    def test_accents_of_a_file_may_be_composed_or_not(self, folder: Path, tmp_path: Path) -> None:
+        (folder / "a.mp4").rename(folder / "Cafe\u0301.mp4")
+        cameras = calibration(tmp_path / "c.json", ["left", "b"])
+        session = open_session(folder, cameras, [Recording("left", "Caf\u00e9.mp4")])
+        assert session.video_of["left"].path.name == "Cafe\u0301.mp4"
 
     @pytest.mark.parametrize(
         ("recordings", "found"),

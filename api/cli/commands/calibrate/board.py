@@ -11,6 +11,7 @@ from rich.progress import Progress
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import JsonOption, console, reporting, warn
 from api.cli.options import PairByOrderOption
+from api.cli.sources import OffsetOption, RateOption, VideosOption, open_footage
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.source import (
     find_photographs,
@@ -22,7 +23,7 @@ from pipeline.calibration.board.spec import FORMS, Board, parse_board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.registry import read_intrinsics
-from pipeline.capture.session import CaptureSession, open_session
+from pipeline.capture.session import CaptureSession
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import SOURCES
@@ -35,7 +36,9 @@ def command(
         typer.Option(metavar="BOARD", help=f"{FORMS}. Of a chessboard COLSxROWS are inner corners, else squares."),
     ],
     out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
-    videos: Annotated[Path | None, typer.Option(help="Folder of synchronised videos, one for each camera.")] = None,
+    videos: VideosOption = None,
+    offset: OffsetOption = None,
+    rate: RateOption = None,
     images: Annotated[
         Path | None, typer.Option(help="Folder of photographs, with a subfolder for each camera: intrinsics only.")
     ] = None,
@@ -62,7 +65,7 @@ def command(
             )
         with Progress(console=console, disable=as_json, transient=True) as progress:
             if videos is not None:
-                session = open_session(videos, intrinsics, pair_by_order=pair_by_order, keeps_poses=False)
+                session = open_footage(videos, intrinsics, offset, rate, pair_by_order=pair_by_order, keeps_poses=False)
                 for sentence in () if as_json else session.warnings:
                     warn(sentence)
                 views = list(_in_videos(session, found, progress))

@@ -8,11 +8,19 @@ import typer
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import JsonOption, StageBars, reporting, warn
-from api.cli.options import KeypointsOption, PairByOrderOption, TimestampsOption, checked, with_choices
+from api.cli.options import (
+    KeypointRateOption,
+    KeypointsOption,
+    PairByOrderOption,
+    TimestampsOption,
+    checked,
+    with_choices,
+)
+from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_footage
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.capture.session import CaptureSession, open_session
+from pipeline.capture.session import CaptureSession
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
 from pipeline.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
@@ -38,9 +46,12 @@ def command(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
-    videos: Annotated[Path | None, typer.Option(help="Folder of synchronised videos, one for each camera.")] = None,
+    videos: VideosOption = None,
+    offset: OffsetOption = None,
+    rate: RateOption = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
+    frame_rate: KeypointRateOption = None,
     pair_by_order: PairByOrderOption = False,
     intrinsics: Annotated[
         Path | None,
@@ -57,14 +68,25 @@ def command(
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         require_ending(out)
         known_points = read_known_points(world_points) if world_points is not None else ()
-        _check_sources(videos, keypoints, timestamps, intrinsics, stature_m)
+        check_sources(videos, keypoints, timestamps, offset, rate)
+        _check_sources(keypoints, intrinsics, stature_m)
         config = checked(chosen)
         session: CaptureSession | KeypointSession
         if keypoints is not None and intrinsics is not None:
-            session = open_keypoints(keypoints, intrinsics, timestamps, pair_by_order=pair_by_order, keeps_poses=False)
+            session = open_keypoints(
+                keypoints, intrinsics, timestamps, frame_rate, pair_by_order=pair_by_order, keeps_poses=False
+            )
             detections, joints = session.detections, session.joints
         else:
-            session = open_session(videos or Path(), intrinsics, pair_by_order=pair_by_order, keeps_poses=False)
+            session = open_footage(
+                videos or [],
+                intrinsics,
+                offset,
+                rate,
+                frame_rate=frame_rate,
+                pair_by_order=pair_by_order,
+                keeps_poses=False,
+            )
             detections, joints = detect_people(session, config, bars.update), detection_joints(config)
         for sentence in () if as_json else session.warnings:
             warn(sentence)
@@ -82,23 +104,11 @@ def command(
     show_made(made, out, as_json)
 
 
-def _check_sources(
-    videos: Path | None,
-    keypoints: Path | None,
-    timestamps: Path | None,
-    intrinsics: Path | None,
-    stature_m: list[float],
-) -> None:
+def _check_sources(keypoints: Path | None, intrinsics: Path | None, stature_m: list[float]) -> None:
     problems = []
-    if (videos is None) == (keypoints is None):
-        message = "People are filmed, or given as keypoints."
-        problems.append(Problem(SOURCES, message, hint="Give --videos or --keypoints."))
     if keypoints is not None and intrinsics is None:
         message = "Keypoints don't tell the size of the pictures."
         problems.append(Problem(SOURCES, message, hint="Give --intrinsics too."))
-    if keypoints is None and timestamps is not None:
-        message = "Timestamps belong to keypoints; videos have their own times."
-        problems.append(Problem(SOURCES, message, hint="Omit --timestamps."))
     if len(stature_m) > MAX_STATURES:
         problems.append(Problem(SOURCES, f"At most {MAX_STATURES} statures are taken.", field="stature_m"))
     if problems:

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
 from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, emit, reporting, show_findings, warn
 from api.cli.options import (
+    KeypointRateOption,
     KeypointsOption,
     PairByOrderOption,
     TimestampsOption,
@@ -18,14 +18,14 @@ from api.cli.options import (
     known_units,
     with_choices,
 )
+from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_footage
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.capture.session import Session, open_session
+from pipeline.capture.session import Session
 from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
+from pipeline.errors import InputError
 from pipeline.findings import Finding, documents, from_problem, has_error
-from pipeline.problem_codes.commands import SOURCES
 from pipeline.problem_codes.findings import CALIBRATION_NOTE
 from pipeline.quality.findings import join_findings, people_findings
 from pipeline.quality.report import quality_report
@@ -36,11 +36,12 @@ from pipeline.stages.local import reconstruct
 def command(
     *,
     file: FileArgument,
-    videos: Annotated[
-        Path | None, typer.Option(help="Folder with one video of each camera: people in them are checked too.")
-    ] = None,
+    videos: VideosOption = None,
+    offset: OffsetOption = None,
+    rate: RateOption = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
+    frame_rate: KeypointRateOption = None,
     pair_by_order: PairByOrderOption = False,
     units: UnitsOption = None,
     chosen: Mapping[str, Any],
@@ -48,7 +49,8 @@ def command(
 ) -> None:
     """Check a calibration: lenses, places, unit, up axis and common views; with videos or keypoints also people."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        _check_sources(videos, keypoints, timestamps)
+        if any((videos, keypoints, timestamps, offset, rate)):
+            check_sources(videos, keypoints, timestamps, offset, rate)
         config = replace(checked(chosen), smoothing="none")
         unit = known_units(units)
         cameras: Sequence[Camera] = ()
@@ -57,9 +59,11 @@ def command(
             cameras = contents.cameras
             session: Session | None = None
             if keypoints is not None:
-                session = open_keypoints(keypoints, file, timestamps, units=unit, pair_by_order=pair_by_order)
+                session = open_keypoints(keypoints, file, timestamps, frame_rate, unit, pair_by_order=pair_by_order)
             elif videos is not None:
-                session = open_session(videos, file, units=unit, pair_by_order=pair_by_order)
+                session = open_footage(
+                    videos, file, offset, rate, unit, frame_rate=frame_rate, pair_by_order=pair_by_order
+                )
         except InputError as error:
             findings = [*check_cameras(cameras)] if cameras else []
             findings += [from_problem(problem) for problem in error.problems]
@@ -89,14 +93,3 @@ def _check(
         return alone
     reconstruction = reconstruct(session, replace(config, appearance="off"), bars.update)
     return join_findings(alone, people_findings(quality_report(reconstruction)))
-
-
-def _check_sources(videos: Path | None, keypoints: Path | None, timestamps: Path | None) -> None:
-    problems = []
-    if videos is not None and keypoints is not None:
-        problems.append(Problem(SOURCES, "People are filmed, or given as keypoints.", hint="Omit one of them."))
-    if keypoints is None and timestamps is not None:
-        message = "Timestamps belong to keypoints; videos have their own times."
-        problems.append(Problem(SOURCES, message, hint="Omit --timestamps."))
-    if problems:
-        raise InputError(problems)

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.reconstruct import check_sources, parameters
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
 from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, console, emit, reporting, show_findings
 from api.cli.options import (
@@ -21,10 +20,11 @@ from api.cli.options import (
     known_units,
     with_choices,
 )
+from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_footage
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.pictures.look import look_at_pictures
-from pipeline.capture.session import CaptureSession, Recording, Session, open_session
+from pipeline.capture.session import CaptureSession, Session
 from pipeline.config import ReconstructionConfig
 from pipeline.errors import InputError
 from pipeline.findings import Finding, documents, from_problem, has_error
@@ -41,13 +41,9 @@ from pipeline.synchronization.session import clock_findings, on_measured_clocks
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file, see docs/formats.md.")],
-    videos: Annotated[
-        list[Path] | None, typer.Option(help="Folder with one video of each camera, or the videos.", show_default=False)
-    ] = None,
-    offset: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CAMERA=SECONDS", help="Time of a video's first frame on the common clock; repeatable."),
-    ] = None,
+    videos: VideosOption = None,
+    offset: OffsetOption = None,
+    rate: RateOption = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     pair_by_order: PairByOrderOption = False,
@@ -65,8 +61,7 @@ def command(
     With --sync auto the clocks are measured first, from people in all frames, and the people are checked on them.
     """
     with reporting(as_json):
-        offsets = parameters(offset or [], "cam_2=0.48")
-        check_sources(videos, keypoints, timestamps, offsets)
+        check_sources(videos, keypoints, timestamps, offset, rate)
         choices = checked(chosen)
         config = replace(choices, smoothing="none", sync="declared")
         unit = known_units(units)
@@ -77,10 +72,9 @@ def command(
                     keypoints, calibration, timestamps, frame_rate, unit, pair_by_order=pair_by_order
                 )
             else:
-                paths = videos or []
-                recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
-                files = paths[0] if len(paths) == 1 else paths
-                session = open_session(files, calibration, recordings, unit, pair_by_order=pair_by_order)
+                session = open_footage(
+                    videos or [], calibration, offset, rate, unit, frame_rate=frame_rate, pair_by_order=pair_by_order
+                )
         except InputError as error:
             findings = [from_problem(problem) for problem in error.problems]
         else:

@@ -19,11 +19,11 @@ from api.cli.options import (
     known_units,
     with_choices,
 )
+from api.cli.sources import RateOption, VideosOption, check_sources, open_footage
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.capture.session import Session, open_session
+from pipeline.capture.session import Session
 from pipeline.data.cameras import Synchronization
-from pipeline.errors import InputError, PipelineError, Problem
-from pipeline.problem_codes.commands import SOURCES
+from pipeline.errors import PipelineError
 from pipeline.synchronization.document import sound_document, sync_document
 from pipeline.synchronization.report import error_pictures
 
@@ -32,7 +32,8 @@ from pipeline.synchronization.report import error_pictures
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file of the cameras.")],
-    videos: Annotated[Path | None, typer.Option(help="Folder with one video of each camera.")] = None,
+    videos: VideosOption = None,
+    rate: RateOption = None,
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     pair_by_order: PairByOrderOption = False,
@@ -50,7 +51,7 @@ def command(
     certain: the reasons say what to do.
     """
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        _check_sources(videos, keypoints, timestamps, frame_rate)
+        check_sources(videos, keypoints, timestamps, None, rate)
         config = checked(chosen)
         session: Session
         if keypoints is not None:
@@ -58,7 +59,10 @@ def command(
                 keypoints, calibration, timestamps, frame_rate, known_units(units), pair_by_order=pair_by_order
             )
         else:
-            session = open_session(videos or Path(), calibration, units=known_units(units), pair_by_order=pair_by_order)
+            unit = known_units(units)
+            session = open_footage(
+                videos or [], calibration, rate=rate, units=unit, frame_rate=frame_rate, pair_by_order=pair_by_order
+            )
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
             warn(sentence)
@@ -72,19 +76,6 @@ def command(
         _show(document)
     if not document["certain"]:
         raise typer.Exit(EXIT_FAILED)
-
-
-def _check_sources(
-    videos: Path | None, keypoints: Path | None, timestamps: Path | None, frame_rate: float | None
-) -> None:
-    problems = []
-    if (videos is None) == (keypoints is None):
-        problems.append(Problem(SOURCES, "A session has either videos or keypoints.", hint="Give one of them."))
-    if keypoints is None and (timestamps is not None or frame_rate is not None):
-        message = "Timestamps and a frame rate belong to keypoints; videos have their own times."
-        problems.append(Problem(SOURCES, message, hint="Omit --timestamps and --frame-rate."))
-    if problems:
-        raise InputError(problems)
 
 
 def _write_report(folder: Path, document: Mapping[str, Any], found: Synchronization) -> None:

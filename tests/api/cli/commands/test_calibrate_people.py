@@ -62,7 +62,7 @@ def test_keypoints_give_a_calibration_and_a_report(capture: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--stature-m", "1.7"], "Give --videos or --keypoints."),
+        (["--stature-m", "1.7"], "A session has either videos or keypoints."),
         (["--stature-m", "1.7", "--keypoints", "K"], "Give --intrinsics too."),
         (["--stature-m", "1.7", "--videos", "V", "--timestamps", "T"], "Omit --timestamps."),
         (["--stature-m", "178", "--videos", "V"], "2.6"),

@@ -48,7 +48,7 @@ def test_it_is_not_worse_than_others_on_the_same_videos(tmp_path: Path, seed: in
         painter = BoardPainter(camera, BOARD)
         pictures = [painter.paint(pose, rng) for pose in poses]
         write_pictures(videos / f"{camera.name}.mp4", pictures, {"crf": "5", "preset": "ultrafast"})
-    command.command(str(BOARD), tmp_path / "ours.json", videos)
+    command.command(str(BOARD), tmp_path / "ours.json", [videos])
     found: dict[str, Found] = {
         "ours": {
             camera.name: {"center_m": center_in_world(camera), "focal_px": camera.matrix[0, 0]}
