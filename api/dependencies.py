@@ -8,7 +8,7 @@ from fastapi import Depends, Path, Query, Request
 
 from api.events.changes import JobChanges
 from api.health.checks import LimitedChecks
-from api.http.bodies.form import Limits
+from api.http.bodies.form import FormLimits
 from api.http.fair_share import FairShare, FairThreads
 from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
@@ -59,9 +59,9 @@ class Services:
         )
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> FormLimits:
         """Limits of the files of a session."""
-        return Limits(
+        return FormLimits(
             max_file_bytes=self.settings.max_file_bytes,
             max_keypoints_bytes=self.settings.max_keypoints_bytes,
             max_session_bytes=self.settings.max_session_bytes,

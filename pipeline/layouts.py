@@ -16,7 +16,7 @@ Points = tuple[str | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class KeypointLayout:
     """Layout of keypoints."""
 
     name: str  # Name of the layout, with its number of points
@@ -47,21 +47,21 @@ _FACE_POINTS: Points = (None,) * 68
 # After COCO's: top of the head, neck, centre of the hips.
 _HALPE_BODY: Points = (*COCO_17.names, None, None, None, *_both("big_toe", None, "heel"))
 
-LAYOUTS: Mapping[str, Layout] = {
+LAYOUTS: Mapping[str, KeypointLayout] = {
     layout.name: layout
     for layout in (
-        Layout("coco-17", COCO_17.names, COCO_17),
-        Layout("coco-wholebody-23", (*COCO_17.names, *_COCO_FEET), BODY_FEET),
-        Layout(
+        KeypointLayout("coco-17", COCO_17.names, COCO_17),
+        KeypointLayout("coco-wholebody-23", (*COCO_17.names, *_COCO_FEET), BODY_FEET),
+        KeypointLayout(
             "coco-wholebody-133",
             (*COCO_17.names, *_COCO_FEET, *_FACE_POINTS, *_LEFT_HAND, *_RIGHT_HAND),
             WHOLE_BODY,
         ),
-        Layout("halpe-26", _HALPE_BODY, BODY_FEET),
-        Layout("halpe-136", (*_HALPE_BODY, *_FACE_POINTS, *_LEFT_HAND, *_RIGHT_HAND), WHOLE_BODY),
-        Layout("body-25", BODY_25.names, BODY_25),
-        Layout("coco-18", COCO_18.names, COCO_18),
-        Layout(
+        KeypointLayout("halpe-26", _HALPE_BODY, BODY_FEET),
+        KeypointLayout("halpe-136", (*_HALPE_BODY, *_FACE_POINTS, *_LEFT_HAND, *_RIGHT_HAND), WHOLE_BODY),
+        KeypointLayout("body-25", BODY_25.names, BODY_25),
+        KeypointLayout("coco-18", COCO_18.names, COCO_18),
+        KeypointLayout(
             "mediapipe-33",
             (
                 "nose",

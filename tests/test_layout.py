@@ -1,10 +1,11 @@
-"""Laws of the layout: stages named in one place, a web API without science."""
+"""Laws of the layout: stages named in one place, a class a name, a web API without science."""
 
 import ast
 import os
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 from pipeline.stages.plan import STAGES
@@ -14,6 +15,15 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("api", "multicap", "pipeline", "worker")
 # These words have other meanings too: a smoothing, result files, and a field of keypoint files.
 NAMES = {stage.name for stage in STAGES} - {FIT, EXPORT, POSES}
+
+
+def scripts_of_the_page() -> list[Path]:
+    portal = ROOT / "api" / "portal"
+    paths = [
+        path for path in portal.rglob("*.js") if path.relative_to(portal).parts[0] not in {"node_modules", "vendor"}
+    ]
+    assert len(paths) > 10
+    return paths
 
 
 def test_no_stage_is_spelled_elsewhere() -> None:
@@ -29,16 +39,25 @@ def test_no_stage_is_spelled_elsewhere() -> None:
 
 def test_no_stage_is_spelled_in_the_page() -> None:
     labels = {stage.label for stage in STAGES}
-    portal = ROOT / "api" / "portal"
-    paths = [
-        path for path in portal.rglob("*.js") if path.relative_to(portal).parts[0] not in {"node_modules", "vendor"}
-    ]
-    assert len(paths) > 10
-    for path in paths:
+    for path in scripts_of_the_page():
         text = path.read_text(encoding="utf-8")
         assert not {label for label in labels if label in text}
         assert not set(re.findall(r"[\"'](\w+)[\"']|\b(\w+):", text)) & {(name, "") for name in NAMES}
         assert not {key for _, key in re.findall(r"[\"'](\w+)[\"']|\b(\w+):", text)} & NAMES
+
+
+def test_no_two_classes_have_one_name() -> None:
+    """Of the sources, their tests and the page's scripts; private classes are nobody else's."""
+    names: Counter[str] = Counter()
+    for package in (*PACKAGES, "tests"):
+        for path in (ROOT / package).rglob("*.py"):
+            if "node_modules" not in path.parts:
+                nodes = ast.walk(ast.parse(path.read_bytes()))
+                names.update(node.name for node in nodes if isinstance(node, ast.ClassDef))
+    for path in scripts_of_the_page():
+        names.update(re.findall(r"^\s*(?:export )?class (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE))
+    assert len(names) > 500
+    assert not {name for name, count in names.items() if count > 1 and not name.startswith("_")}
 
 
 def test_the_web_api_loads_no_science() -> None:

@@ -22,7 +22,7 @@ class DamagedOutputsError(Exception):
         self.stage, self.chunks = stage, chunks
 
 
-class Outputs(Protocol):
+class OutputReader(Protocol):
     """Reads outputs of an earlier stage's chunks."""
 
     def __call__(self, stage: str, chunks: slice = ...) -> list[bytes]:
@@ -37,7 +37,7 @@ class Work:
     claim: Claim
     session: Session
     artifacts: ArtifactStore  # Store of the session's files
-    outputs: Outputs  # Reads outputs of an earlier stage's chunks
+    outputs: OutputReader  # Reads outputs of an earlier stage's chunks
     scratch: Path  # Folder for temporary files and result files, which is removed after the chunk
     # Call it after each unit of work; raises ``StoppedError`` when the work is no longer wanted
     on_unit: Callable[[], None]

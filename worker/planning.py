@@ -11,14 +11,14 @@ from pipeline.job_choices import VisualChoices
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, plan
 from pipeline.stages.stage import SessionFacts, Task
-from worker.jobs.model.jobs import Job, Making, config_of
+from worker.jobs.model.jobs import JobRecord, Making, config_of
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
 from worker.jobs.spec import JobSpec
 
 
 @runtime_checkable
-class CheckedSession(Protocol):
+class PlannableSession(Protocol):
     """A session whose files were checked; ``worker.jobs.model.sessions.Session``."""
 
     @property
@@ -31,7 +31,7 @@ class CheckedSession(Protocol):
 
 
 def plan_job(
-    session: CheckedSession,
+    session: PlannableSession,
     spec: JobSpec,
     chunk_frames: int = DEFAULT_CHUNK_FRAMES,
     codes: Mapping[str, str] | None = None,
@@ -42,7 +42,7 @@ def plan_job(
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
     ``codes`` are digests of the stages' code, by default this process's; ``making``, ``edits`` and ``revision`` are as
-    in ``worker.jobs.model.jobs.Job``.
+    in ``worker.jobs.model.jobs.JobRecord``.
     """
     stages = plan(
         session_facts(session), config_of(spec, making, edits, revision), codes or stage_codes(), chunk_frames
@@ -50,12 +50,14 @@ def plan_job(
     return tuple(StagePlan(stage.name, _Chunks(stage), stage.code_sha256) for stage in stages)
 
 
-def plan_visuals(session: CheckedSession, job: Job, chunk_frames: int = DEFAULT_CHUNK_FRAMES) -> tuple[StagePlan, ...]:
+def plan_visuals(
+    session: PlannableSession, job: JobRecord, chunk_frames: int = DEFAULT_CHUNK_FRAMES
+) -> tuple[StagePlan, ...]:
     """Plan of the job that makes overlay videos and the report of an edited job anew."""
     return plan_job(session, job.spec, chunk_frames, making=VisualChoices(), edits=job.edits, revision=job.revision)
 
 
-def session_facts(session: CheckedSession) -> SessionFacts:
+def session_facts(session: PlannableSession) -> SessionFacts:
     """Facts of a session that a plan depends on."""
     preflight = session.preflight
     return SessionFacts(
@@ -68,7 +70,7 @@ def session_facts(session: CheckedSession) -> SessionFacts:
     )
 
 
-def has_videos(session: CheckedSession) -> bool:
+def has_videos(session: PlannableSession) -> bool:
     """Return whether the client sent videos; else keypoints."""
     return not any(file.kind == "keypoints" for file in session.files)
 
@@ -107,7 +109,7 @@ class _Chunks:
             yield ChunkPlan(task.index, payload, task.num_units, task.key)
 
 
-def _inputs(session: CheckedSession) -> tuple[str, ...]:
+def _inputs(session: PlannableSession) -> tuple[str, ...]:
     """Digests and names of the files, and what the client stated about them.
 
     Names count: files and cameras find each other by name.

@@ -6,15 +6,15 @@ from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import ARTIFACTS_REFUSED, INTERNAL_ERROR, STORAGE_FULL
 from worker.jobs.errors import ArtifactsRefused
 from worker.jobs.files.disk import is_disk_full
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.outages import Outage
 
 _NAMES = {Outage.DATABASE: "database", Outage.ARTIFACTS: "artifact store", Outage.BROKER: "broker"}
 
 
-def waiting_for(outage: Outage, stage: str | None = None) -> Problem:
+def waiting_for(outage: Outage, stage: str | None = None) -> JobProblem:
     """Build what a job waits for during an outage."""
-    return Problem(
+    return JobProblem(
         Code(outage),
         f"The {_NAMES[outage]} does not respond; the job waits for it.",
         stage=stage,
@@ -23,7 +23,7 @@ def waiting_for(outage: Outage, stage: str | None = None) -> Problem:
     )
 
 
-def problem_of(error: Exception, stage: str) -> Problem:
+def problem_of(error: Exception, stage: str) -> JobProblem:
     """Build the problem of a chunk that failed with an exception.
 
     Errors of the pipeline keep their messages, which are written for people. They are retryable unless the input causes
@@ -32,19 +32,19 @@ def problem_of(error: Exception, stage: str) -> Problem:
     match error:
         case InputError(problems=(only,)):
             message = f"{only.file}: {only.message}" if only.file else only.message
-            return Problem(only.code, message, stage=stage, camera=only.camera, hint=only.hint)
+            return JobProblem(only.code, message, stage=stage, camera=only.camera, hint=only.hint)
         case InputError() | PipelineError():
             # A model may be installed or memory freed before the next attempt; the input stays the same.
-            return Problem(error.code, str(error), stage=stage, retryable=isinstance(error, ModelError | ChildError))
+            return JobProblem(error.code, str(error), stage=stage, retryable=isinstance(error, ModelError | ChildError))
         case MemoryError():
-            return Problem(
+            return JobProblem(
                 MEMORY_LIMIT,
                 f"The stage {stage} needs more memory than the service allows a worker.",
                 stage=stage,
                 hint="Use fewer frames of the session, or ask the operator to raise MULTICAP_MEMORY_BYTES.",
             )
         case ArtifactsRefused():
-            return Problem(
+            return JobProblem(
                 ARTIFACTS_REFUSED,
                 f"The artifact store refused the service at the stage {stage}.",
                 stage=stage,
@@ -52,7 +52,7 @@ def problem_of(error: Exception, stage: str) -> Problem:
                 retryable=True,
             )
         case _ if is_disk_full(error):
-            return Problem(
+            return JobProblem(
                 STORAGE_FULL,
                 f"The service's disk is full; the stage {stage} could not store its output.",
                 stage=stage,
@@ -60,7 +60,7 @@ def problem_of(error: Exception, stage: str) -> Problem:
                 retryable=True,
             )
         case _:
-            return Problem(
+            return JobProblem(
                 INTERNAL_ERROR,
                 f"The stage {stage} failed inside the service.",
                 stage=stage,

@@ -25,7 +25,7 @@ _MAX_TRIES, _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 8, 1.0, 20.0
 _ENDS = {"succeeded": "succeeded", "failed": "failed", "canceled": "was canceled", "expired": "expired"}
 
 
-class Stage(TypedDict):
+class ClientStage(TypedDict):
     """Stage of a job."""
 
     name: str  # Name, such as ``detect`` or ``fit``
@@ -62,7 +62,7 @@ class Job(TypedDict):
     id: str
     session_id: str
     state: Literal["queued", "running", "canceling", "succeeded", "failed", "canceled", "expired"]
-    stages: list[Stage]
+    stages: list[ClientStage]
     progress: float
     queue_position: int | None
     eta_s: float | None

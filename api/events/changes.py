@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from api.errors import ApiError
 from pipeline.problem_codes.requests import TOO_MANY_STREAMS
 from worker.jobs.errors import DamagedDatabase, NotFound
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import FINISHED
 from worker.jobs.model.work import Change
 from worker.jobs.store import JobStore
@@ -26,7 +26,7 @@ _RETRY_AFTER_S = 10
 class JobUpdate:
     """Current state of a job with the number of its last event; both are ``None`` if the job was deleted."""
 
-    job: Job | None
+    job: JobRecord | None
     event: int | None
 
 

@@ -29,7 +29,7 @@ from api.sessions.receiving import received
 from pipeline.job_choices import ProxyChoices
 from pipeline.problem_codes.requests import CONFLICT
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model.jobs import Job, JobKind
+from worker.jobs.model.jobs import JobKind, JobRecord
 from worker.jobs.model.sessions import Session
 from worker.jobs.model.states import RETRYABLE, JobState
 from worker.jobs.spec import JobSpec
@@ -339,14 +339,14 @@ def _queue_proxies(work: TenantRecords, services: Services, session: Session | N
     work.jobs.add(session.id, JobSpec(), stages, None, tracing.current(), making)
 
 
-def _announce(services: Services, job: Job) -> None:
+def _announce(services: Services, job: JobRecord) -> None:
     """Wake a worker for a new job."""
     _log.info("job_created", job=job.id, session=job.session_id)
     # When the broker is away, the reaper publishes later.
     services.queue.publish()
 
 
-def _accepted(job: Job) -> Answer:
+def _accepted(job: JobRecord) -> Answer:
     headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
     return Answer(202, headers, JobOut.of(job).model_dump_json())
 

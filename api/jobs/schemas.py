@@ -7,7 +7,16 @@ from pydantic import AwareDatetime, Field
 from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of
 from pipeline.problem_codes.model import Code
 from pipeline.stages.plan import STAGE_BY_NAME
-from worker.jobs.model.jobs import Attempt, Failure, Job, JobKind, Problem, Stage, is_worth_a_retry, kind_of
+from worker.jobs.model.jobs import (
+    Attempt,
+    Failure,
+    JobKind,
+    JobProblem,
+    JobRecord,
+    StageProgress,
+    is_worth_a_retry,
+    kind_of,
+)
 from worker.jobs.model.states import CANCELABLE, RETRYABLE, ChunkState, JobState
 from worker.jobs.spec import JobSpec
 
@@ -27,7 +36,7 @@ class StageOut(ResponseModel):
     reused: bool = Field(description="Whether the outputs of an earlier job were used.")
 
     @classmethod
-    def of(cls, stage: Stage) -> Self:
+    def of(cls, stage: StageProgress) -> Self:
         """Build the response from a stage."""
         fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
         declared = STAGE_BY_NAME[stage.name]
@@ -50,7 +59,7 @@ class JobError(ResponseModel):
     retryable: bool = Field(description="Whether another attempt may succeed.")
 
     @classmethod
-    def of(cls, problem: Problem) -> Self:
+    def of(cls, problem: JobProblem) -> Self:
         """Build the response from a problem."""
         return cls(**fields_of(problem, cls))
 
@@ -185,7 +194,7 @@ class JobOut(ResponseModel):
     links: JobLinks
 
     @classmethod
-    def of(cls, job: Job) -> Self:
+    def of(cls, job: JobRecord) -> Self:
         """Build the response from a job."""
         address = f"/v1/jobs/{job.id}"
         return cls(
@@ -224,7 +233,7 @@ class JobOut(ResponseModel):
         return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
 
 
-def _may_make_visuals(job: Job) -> bool:
+def _may_make_visuals(job: JobRecord) -> bool:
     """Whether a request makes the visuals of a job anew."""
     has_failed = job.visuals_job is not None and job.visuals_job.state in RETRYABLE
     return job.state is JobState.SUCCEEDED and (job.has_old_visuals or has_failed)

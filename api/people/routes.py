@@ -19,7 +19,7 @@ from api.people.schemas import PeopleEdits, PeopleOut, frames_of
 from pipeline.edits import MAX_PIECES, PersonSpan, apply_edits
 from pipeline.errors import InputError
 from pipeline.problem_codes.requests import CONFLICT
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.planning import plan_job
 from worker.telemetry import tracing
 
@@ -98,12 +98,12 @@ def edit_job_people(
     )
 
 
-def _tag(job: Job) -> str:
+def _tag(job: JobRecord) -> str:
     """Entity tag of a job's people; the edits are not applied for it."""
     return tag_of(job.revision, job.edits, job.people, frames_of(job))
 
 
-def _found(job: Job) -> tuple[PersonSpan, ...]:
+def _found(job: JobRecord) -> tuple[PersonSpan, ...]:
     if job.people is None:
         raise ApiError(
             CONFLICT,

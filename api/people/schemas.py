@@ -7,7 +7,7 @@ from pydantic_core import PydanticKnownError
 
 from api.contract.schemas import ResponseModel, fields_of
 from pipeline.edits import MAX_EDITS, EditedPerson, PeopleEdit, PersonSpan, apply_edits
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 
 _Edit = Annotated[PeopleEdit, Field(discriminator="action")]
 _NUMBERING = "They are numbered as before any cut."
@@ -73,7 +73,7 @@ class PeopleOut(ResponseModel):
     stop_frame: int = Field(description=f"Frame after the last one that a cut keeps. {_NUMBERING}")
 
     @classmethod
-    def of(cls, job: Job, found: tuple[PersonSpan, ...]) -> Self:
+    def of(cls, job: JobRecord, found: tuple[PersonSpan, ...]) -> Self:
         """Build the response from a job and the people whom it found."""
         num_frames = frames_of(job)
         take = apply_edits(found, job.edits, num_frames)
@@ -89,6 +89,6 @@ class PeopleOut(ResponseModel):
         )
 
 
-def frames_of(job: Job) -> int:
+def frames_of(job: JobRecord) -> int:
     """Frames of a job's reconstruction."""
     return job.num_frames if job.spec.frame_range is None else len(range(*job.spec.frame_range))

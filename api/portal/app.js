@@ -1,7 +1,7 @@
 // Frame of the page: signing in, navigation, the view of the address.
 
 import { announce } from "./shared/announce.js";
-import { call, Problem, signedOut, useLink } from "./shared/api.js";
+import { call, RequestProblem, signedOut, useLink } from "./shared/api.js";
 import { persistently, reached } from "./shared/away.js";
 import { feed } from "./shared/feed.js";
 import { html, nothing, render } from "./shared/lit.js";
@@ -61,8 +61,8 @@ async function load(name) {
   try {
     return await VIEWS[name]();
   } catch {
-    if (!await reached()) throw new Problem(null);
-    if (sending.rows.length || performance.now() < NEW_MS) throw new Problem({ detail: "The view can't be loaded. Reload the page.", hint: "The files have to be chosen again." }, 500);
+    if (!await reached()) throw new RequestProblem(null);
+    if (sending.rows.length || performance.now() < NEW_MS) throw new RequestProblem({ detail: "The view can't be loaded. Reload the page.", hint: "The files have to be chosen again." }, 500);
     location.reload();
     return new Promise(() => {});
   }

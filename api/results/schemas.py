@@ -7,7 +7,7 @@ from pydantic import Field
 from api.contract.schemas import ResponseModel, fields_of
 from api.http.file_names import result_name
 from pipeline.config import FILE_FORMATS
-from worker.jobs.model.jobs import Job, Result
+from worker.jobs.model.jobs import JobRecord, Result
 
 
 class ResultOut(ResponseModel):
@@ -32,7 +32,7 @@ class ResultOut(ResponseModel):
     link: str = Field(description="Path of the file.")
 
     @classmethod
-    def of(cls, job: Job, result: Result) -> Self:
+    def of(cls, job: JobRecord, result: Result) -> Self:
         """Build the response from a result of a job."""
         return cls(
             format=result.kind if result.kind in FILE_FORMATS else None,

@@ -70,8 +70,8 @@ class Observations:
     # Joints in full-image pixels (distorted, as seen) at the output instants, NaN where a camera has no observation
     points_px: Float[np.ndarray, "frames cameras joints 2"]
     score: Float[np.ndarray, "frames cameras joints"]  # The detector's confidence, 0 where ``points_px`` is NaN
-    # Rows of the detections in ``tracking.observations.Bodies`` at the output frames that are nearest to them, -1 where
-    # there is none. No rows: not recorded, because no colours were measured.
+    # Rows of the detections in ``tracking.observations.Detections2D`` at the output frames that are nearest to them, -1
+    # where there is none. No rows: not recorded, because no colours were measured.
     detection: Int[np.ndarray, "recorded recorded_cameras"] = field(default_factory=no_detections)
 
 

@@ -21,7 +21,7 @@ from pipeline.joints import JointSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Person:
+class PersonContent:
     """Content of a person's file."""
 
     track: Track3D  # Positions of the joints
@@ -37,7 +37,7 @@ class Person:
 class Format:
     """Writer and reader of a format."""
 
-    encode: Callable[[Person], Iterator[bytes]]  # Yields the bytes of a person's file, piece by piece
+    encode: Callable[[PersonContent], Iterator[bytes]]  # Yields the bytes of a person's file, piece by piece
     # Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3); NaN for unknown
     # joints
     read_xyz_m: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ joints 3"]]]

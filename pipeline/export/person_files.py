@@ -15,7 +15,7 @@ from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
-from pipeline.export.formats import FORMATS, Person
+from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.writers import skeletons_json
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, part_of, split
@@ -111,7 +111,7 @@ def _written(
         with replacing(path, skeletons_json.encode_track(track)) as part:
             return _furthest_mm(path, track.xyz_m, [skeletons_json.read_track_m(part)], on_read)
     export: Export = next(export for export in FILE_FORMATS if export == name)
-    content = Person(track, person.motion, person.joints, person.timebase, path.name, preset)
+    content = PersonContent(track, person.motion, person.joints, person.timebase, path.name, preset)
     expected_m = skeleton_m() if FILE_FORMATS[export].holds == "motion" else track.xyz_m
     with replacing(path, FORMATS[export].encode(content)) as part:
         return _furthest_mm(path, expected_m, FORMATS[export].read_xyz_m(part, preset), on_read)

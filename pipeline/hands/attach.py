@@ -20,7 +20,7 @@ from pipeline.geometry.undistortion import undistort_views
 from pipeline.hands.agreement_kernels import Agreement, choose_hands
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, without_hands
 from pipeline.tracking.kernels.observation_kernels import sample
-from pipeline.tracking.observations import NOBODY, Bodies, rows_by_person, sampling_of
+from pipeline.tracking.observations import NOBODY, Detections2D, rows_by_person, sampling_of
 
 # Knuckles whose positions in the palm hardly change: the roots of the five fingers.
 _KNUCKLES = ("thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
@@ -49,7 +49,7 @@ def has_hands(joints: JointSet) -> bool:
     return set(joints.names) >= FINGER_JOINTS
 
 
-def without_fingers(bodies: Bodies, joints: JointSet) -> Bodies:
+def without_fingers(bodies: Detections2D, joints: JointSet) -> Detections2D:
     """Detections with the joints of ``without_hands(joints)`` only; the detections themselves if that is all.
 
     ``bodies`` have all joints of ``joints``.
@@ -60,7 +60,7 @@ def without_fingers(bodies: Bodies, joints: JointSet) -> Bodies:
 
 def attach_hands(
     people: People,
-    bodies: Bodies,
+    bodies: Detections2D,
     cameras: Sequence[Camera],
     joints: JointSet,
     timebase: Timebase,
@@ -116,7 +116,7 @@ def _columns(joints: JointSet, names: Sequence[str]) -> Int[np.ndarray, " names"
     return np.array(joints.indices(tuple(names)), np.int64)
 
 
-def _only(bodies: Bodies, columns: Int[np.ndarray, " columns"]) -> Bodies:
+def _only(bodies: Detections2D, columns: Int[np.ndarray, " columns"]) -> Detections2D:
     """Detections with some joints."""
     return bodies._replace(
         seen_px=np.ascontiguousarray(bodies.seen_px[:, columns]), score=np.ascontiguousarray(bodies.score[:, columns])
@@ -125,7 +125,7 @@ def _only(bodies: Bodies, columns: Int[np.ndarray, " columns"]) -> Bodies:
 
 def _sampled(
     track: Track3D,
-    fingers: Bodies,
+    fingers: Detections2D,
     rows: Int[np.ndarray, " rows"],
     num_cameras: int,
     timebase: Timebase,
@@ -226,7 +226,7 @@ def _joined(columns: Sequence[Int[np.ndarray, " _"]], body: np.ndarray, hands: n
     return read_only(joined)
 
 
-def owners(people: People, bodies: Bodies, timebase: Timebase) -> Int[np.ndarray, " detections"]:
+def owners(people: People, bodies: Detections2D, timebase: Timebase) -> Int[np.ndarray, " detections"]:
     """Find the person of each detection: the one whose observations in the camera have the detection's joints.
 
     People and bodies have the same joints, those of the body. Returns the person's position in ``people.tracks`` for
@@ -247,7 +247,7 @@ def owners(people: People, bodies: Bodies, timebase: Timebase) -> Int[np.ndarray
 
 
 def _rows_in(
-    track: Track3D, camera: int, bodies: Bodies, nearest: Int[np.ndarray, " detections"]
+    track: Track3D, camera: int, bodies: Detections2D, nearest: Int[np.ndarray, " detections"]
 ) -> Int[np.ndarray, " rows"]:
     """Detections of a camera in the frames of a track; a camera's detections are in order of time."""
     start, stop = np.searchsorted(bodies.camera, [camera, camera + 1])

@@ -79,7 +79,7 @@ def mean_clothes(
 ) -> Clothes:
     """Average the colours of a piece of a track, camera by camera.
 
-    Colours and cameras are those of the piece's rows in ``observations.Bodies``.
+    Colours and cameras are those of the piece's rows in ``observations.Detections2D``.
     """
     total = np.zeros((num_cameras, *colour.shape[1:]))
     np.add.at(total, camera, colour)
@@ -95,7 +95,7 @@ def clothes_of(
     """Average the colours of some frames of a person.
 
     ``detection`` has those frames of ``Observations.detection``, no rows if it was not recorded; ``colour`` is that of
-    all detections, ``observations.Bodies.colour``.
+    all detections, ``observations.Detections2D.colour``.
     """
     frames, cameras = np.nonzero(detection >= 0)
     return mean_clothes(colour[detection[frames, cameras]], cameras, num_cameras)

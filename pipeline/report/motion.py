@@ -44,7 +44,7 @@ _USUAL_RADIUS_M = 0.04
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class ReportMotion:
     """Motion and quality of a take."""
 
     document: dict[str, Any]  # JSON document for the script of the report
@@ -54,7 +54,7 @@ class Motion:
     error_px: Float[np.ndarray, " frames"]
 
 
-def motion_of(take: Reconstruction, views: Sequence[PersonViews], max_bytes: int = MAX_MOTION_BYTES) -> Motion:
+def motion_of(take: Reconstruction, views: Sequence[PersonViews], max_bytes: int = MAX_MOTION_BYTES) -> ReportMotion:
     """Prepare motion and quality of a take for the report."""
     num_bones = max((len(motion.bone_length_m) for motion in take.motions), default=0)
     skeleton = skeleton_of(num_bones) if num_bones else ()
@@ -108,7 +108,7 @@ def motion_of(take: Reconstruction, views: Sequence[PersonViews], max_bytes: int
             "people": strips,
         },
     }
-    return Motion(document, stride, num_people, error_px)
+    return ReportMotion(document, stride, num_people, error_px)
 
 
 def stride_for(num_frames: Sequence[int], record_bytes: int, max_bytes: int) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.findings import Finding, worst_first
 from pipeline.report.markup import Markup, data, element, joined, source_hash
-from pipeline.report.motion import Motion
+from pipeline.report.motion import ReportMotion
 from pipeline.report.pictures import Picture
 
 _ASSETS = Path(__file__).parent / "assets"
@@ -24,7 +24,7 @@ class ReportContents:
     """Contents of a report."""
 
     name: str  # Name of the take
-    motion: Motion  # Motion and quality for the script
+    motion: ReportMotion  # Motion and quality for the script
     metrics: Mapping[str, Any]  # Content of ``metrics.json``
     findings: Sequence[Finding]  # Warnings of the result
     pictures: Sequence[Picture]  # Pictures of the cameras, those of a moment together

@@ -11,7 +11,7 @@ from pipeline.calibration.sizes import scaled
 from pipeline.data.cameras import Camera
 from pipeline.export.overlay import NO_NAMES, draw_skeletons
 from pipeline.joints import JointSet
-from pipeline.report.motion import Motion
+from pipeline.report.motion import ReportMotion
 
 LONG_SIDE_PX = 800
 MAX_PICTURES = 32
@@ -40,7 +40,7 @@ class Picture:
     jpeg: bytes  # The compressed picture
 
 
-def moments_of(motion: Motion, num_cameras: int) -> list[Moment]:
+def moments_of(motion: ReportMotion, num_cameras: int) -> list[Moment]:
     """Moments of a take to show: in the middle of the frames with most people, and the one with the largest error."""
     if not motion.num_people.any():
         return [Moment("Middle of the take", len(motion.num_people) // 2)]

@@ -14,11 +14,11 @@ from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.problem_codes.commands import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
 from pipeline.simulation.motion.director import Cast, improvise
-from pipeline.simulation.motion.exchange import Exchange, exchange
+from pipeline.simulation.motion.exchange import PlaceExchange, exchange
 from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Clock, Layout, Rig, build_cameras, choose_views, frame_times
-from pipeline.simulation.views.detector import Detector, detect
+from pipeline.simulation.views.detector import DetectorAccuracy, detect
 from pipeline.simulation.views.extremities import detect_extremities
 from pipeline.simulation.views.faults import Faults
 from pipeline.simulation.views.fields import Sketch, sketch
@@ -47,9 +47,9 @@ class Scene:
     """
 
     rig: Rig
-    cast: Cast | Exchange | tuple[Role, ...]
+    cast: Cast | PlaceExchange | tuple[Role, ...]
     clock: Clock = field(default_factory=Clock)
-    detector: Detector = field(default_factory=Detector)
+    detector: DetectorAccuracy = field(default_factory=DetectorAccuracy)
     boxes: tuple[Box, ...] = ()
     duration_s: float = 30.0
 
@@ -147,7 +147,7 @@ SCENES: Mapping[str, Scene] = {
         Rig(Layout.CEILING, 28, (8.5, 6.5), 3.6, focal_px=700.0, target_height_m=0.8),
         Cast(16, (14.0, 10.0), walking=0.7),
         Clock(10.0),
-        Detector(faults=Faults(miss_body=0.10)),
+        DetectorAccuracy(faults=Faults(miss_body=0.10)),
         boxes=_LONG_SHELVES,
     ),
     "outdoor": Scene(
@@ -164,8 +164,8 @@ SCENES: Mapping[str, Scene] = {
     **{f"crowd-{num_people}": _crowd(num_people) for num_people in (2, 3, 5)},
     "exchange": Scene(
         Rig(Layout.RING, 6, (4.0, 4.0), 2.4, focal_px=760.0),
-        Exchange(7, gap_m=0.5),
-        detector=Detector(noise_m=0.015, faults=Faults(miss_joint=0.05, miss_body=0.2, mix=0.3, memory_s=0.3)),
+        PlaceExchange(7, gap_m=0.5),
+        detector=DetectorAccuracy(noise_m=0.015, faults=Faults(miss_joint=0.05, miss_body=0.2, mix=0.3, memory_s=0.3)),
         duration_s=20.0,
     ),
     "contact": Scene(
@@ -205,7 +205,7 @@ SCENES: Mapping[str, Scene] = {
     "noisy": Scene(
         Rig(Layout.RING, 5, (4.5, 4.5), 2.3),
         Cast(4, (4.0, 4.0), gestures=_ACTIVE),
-        detector=Detector(
+        detector=DetectorAccuracy(
             noise_m=0.025,
             tail=3.0,
             faults=Faults(
@@ -270,7 +270,7 @@ def _roles(scene: Scene, rng: np.random.Generator) -> tuple[Role, ...]:
     match scene.cast:
         case Cast():
             return improvise(scene.cast, scene.boxes, scene.duration_s, rng)
-        case Exchange():
+        case PlaceExchange():
             return exchange(scene.cast, scene.duration_s, rng)
         case _:
             return scene.cast

@@ -31,7 +31,7 @@ from pipeline.joints import JointSet
 from pipeline.parameters import change_parameters
 from pipeline.progress import OnShare, ignore
 from pipeline.tracking.associate import track_bodies
-from pipeline.tracking.observations import Bodies
+from pipeline.tracking.observations import Detections2D
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
 from pipeline.video.timeline import frames_in, span_s
@@ -68,7 +68,7 @@ def clustering_parameters(session: Session, config: ReconstructionConfig) -> Clu
 
 
 def track(
-    session: Session, bodies: Bodies, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
+    session: Session, bodies: Detections2D, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
 ) -> People:
     """Track people by cross-view tracking: one pass in time order.
 
@@ -150,7 +150,9 @@ def assign_identities(
     return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people, colour)
 
 
-def attach(session: Session, people: People, bodies: Bodies, joints: JointSet, config: ReconstructionConfig) -> People:
+def attach(
+    session: Session, people: People, bodies: Detections2D, joints: JointSet, config: ReconstructionConfig
+) -> People:
     """Add the fingers of detections to people of either method; see ``pipeline.hands.attach``.
 
     People have the joints of ``without_hands(joints)``, bodies of all cameras all joints, as of ``gather``.

@@ -29,7 +29,7 @@ from pipeline.stages.people import StoredPeople
 from pipeline.stages.refinement import RefinedCalibration
 from pipeline.stages.stage import DETECT, REFINE, SYNCHRONIZE, FrameCut, SessionFacts, Task
 from pipeline.synchronization.session import largest_shift_s, on_measured_clocks
-from pipeline.tracking.observations import Bodies, gather
+from pipeline.tracking.observations import Detections2D, gather
 from pipeline.video.timeline import frames_in
 
 _Record = TypeVar("_Record")
@@ -163,7 +163,7 @@ class Context(ABC):
         """Detections in the session."""
         return _VideoDetections(self) if self.facts.has_videos else _FileDetections(self)
 
-    def gathered_bodies(self) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
+    def gathered_bodies(self) -> tuple[Detections2D, tuple[DamagedVideo, ...]]:
         """Bodies of all cameras as tracking takes them, and the damaged videos among those that show them."""
         session, source = self.wanted(self.session()), self.detections
         bodies = source.bodies(session, with_colours=source.measures_colours)

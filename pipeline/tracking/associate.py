@@ -15,7 +15,7 @@ from pipeline.geometry.track_assembly import close_gaps, find_life, make_person,
 from pipeline.progress import OnShare, ignore, part_of
 from pipeline.tracking.kernels.observation_kernels import Sampling, locate, record
 from pipeline.tracking.observations import (
-    Bodies,
+    Detections2D,
     detections_at,
     gather,
     rows_by_person,
@@ -78,7 +78,7 @@ def reconstruct_tracks(
 def track_bodies(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
-    bodies: Bodies,
+    bodies: Detections2D,
     timebase: Timebase,
     parameters: TrackingParameters,
     on_share: OnShare = ignore,
@@ -100,7 +100,7 @@ def track_bodies(
 def _identify(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
-    bodies: Bodies,
+    bodies: Detections2D,
     ideal_px: Float[np.ndarray, "detections joints 2"],
     parameters: TrackingParameters,
     on_share: OnShare,
@@ -113,7 +113,7 @@ def _identify(
 
 def _samplings(
     cameras: Sequence[Camera],
-    bodies: Bodies,
+    bodies: Detections2D,
     identity: Int[np.ndarray, " detections"],
     timebase: Timebase,
     parameters: TrackingParameters,
@@ -127,7 +127,7 @@ def _samplings(
 
 def _triangulate(
     cameras: Sequence[Camera],
-    bodies: Bodies,
+    bodies: Detections2D,
     ideal_px: Float[np.ndarray, "detections joints 2"],
     samplings: Sequence[Sampling],
     parameters: TrackingParameters,
@@ -150,7 +150,7 @@ def _triangulate(
 
 def _record(
     cameras: Sequence[Camera],
-    bodies: Bodies,
+    bodies: Detections2D,
     samplings: Sequence[Sampling],
     xyz_m: Sequence[Float[np.ndarray, "_ joints 3"]],
     timebase: Timebase,
@@ -188,7 +188,7 @@ def _record(
     return People(*number_people(recorded), leftovers=_leftovers(bodies, np.flatnonzero(is_left), timebase))
 
 
-def _leftovers(bodies: Bodies, rows: Int[np.ndarray, " n"], timebase: Timebase) -> Leftovers:
+def _leftovers(bodies: Detections2D, rows: Int[np.ndarray, " n"], timebase: Timebase) -> Leftovers:
     place = (bodies.time_s[rows] - timebase.start_time_s) * timebase.frame_rate_hz
     frame = np.round(place).astype(int)
     inside = (frame >= 0) & (frame < timebase.num_frames)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from pipeline.tracking.affinity import epipolar_affinity, ray_distance_m
 from pipeline.tracking.assignment import assign, partition
-from pipeline.tracking.kernels.state import MIN_JOINTS, Rig
+from pipeline.tracking.kernels.state import MIN_JOINTS, RigGeometry
 from pipeline.tracking.parameters import TrackingParameters
 
 # Most detections that are grouped at once: a hundred people in five cameras. The simulated scenes have 24.
@@ -65,7 +65,7 @@ def group_unmatched(
     return Groups([[unmatched[i] for i in part] for part in parts], is_complete and is_exact)
 
 
-def spread_m(rig: Rig, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
+def spread_m(rig: RigGeometry, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
     """Median distance of a group's triangulated joints to their viewing rays in metres; infinite without any joint."""
     cameras = [body.camera for body in group]
     points_px = np.array([body.points_px for body in group])

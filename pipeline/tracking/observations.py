@@ -16,7 +16,7 @@ NOBODY = -1
 """Identity of a detection that belongs to no person."""
 
 
-class Bodies(NamedTuple):
+class Detections2D(NamedTuple):
     """Detections of all cameras, camera by camera and in order of frames."""
 
     # Position of the camera, its frame number and the frame's time, (detections,)
@@ -31,15 +31,17 @@ class Bodies(NamedTuple):
     colour: np.ndarray
 
 
-def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]) -> Bodies:
-    """Copy the detections of all cameras into arrays. The cameras are in the order of ``Bodies.camera``."""
+def gather(
+    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]
+) -> Detections2D:
+    """Copy the detections of all cameras into arrays. The cameras are in the order of ``Detections2D.camera``."""
     ordered = [detections[camera.name] for camera in cameras]
     seen_px = np.concatenate(
         [_within_view(camera, of_camera.keypoints_px) for camera, of_camera in zip(cameras, ordered, strict=True)]
     )
     score = np.concatenate([of_camera.score for of_camera in ordered])
     clear_unfound(seen_px, score)
-    return Bodies(
+    return Detections2D(
         camera=np.repeat(np.arange(len(cameras)), [len(of_camera.frame) for of_camera in ordered]),
         frame=np.concatenate([of_camera.frame for of_camera in ordered]),
         time_s=np.concatenate([times[of_camera.camera].time_s[of_camera.frame] for of_camera in ordered]),
@@ -70,7 +72,7 @@ def _gather_colours(ordered: Sequence[Detections]) -> UInt8[np.ndarray, "detecti
     )
 
 
-def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, "detections joints 2"]:
+def undistorted(cameras: Sequence[Camera], bodies: Detections2D) -> Float[np.ndarray, "detections joints 2"]:
     """Undistort the joints of all detections; returns ``bodies.seen_px`` itself if no camera has distortion."""
     if all(camera.is_ideal for camera in cameras):
         return bodies.seen_px
@@ -81,7 +83,9 @@ def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, 
     return ideal_px
 
 
-def rows_by_person(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
+def rows_by_person(
+    bodies: Detections2D, identity: Int[np.ndarray, " detections"]
+) -> Iterator[Int[np.ndarray, " rows"]]:
     """Rows of each person's detections in ``bodies``, ascending.
 
     Of several detections of a person in one frame, the row with the highest sum of scores is kept. Rows with the
@@ -95,7 +99,7 @@ def rows_by_person(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> 
             yield _best_in_frame(bodies, rows)
 
 
-def _best_in_frame(bodies: Bodies, rows: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " _"]:
+def _best_in_frame(bodies: Detections2D, rows: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " _"]:
     camera, frame = bodies.camera[rows], bodies.frame[rows]
     if np.all((np.diff(camera) != 0) | (np.diff(frame) != 0)):
         return rows
@@ -105,7 +109,7 @@ def _best_in_frame(bodies: Bodies, rows: Int[np.ndarray, " rows"]) -> Int[np.nda
 
 
 def sampling_of(
-    timebase: Timebase, bodies: Bodies, rows: Int[np.ndarray, " rows"], num_cameras: int, lambda_t_hz: float
+    timebase: Timebase, bodies: Detections2D, rows: Int[np.ndarray, " rows"], num_cameras: int, lambda_t_hz: float
 ) -> Sampling:
     """Prepare the sampling of a person's observations at the output instants.
 
@@ -128,7 +132,7 @@ def sampled_in(life: slice, sampling: Sampling) -> Sampling:
     )
 
 
-def detections_at(timebase: Timebase, bodies: Bodies, sampling: Sampling) -> Int[np.ndarray, "frames cameras"]:
+def detections_at(timebase: Timebase, bodies: Detections2D, sampling: Sampling) -> Int[np.ndarray, "frames cameras"]:
     """Rows of a person's detections by nearest output frame and camera.
 
     Of several that are nearest to the same frame the last one counts; -1 where there is none.

@@ -20,7 +20,7 @@ from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.tracking.assignment import assign
 from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
-from pipeline.tracking.kernels.state import NUM_RECENT, Frames, Rig
+from pipeline.tracking.kernels.state import NUM_RECENT, Frames, RigGeometry
 from pipeline.tracking.observations import NOBODY
 from pipeline.tracking.parameters import TrackingParameters
 
@@ -147,7 +147,9 @@ class Target:
 class ReferenceTracker:
     """Assignment of detections to people, one frame of one camera at a time; see ``tracker.ReferenceTracker``."""
 
-    def __init__(self, cameras: Sequence[Camera], rig: Rig, frames: Frames, parameters: TrackingParameters) -> None:
+    def __init__(
+        self, cameras: Sequence[Camera], rig: RigGeometry, frames: Frames, parameters: TrackingParameters
+    ) -> None:
         self._cameras = cameras
         self._rig = rig
         self._frames = frames

@@ -18,11 +18,11 @@ from pipeline.tracking.kernels.state import (
     Limits,
     Outcome,
     Pool,
-    Rig,
+    RigGeometry,
     make_targets,
     make_workspace,
 )
-from pipeline.tracking.observations import NOBODY, Bodies
+from pipeline.tracking.observations import NOBODY, Detections2D
 from pipeline.tracking.parameters import TrackingParameters
 
 _FIRST_SLOTS = 16
@@ -32,10 +32,10 @@ _MAX_TARGETS = 512
 _FRAMES_AT_ONCE = 64
 
 
-def make_rig(cameras: Sequence[Camera]) -> Rig:
+def make_rig(cameras: Sequence[Camera]) -> RigGeometry:
     """Gather the geometry of all cameras in arrays."""
     projections = projection_matrices(cameras)
-    return Rig(
+    return RigGeometry(
         image_from_world=projections,
         world_ray_from_image=np.linalg.inv(projections[:, :, :3]),
         center_m=np.array([center_in_world(camera) for camera in cameras]),
@@ -50,7 +50,7 @@ def make_limits(parameters: TrackingParameters) -> Limits:
 
 def make_frames(
     times: Sequence[FrameTimes],
-    bodies: Bodies,
+    bodies: Detections2D,
     ideal_px: Float[np.ndarray, "detections joints 2"],
     min_score: float,
 ) -> Frames:

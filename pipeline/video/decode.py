@@ -15,7 +15,7 @@ from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.sessions import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, VIDEO_TIMES, VIDEO_UNREADABLE
 from pipeline.video.decoder import Request
-from pipeline.video.decoder_process import LimitError, UnreadableError, decoded_frames
+from pipeline.video.decoder_process import LimitError, UnreadableVideoError, decoded_frames
 from pipeline.video.info import VideoInfo, seek_points
 
 # Base limit on computing time, and additional time for each frame since the start of the file, where decoding may have
@@ -84,7 +84,7 @@ def decode(
                     on_damaged(number)
                 following = number + 1
                 yield number, np.rot90(frame.image_rgb, k=video.rotation_deg // 90)
-    except UnreadableError:
+    except UnreadableVideoError:
         raise _undecodable(video, following) from None
     except LimitError:
         raise _beyond_limits(video, following) from None

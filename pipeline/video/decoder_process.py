@@ -24,7 +24,7 @@ from pipeline.video.decoder import EXIT_OUT_OF_MEMORY, EXIT_UNREADABLE, FRAME, R
 _TIMEOUT_S = 45.0
 
 
-class UnreadableError(Exception):
+class UnreadableVideoError(Exception):
     """The file can't be opened or read."""
 
 
@@ -111,7 +111,7 @@ def _read_frames(
     if exit_code == 0 and is_started:
         return
     if exit_code == EXIT_UNREADABLE:
-        raise UnreadableError
+        raise UnreadableVideoError
     if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_caused_by_file(exit_code)):
         raise LimitError
     errors.seek(0)

@@ -32,7 +32,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @dataclass(frozen=True)
-class Capture:
+class CalibratedVideos:
     """Videos by camera, and calibrated cameras."""
 
     videos: Mapping[str, Path]
@@ -59,8 +59,8 @@ class Capture:
 
 
 @pytest.fixture
-def capture(sample: Sample) -> Capture:
-    return Capture(sample.videos, read_calibration(sample.calibration))
+def capture(sample: Sample) -> CalibratedVideos:
+    return CalibratedVideos(sample.videos, read_calibration(sample.calibration))
 
 
 def named(findings: list[dict[str, Any]], code: str) -> dict[str, dict[str, Any]]:
@@ -68,7 +68,7 @@ def named(findings: list[dict[str, Any]], code: str) -> dict[str, dict[str, Any]
     return {one["camera"]: one["evidence"] for one in findings if one["code"] == code}
 
 
-def scaled(capture: Capture, scale: float) -> Capture:
+def scaled(capture: CalibratedVideos, scale: float) -> CalibratedVideos:
     """Capture whose calibration is in another unit."""
     poses = [camera.cam_from_world for camera in capture.cameras]
     cameras = [
@@ -78,12 +78,12 @@ def scaled(capture: Capture, scale: float) -> Capture:
     return replace(capture, cameras=tuple(cameras))
 
 
-def test_a_good_capture_has_no_error(served: Served, capture: Capture) -> None:
+def test_a_good_capture_has_no_error(served: Served, capture: CalibratedVideos) -> None:
     findings = capture.send(served)["preflight"]["findings"]
     assert [one for one in findings if one["severity"] != "info"] == []
 
 
-def test_one_video_twice(served: Served, capture: Capture, tmp_path: Path) -> None:
+def test_one_video_twice(served: Served, capture: CalibratedVideos, tmp_path: Path) -> None:
     """The second one is encoded again, smaller and at another rate."""
     copy = tmp_path / "copy.mp4"
     words = ["-i", str(capture.videos["cam01"]), "-r", "50", "-crf", "30", "-preset", "ultrafast", str(copy)]
@@ -95,12 +95,12 @@ def test_one_video_twice(served: Served, capture: Capture, tmp_path: Path) -> No
     assert served.client.get(thumbnails[picture]["link"]).content.startswith(b"\xff\xd8\xff")
 
 
-def test_wrong_units(served: Served, capture: Capture) -> None:
+def test_wrong_units(served: Served, capture: CalibratedVideos) -> None:
     findings = scaled(capture, 1000.0).send(served)["preflight"]["findings"]
     assert "mm" in next(one["hint"] for one in findings if one["code"] == "world_unit")
 
 
-def test_exchanged_calibrations(served: Served, capture: Capture) -> None:
+def test_exchanged_calibrations(served: Served, capture: CalibratedVideos) -> None:
     exchange = {"cam01": "cam03", "cam03": "cam01"}
     cameras = tuple(replace(camera, name=exchange.get(camera.name, camera.name)) for camera in capture.cameras)
     job = replace(capture, cameras=cameras).reconstruct(served)
@@ -108,7 +108,7 @@ def test_exchanged_calibrations(served: Served, capture: Capture) -> None:
     assert {camera: evidence["other_camera"] for camera, evidence in found.items()} == exchange
 
 
-def test_exchanged_videos(served: Served, capture: Capture) -> None:
+def test_exchanged_videos(served: Served, capture: CalibratedVideos) -> None:
     exchange = {"cam02": "cam04", "cam04": "cam02"}
     videos = {name: capture.videos[exchange.get(name, name)] for name in capture.videos}
     job = replace(capture, videos=videos).reconstruct(served)
@@ -116,7 +116,7 @@ def test_exchanged_videos(served: Served, capture: Capture) -> None:
     assert {camera: evidence["other_camera"] for camera, evidence in found.items()} == exchange
 
 
-def test_a_rotated_camera(served: Served, capture: Capture, tmp_path: Path) -> None:
+def test_a_rotated_camera(served: Served, capture: CalibratedVideos, tmp_path: Path) -> None:
     turned = tmp_path / "turned.mp4"
     words = ["-i", str(capture.videos["cam02"]), "-vf", "hflip,vflip", "-preset", "ultrafast", str(turned)]
     subprocess.run(["ffmpeg", "-v", "error", *words], check=True)
@@ -124,7 +124,7 @@ def test_a_rotated_camera(served: Served, capture: Capture, tmp_path: Path) -> N
     assert named(job["result_warnings"], "picture_turned")["cam02"]["turn_deg"] == 180
 
 
-def test_checks_of_the_world_are_in_the_job_and_on_the_page(served: Served, capture: Capture) -> None:
+def test_checks_of_the_world_are_in_the_job_and_on_the_page(served: Served, capture: CalibratedVideos) -> None:
     job = scaled(capture, 1.6).reconstruct(served)
     metrics = served.client.get(f"/v1/jobs/{job['id']}/results/metrics.json").raise_for_status().json()
     checks = {one["code"] for one in metrics["world_checks"]}
@@ -143,7 +143,7 @@ def test_a_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
     video_capture(tmp_path, 12)
     cameras = read_calibration(tmp_path / "calibration.json")
     videos = {camera.name: tmp_path / "videos" / f"{camera.name}.mp4" for camera in cameras}
-    job = Capture(videos, cameras).reconstruct(served)
+    job = CalibratedVideos(videos, cameras).reconstruct(served)
     (nobody,) = [one for one in job["result_warnings"] if one["code"] == "nobody_found"]
     assert nobody["evidence"]["reason"] in {"nobody_detected", "same_video"}
     assert nobody["message"].startswith("Nobody was found. ")

@@ -61,7 +61,7 @@ def with_channels(motion: SkeletonMotion) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Capture:
+class ExportedCapture:
     """Reconstruction with all exports; BVH files of each preset are in their own folder."""
 
     name: str
@@ -72,14 +72,14 @@ class Capture:
         return {self.folder / preset / f"{one.name}.{export}": one for one in self.reconstruction.motions}
 
 
-def exported(name: str, reconstruction: Reconstruction, folder: Path) -> Capture:
+def exported(name: str, reconstruction: Reconstruction, folder: Path) -> ExportedCapture:
     for preset in PRESET_NAMES:
         write_results(reconstruction, folder / preset, EXPORTS if preset == "default" else ("bvh",), preset)
-    return Capture(name, reconstruction, folder)
+    return ExportedCapture(name, reconstruction, folder)
 
 
 @pytest.fixture(scope="session")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+def walk(tmp_path_factory: pytest.TempPathFactory) -> ExportedCapture:
     folder = tmp_path_factory.mktemp("walk")
     for name, content in simulation_files(record(find_scene("walk"), seed=0)):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -89,12 +89,12 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Capture:
 
 
 @pytest.fixture(scope="session")
-def filmed(reconstruction: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Capture:
+def filmed(reconstruction: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> ExportedCapture:
     return exported("sample", reconstruction, tmp_path_factory.mktemp("filmed"))
 
 
 @pytest.fixture(scope="session")
-def hands(walk: Capture, tmp_path_factory: pytest.TempPathFactory) -> Capture:
+def hands(walk: ExportedCapture, tmp_path_factory: pytest.TempPathFactory) -> ExportedCapture:
     """The simulated walk with fingers that turn, also in the tracks."""
     body = walk.reconstruction
     joints = JointSet(
@@ -140,7 +140,7 @@ def with_finger_joints(track: Track3D, motion: SkeletonMotion | None) -> Track3D
 
 
 @pytest.fixture(params=["walk", pytest.param("filmed", marks=pytest.mark.slow), "hands"])
-def capture(request: pytest.FixtureRequest) -> Capture:
+def capture(request: pytest.FixtureRequest) -> ExportedCapture:
     return request.getfixturevalue(request.param)
 
 
@@ -151,7 +151,7 @@ def assert_same(found: np.ndarray, expected: np.ndarray, tolerance: float, what:
 
 @pytest.mark.parametrize("preset", PRESET_NAMES)
 @pytest.mark.parametrize("read", [read_with_bvhio, read_with_bvh_converter])
-def test_bvh_in_python(capture: Capture, preset: Preset, read: Callable[[Path], dict[str, np.ndarray]]) -> None:
+def test_bvh_in_python(capture: ExportedCapture, preset: Preset, read: Callable[[Path], dict[str, np.ndarray]]) -> None:
     axes, units_per_m = IN_FILE[preset]
     for path, motion in capture.paths("bvh", preset).items():
         expected_m, found = forward_kinematics(motion), read(path)
@@ -162,7 +162,7 @@ def test_bvh_in_python(capture: Capture, preset: Preset, read: Callable[[Path], 
 
 # three.js's loader does not find joints whose names contain a colon.
 @pytest.mark.parametrize("preset", [preset for preset in PRESET_NAMES if preset != "mixamo"])
-def test_bvh_in_three(capture: Capture, preset: Preset) -> None:
+def test_bvh_in_three(capture: ExportedCapture, preset: Preset) -> None:
     axes, units_per_m = IN_FILE[preset]
     paths = capture.paths("bvh", preset)
     for path, read in read_with_three(list(paths)).items():
@@ -174,7 +174,7 @@ def test_bvh_in_three(capture: Capture, preset: Preset) -> None:
             assert_same(read.positions[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
 
 
-def test_glb_in_three(capture: Capture) -> None:
+def test_glb_in_three(capture: ExportedCapture) -> None:
     paths = capture.paths("glb")
     for path, read in read_with_three(list(paths)).items():
         motion = paths[path]
@@ -184,12 +184,12 @@ def test_glb_in_three(capture: Capture) -> None:
             assert_same(read.positions[joint.name], expected_m[:, index] @ Y_UP.T, 1e-4, (path, joint.name))
 
 
-def test_glb_is_valid_gltf(capture: Capture) -> None:
+def test_glb_is_valid_gltf(capture: ExportedCapture) -> None:
     for path, issues in validate_with_khronos(list(capture.paths("glb"))).items():
         assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), (path, issues["messages"])
 
 
-def test_markers(capture: Capture) -> None:
+def test_markers(capture: ExportedCapture) -> None:
     tracks = {track.track_id: track for track in capture.reconstruction.tracks}
     joints, rate_hz = capture.reconstruction.joints.names, capture.reconstruction.timebase.frame_rate_hz
     for path, motion in capture.paths("c3d").items():
@@ -214,7 +214,7 @@ def test_markers(capture: Capture) -> None:
         assert_same(found_m[known], (expected_m @ Y_UP.T)[known], 1e-4, path)
 
 
-def test_metrics_say_how_far_joints_are_in_each_format(capture: Capture) -> None:
+def test_metrics_say_how_far_joints_are_in_each_format(capture: ExportedCapture) -> None:
     for preset in PRESET_NAMES:
         check = json.loads((capture.folder / preset / "metrics.json").read_bytes())["exports"]
         assert set(check) == {"skeletons", *(EXPORTS if preset == "default" else ("bvh",))}
@@ -223,7 +223,7 @@ def test_metrics_say_how_far_joints_are_in_each_format(capture: Capture) -> None
     assert max(check[export]["max_distance_mm"] for export in check if export != "bvh") < 0.1
 
 
-def test_animations_are_where_the_fit_has_the_joints(capture: Capture) -> None:
+def test_animations_are_where_the_fit_has_the_joints(capture: ExportedCapture) -> None:
     """Joints of the skeleton have the final positions of the track."""
     joints = capture.reconstruction.joints
     own = {one.name: one.landmarks[0] for one in SKELETON if len(one.landmarks) == 1}
@@ -238,7 +238,7 @@ def test_animations_are_where_the_fit_has_the_joints(capture: Capture) -> None:
 
 
 @pytest.mark.parametrize("preset", PRESET_NAMES)
-def test_nothing_flips(capture: Capture, preset: Preset) -> None:
+def test_nothing_flips(capture: ExportedCapture, preset: Preset) -> None:
     """No joint turns by more than 45 degrees between frames in which it and its bones' ends move less than 5 cm."""
     for motion in capture.reconstruction.motions:
         positions_m = forward_kinematics(motion)
@@ -254,7 +254,7 @@ def test_nothing_flips(capture: Capture, preset: Preset) -> None:
 
 
 @pytest.mark.blender
-def test_blender(capture: Capture, tmp_path: Path) -> None:
+def test_blender(capture: ExportedCapture, tmp_path: Path) -> None:
     """In each frame people are upright, face the right way, and stand at their place in the world."""
     rate_hz = capture.reconstruction.timebase.frame_rate_hz
     opened: dict[Path, tuple[Preset, SkeletonMotion, float]] = {

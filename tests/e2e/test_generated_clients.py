@@ -54,7 +54,7 @@ SECTIONS = sections()
 
 
 @dataclass(frozen=True, slots=True)
-class Portal:
+class ServedCapture:
     """Service with keys, and the folder of a capture."""
 
     served: Served
@@ -69,7 +69,7 @@ def multicap(*arguments: str | Path) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def portal(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Portal]:
+def portal(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedCapture]:
     folder = tmp_path_factory.mktemp("portal")
     take = folder / "take"
     take.mkdir()
@@ -80,10 +80,10 @@ def portal(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     with serving(folder / "data", MULTICAP_PREFLIGHT_TIMEOUT_S="240") as served:
         key = json.loads(multicap("keys", "create", "portal", "--json", "--data", folder / "data"))["key"]
         served.client.headers["Authorization"] = f"Bearer {key}"
-        yield Portal(served, key, take)
+        yield ServedCapture(served, key, take)
 
 
-def run(command: list[str], folder: Path, portal: Portal) -> str:
+def run(command: list[str], folder: Path, portal: ServedCapture) -> str:
     """Run a command of the page; return what it writes."""
     values = {ADDRESS: str(portal.served.client.base_url).rstrip("/"), KEY: portal.key, FOLDER: str(portal.take)}
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
@@ -101,7 +101,7 @@ def run(command: list[str], folder: Path, portal: Portal) -> str:
     return done.stdout
 
 
-def require_downloads(portal: Portal, folder: Path) -> None:
+def require_downloads(portal: ServedCapture, folder: Path) -> None:
     """Check that a program has written all files of the newest job, byte by byte."""
     (job,) = portal.served.client.get("/v1/jobs", params={"limit": 1}).raise_for_status().json()["jobs"]
     assert job["state"] == "succeeded", job
@@ -126,7 +126,7 @@ def test_the_page_installs_what_is_tested() -> None:
 
 
 @pytest.mark.parametrize("title", ["Python", "TypeScript: hey-api", "TypeScript: openapi-fetch"])
-def test_programs_of_the_page(portal: Portal, tmp_path: Path, title: str) -> None:
+def test_programs_of_the_page(portal: ServedCapture, tmp_path: Path, title: str) -> None:
     section = SECTIONS[title]
     if section.uses_npm:
         if not (CLIENTS / "node_modules" / ".installed").is_file():

@@ -26,7 +26,7 @@ NARROW: ViewportSize = {"width": 390, "height": 844}
 
 
 @dataclass
-class Portal:
+class ServedPeople:
     """Service with a key, and a finished job of three people of 100 frames."""
 
     served: Served
@@ -84,7 +84,7 @@ class Portal:
 
 
 @pytest.fixture(scope="module")
-def portal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Portal]:
+def portal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedPeople]:
     folder = tmp_path_factory.mktemp("people")
     keypoint_capture(folder, 4.0)
     data = folder / "data"
@@ -95,13 +95,13 @@ def portal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Portal]:
         manifest = ("manifest", (None, json.dumps({"name": "Room, take 1"})))
         answer = served.client.post("/v1/jobs", files=[*files(folder), manifest])
         assert answer.status_code == 202, answer.text
-        found = Portal(served, made["key"], answer.json()["id"])
+        found = ServedPeople(served, made["key"], answer.json()["id"])
         found.wait()
         yield found
 
 
 @pytest.fixture
-def page(portal: Portal) -> Iterator[Page]:
+def page(portal: ServedPeople) -> Iterator[Page]:
     if portal.people()["edits"]:
         portal.edit()
     allowed = ("401 (Unauthorized", "409 (Conflict", "422 (Unprocessable")
@@ -122,14 +122,14 @@ def expect_in_one_screen(page: Page) -> None:
         assert box["y"] + box["height"] <= 800, part
 
 
-def sign_in(page: Page, portal: Portal) -> None:
+def sign_in(page: Page, portal: ServedPeople) -> None:
     page.get_by_label("Key").fill(portal.key)
     page.get_by_role("button", name="Sign in").click()
     expect(page.get_by_role("heading", name="Captures", level=1)).to_be_visible(timeout=30_000)
     look_at(page, portal)
 
 
-def look_at(page: Page, portal: Portal) -> None:
+def look_at(page: Page, portal: ServedPeople) -> None:
     page.goto(f"/#/jobs/{portal.job_id}")
     expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=60_000)
     expect(panel(page)).to_be_visible()
@@ -172,7 +172,7 @@ def expect_in_view(page: Page, *names: str) -> None:
     expect(rows).to_have_text(names, timeout=30_000)
 
 
-def frames_of_both(portal: Portal, one: int, other: int) -> int:
+def frames_of_both(portal: ServedPeople, one: int, other: int) -> int:
     """Number of frames in which two people who were found are there."""
     spans = {person["id"]: person for person in portal.people()["found"]}
     frames = [
@@ -182,7 +182,7 @@ def frames_of_both(portal: Portal, one: int, other: int) -> int:
     return len(frames[0] & frames[1])
 
 
-def test_people_are_merged_and_the_merge_is_undone(page: Page, portal: Portal) -> None:
+def test_people_are_merged_and_the_merge_is_undone(page: Page, portal: ServedPeople) -> None:
     revision = portal.people()["revision"]
     frame = 40
     choose(page, "person-2", frame)
@@ -226,7 +226,7 @@ def test_people_are_merged_and_the_merge_is_undone(page: Page, portal: Portal) -
     assert portal.people()["edits"] == []
 
 
-def test_split_exchange_rename_delete_and_cut(page: Page, portal: Portal) -> None:
+def test_split_exchange_rename_delete_and_cut(page: Page, portal: ServedPeople) -> None:
     before = portal.people()
     revision, num_frames = before["revision"], before["num_frames"]
     choose(page, "person-1", 30)
@@ -270,7 +270,7 @@ def test_split_exchange_rename_delete_and_cut(page: Page, portal: Portal) -> Non
     assert portal.people()["edits"] == after["edits"]
 
 
-def test_people_who_never_meet_are_merged_at_once(page: Page, portal: Portal) -> None:
+def test_people_who_never_meet_are_merged_at_once(page: Page, portal: ServedPeople) -> None:
     revision = portal.people()["revision"]
     choose(page, "person-1", 50)
     press(page, "Split here")
@@ -283,7 +283,7 @@ def test_people_who_never_meet_are_merged_at_once(page: Page, portal: Portal) ->
     expect(panel(page).get_by_role("radio")).to_have_count(3)
 
 
-def test_a_take_without_people_is_said_to_be_emptied(page: Page, portal: Portal) -> None:
+def test_a_take_without_people_is_said_to_be_emptied(page: Page, portal: ServedPeople) -> None:
     portal.edit(*({"action": "remove", "person": person} for person in (1, 2, 3)))
     page.reload()
     look_at(page, portal)
@@ -296,7 +296,7 @@ def test_a_take_without_people_is_said_to_be_emptied(page: Page, portal: Portal)
     expect_in_view(page, "person-3")
 
 
-def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: Portal) -> None:
+def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: ServedPeople) -> None:
     """While no worker runs, edits show at once, and the files of the last revision stay listed."""
     revision = portal.people()["revision"]
     files = page.get_by_role("region", name="Files")
@@ -334,7 +334,7 @@ def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: Port
     assert video.evaluate("one => one.isConnected")
 
 
-def test_the_report_follows_edits_on_request(page: Page, portal: Portal) -> None:
+def test_the_report_follows_edits_on_request(page: Page, portal: ServedPeople) -> None:
     session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["links"]["session"]
     job = portal.client.post(f"{session}/jobs", json={"report": True}).raise_for_status().json()
     with_report = replace(portal, job_id=job["id"])
@@ -357,7 +357,7 @@ def test_the_report_follows_edits_on_request(page: Page, portal: Portal) -> None
     assert "Anna" in download.value.path().read_text()
 
 
-def test_an_edit_that_is_refused_takes_no_other_with_it(page: Page, portal: Portal) -> None:
+def test_an_edit_that_is_refused_takes_no_other_with_it(page: Page, portal: ServedPeople) -> None:
     revision = portal.people()["revision"]
     held: list[Route] = []
 
@@ -381,7 +381,7 @@ def test_an_edit_that_is_refused_takes_no_other_with_it(page: Page, portal: Port
     assert portal.people()["edits"] == [{"action": "rename", "person": 2, "name": "Anna"}]
 
 
-def test_impossible_edits_say_what_to_do(page: Page, portal: Portal) -> None:
+def test_impossible_edits_say_what_to_do(page: Page, portal: ServedPeople) -> None:
     revision = portal.people()["revision"]
     choose(page, "person-1", 0)
     press(page, "Split here")
@@ -392,7 +392,7 @@ def test_impossible_edits_say_what_to_do(page: Page, portal: Portal) -> None:
     assert portal.people()["revision"] == revision
 
 
-def test_two_people_who_edit_at_once(page: Page, portal: Portal) -> None:
+def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
     theirs = {"action": "rename", "person": 3, "name": "Theirs"}
     choose(page, "person-1", 30)
     portal.edit(theirs)
@@ -414,7 +414,7 @@ def test_two_people_who_edit_at_once(page: Page, portal: Portal) -> None:
     expect(panel(page).get_by_text("No edits.")).to_be_visible()
 
 
-def test_another_job_is_compared_on_the_same_clock(page: Page, portal: Portal) -> None:
+def test_another_job_is_compared_on_the_same_clock(page: Page, portal: ServedPeople) -> None:
     session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["links"]["session"]
     for job in portal.client.get("/v1/jobs").raise_for_status().json()["jobs"]:
         if job["id"] != portal.job_id:
@@ -437,7 +437,7 @@ def test_another_job_is_compared_on_the_same_clock(page: Page, portal: Portal) -
     assert axe_findings(page) == []
 
 
-def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: Portal) -> None:
+def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: ServedPeople) -> None:
     sharing = page.get_by_role("region", name="Public link")
     sharing.get_by_label("Ends after").select_option("1 day")
     sharing.get_by_role("button", name="Make a link").click()
@@ -476,7 +476,7 @@ def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: Por
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_the_panel_is_accessible_and_fits(
-    page: Page, portal: Portal, width: int, scheme: Literal["light", "dark"]
+    page: Page, portal: ServedPeople, width: int, scheme: Literal["light", "dark"]
 ) -> None:
     portal.edit({"action": "split", "person": 1, "frame": 30}, {"action": "cut", "start_frame": 10, "stop_frame": 90})
     page.set_viewport_size({"width": width, "height": 844})

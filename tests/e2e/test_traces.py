@@ -46,7 +46,7 @@ def collector() -> Iterator[tuple[Collector, str]]:
     """Collector of OTLP over HTTP with its address."""
     found = Collector()
 
-    class Handler(BaseHTTPRequestHandler):
+    class TraceHandler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             found.take(self.rfile.read(int(self.headers["Content-Length"])))
             self.send_response(200)
@@ -56,7 +56,7 @@ def collector() -> Iterator[tuple[Collector, str]]:
         def log_message(self, *_: object) -> None:
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), TraceHandler) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         yield found, f"http://127.0.0.1:{server.server_port}"

@@ -20,7 +20,7 @@ import valkey
 from tusclient.client import TusClient
 
 from tests.e2e.serving import serving
-from tests.faults.service import CLOCK, Service
+from tests.faults.service import CLOCK, SmallDiskService
 from tests.small_disk import fill
 from tests.waiting import wait_for
 
@@ -45,45 +45,45 @@ def kill(process: psutil.Process) -> None:
         process.kill()
 
 
-def kill_worker_child(service: Service, chance: random.Random, job_id: str) -> None:
+def kill_worker_child(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     kill(chance.choice(service.served.part("worker").children()))
 
 
-def kill_worker(service: Service, chance: random.Random, job_id: str) -> None:
+def kill_worker(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     kill(service.served.part("worker"))
 
 
-def kill_api(service: Service, chance: random.Random, job_id: str) -> None:
+def kill_api(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     kill(service.served.part("api"))
 
 
-def kill_reaper(service: Service, chance: random.Random, job_id: str) -> None:
+def kill_reaper(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     kill(service.served.part("worker.reaper"))
 
 
-def kill_broker_with_its_data(service: Service, chance: random.Random, job_id: str) -> None:
+def kill_broker_with_its_data(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     kill(service.served.part("valkey-server"))
 
 
-def lock_database(service: Service, chance: random.Random, job_id: str) -> None:
+def lock_database(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     with contextlib.closing(sqlite3.connect(service.data_dir / "multicap.db", timeout=30)) as database:
         database.execute("BEGIN IMMEDIATE")
         time.sleep(HELD_S)
         database.rollback()
 
 
-def lose_the_message(service: Service, chance: random.Random, job_id: str) -> None:
+def lose_the_message(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     """Kill the worker that has the message, and delete all messages of the broker."""
     kill(service.served.part("worker"))
     with valkey.Valkey(unix_socket_path=str(service.data_dir / "broker" / "socket")) as broker:
         broker.flushall()
 
 
-def set_the_clock(service: Service, chance: random.Random, job_id: str) -> None:
+def set_the_clock(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     set_clock(service.disk, chance.uniform(-7200.0, 7200.0))
 
 
-def freeze_worker_beyond_its_lease(service: Service, chance: random.Random, job_id: str) -> None:
+def freeze_worker_beyond_its_lease(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     """Suspend a worker beyond its lease; it continues with a chunk that it has lost."""
     children = service.served.part("worker").children()
     for child in children:
@@ -93,13 +93,13 @@ def freeze_worker_beyond_its_lease(service: Service, chance: random.Random, job_
         child.resume()
 
 
-def fill_the_disk(service: Service, chance: random.Random, job_id: str) -> None:
+def fill_the_disk(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     fill(service.filler)
     time.sleep(HELD_S)
     service.filler.unlink()
 
 
-def fill_the_disk_and_empty_it_through_the_api(service: Service, chance: random.Random, job_id: str) -> None:
+def fill_the_disk_and_empty_it_through_the_api(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     """Fill the disk until the job has ended; deleting an upload frees space for the job."""
     client = service.served.client
     begun = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(BALLAST_BYTES)}).raise_for_status()
@@ -114,7 +114,7 @@ def fill_the_disk_and_empty_it_through_the_api(service: Service, chance: random.
     assert client.delete(ballast, headers=TUS).status_code == 204
 
 
-def back_up_and_restore_elsewhere(service: Service, chance: random.Random, job_id: str) -> None:
+def back_up_and_restore_elsewhere(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     """Back up the service and restore it in another folder; it finishes the job with the same files."""
     folder = service.disk.parent / "elsewhere"
     folder.mkdir()
@@ -132,7 +132,7 @@ def back_up_and_restore_elsewhere(service: Service, chance: random.Random, job_i
     shutil.rmtree(folder)
 
 
-def kill_api_and_reaper_during_an_upload(service: Service, chance: random.Random, job_id: str) -> None:
+def kill_api_and_reaper_during_an_upload(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     """Kill both; the upload continues when the API has restarted, and the job's webhook still arrives."""
     content = chance.randbytes(UPLOAD_BYTES)
     path = service.disk.parent / "upload.mp4"
@@ -160,12 +160,12 @@ def kill_api_and_reaper_during_an_upload(service: Service, chance: random.Random
     assert service.served.client.delete(url, headers=TUS).status_code == 204
 
 
-def upgrade_the_code(service: Service, chance: random.Random, job_id: str) -> None:
+def upgrade_the_code(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
     """Upgrade the code; the new version finishes the chunks that the old version planned."""
     service.upgrade(service.disk.parent / "other_version")
 
 
-Fault = Callable[[Service, random.Random, str], None]
+Fault = Callable[[SmallDiskService, random.Random, str], None]
 FAULTS: list[Fault] = [
     kill_worker_child,
     kill_worker,
@@ -187,12 +187,12 @@ AT_ONCE = {lose_the_message}
 NEED_A_DISK = {fill_the_disk, fill_the_disk_and_empty_it_through_the_api}
 
 
-def is_possible(fault: Fault, service: Service) -> bool:
+def is_possible(fault: Fault, service: SmallDiskService) -> bool:
     """Whether this machine allows the fault."""
     return fault not in NEED_A_DISK or service.disk.is_mount()
 
 
-def call(service: Service, method: str, path: str) -> httpx2.Response:
+def call(service: SmallDiskService, method: str, path: str) -> httpx2.Response:
     """Repeat a request until it is answered: the API may be restarting, or the database locked."""
     deadline_s = time.monotonic() + 120
     while True:
@@ -204,7 +204,7 @@ def call(service: Service, method: str, path: str) -> httpx2.Response:
         time.sleep(0.2)
 
 
-def wait_for_end(service: Service, job_id: str) -> dict[str, Any]:
+def wait_for_end(service: SmallDiskService, job_id: str) -> dict[str, Any]:
     deadline_s = time.monotonic() + END_S
     while (job := call(service, "GET", f"/v1/jobs/{job_id}").json())["state"] not in {"succeeded", "failed"}:
         assert time.monotonic() < deadline_s, f"stuck: {job}"

@@ -34,7 +34,7 @@ ENVIRONMENT = {
 
 
 @dataclass
-class Receiver:
+class VerifyingReceiver:
     """Receiver of webhooks; it records the ids of messages by job and type."""
 
     port: int = 0
@@ -58,11 +58,11 @@ class Receiver:
 
 
 @contextlib.contextmanager
-def receiving() -> Iterator[Receiver]:
+def receiving() -> Iterator[VerifyingReceiver]:
     """Run a receiver on a free port during the block."""
-    receiver = Receiver()
+    receiver = VerifyingReceiver()
 
-    class Handler(BaseHTTPRequestHandler):
+    class VerifyingHandler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["content-length"])).decode()
             receiver.take({name.lower(): value for name, value in self.headers.items()}, body)
@@ -72,14 +72,14 @@ def receiving() -> Iterator[Receiver]:
         def log_message(self, *_: object) -> None:
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), VerifyingHandler) as server:
         receiver.port = server.server_port
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield receiver
         server.shutdown()
 
 
-class Service:
+class SmallDiskService:
     """A running service on a small disk.
 
     Parameters
@@ -90,7 +90,7 @@ class Service:
         Gets the webhooks of all jobs.
     """
 
-    def __init__(self, disk: Path, receiver: Receiver) -> None:
+    def __init__(self, disk: Path, receiver: VerifyingReceiver) -> None:
         self.disk, self.receiver = disk, receiver
         self.data_dir = disk / "data"
         self.filler = self.data_dir / "filler"

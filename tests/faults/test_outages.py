@@ -50,7 +50,7 @@ END_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Outage:
+class PlannedOutage:
     """Outage of a kind; it begins ``after_s`` and lasts ``seconds``."""
 
     kind: str
@@ -94,11 +94,11 @@ KINDS: Mapping[str, Mapping[str, Callable[[SeveralMachines, float], None]]] = {
 }
 
 
-def outages_of(chance: random.Random) -> list[Outage]:
+def outages_of(chance: random.Random) -> list[PlannedOutage]:
     """One to three outages, of different parts."""
     chosen = chance.sample(sorted(KINDS), chance.randint(1, len(KINDS)))
     return [
-        Outage(
+        PlannedOutage(
             f"{part} {chance.choice(sorted(KINDS[part]))}",
             chance.uniform(0.0, LATEST_S),
             min(LONGEST_S, SHORTEST_S + chance.expovariate(1.0 / MEAN_MORE_S)),
@@ -134,7 +134,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SeveralMachine
         yield service
 
 
-def disturb(service: SeveralMachines, outage: Outage) -> None:
+def disturb(service: SeveralMachines, outage: PlannedOutage) -> None:
     time.sleep(outage.after_s)
     part, _, kind = outage.kind.partition(" ")
     KINDS[part][kind](service, outage.seconds)
@@ -171,7 +171,7 @@ def one_session(service: SeveralMachines, take: Path, expected: list[dict[str, s
 
 
 def one_round(
-    service: SeveralMachines, take: Path, expected: list[dict[str, str]], outages: list[Outage], name: str
+    service: SeveralMachines, take: Path, expected: list[dict[str, str]], outages: list[PlannedOutage], name: str
 ) -> int:
     """Run 20 jobs under outages; return the number of tries that they used up."""
     with ThreadPoolExecutor(len(outages) + NUM_SESSIONS) as threads:
@@ -189,9 +189,9 @@ def one_round(
 @pytest.mark.slow
 def test_outages_of_all_parts_at_once(service: SeveralMachines, take: Path, expected: list[dict[str, str]]) -> None:
     outages = [
-        Outage("bucket unavailable", 2.0, 20.0),
-        Outage("database forgotten", 1.0, 1.0),
-        Outage("broker flushed", 0.0, 5.0),
+        PlannedOutage("bucket unavailable", 2.0, 20.0),
+        PlannedOutage("database forgotten", 1.0, 1.0),
+        PlannedOutage("broker flushed", 0.0, 5.0),
     ]
     assert one_round(service, take, expected, outages, "at-once") == 0
 

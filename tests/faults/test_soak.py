@@ -32,7 +32,7 @@ from tests.faults.faults import (
     set_the_clock,
     wait_for_end,
 )
-from tests.faults.service import CLOCK, Service, receiving
+from tests.faults.service import CLOCK, SmallDiskService, receiving
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("faults")
@@ -60,10 +60,10 @@ def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def service(disk: Path) -> Iterator[Service]:
+def service(disk: Path) -> Iterator[SmallDiskService]:
     set_clock(disk, 0.0)
     with receiving() as receiver:
-        service = Service(disk, receiver)
+        service = SmallDiskService(disk, receiver)
         service.start()
         try:
             service.make_webhook_secret()
@@ -73,7 +73,7 @@ def service(disk: Path) -> Iterator[Service]:
 
 
 def one_run(
-    service: Service,
+    service: SmallDiskService,
     content: Sequence[Any],
     undisturbed: dict[Method, dict[str, str]],
     fault: Fault,
@@ -118,7 +118,7 @@ def one_run(
     return end
 
 
-def disturb(service: Service, capture: Path, undisturbed: dict[Method, dict[str, str]], runs: int) -> None:
+def disturb(service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]], runs: int) -> None:
     """Make a number of runs, and print their outcomes."""
     content = files(capture)
     print(f"seed {SEED}", flush=True)  # noqa: T201
@@ -136,10 +136,10 @@ def disturb(service: Service, capture: Path, undisturbed: dict[Method, dict[str,
     assert service.receiver.forged == []
 
 
-def test_every_fault_once(service: Service, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
+def test_every_fault_once(service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
     disturb(service, capture, undisturbed, FEW_RUNS)
 
 
 @pytest.mark.soak
-def test_soak(service: Service, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
+def test_soak(service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
     disturb(service, capture, undisturbed, RUNS)

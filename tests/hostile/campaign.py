@@ -38,7 +38,7 @@ Part = tuple[str, str, bytes]
 
 
 @dataclass
-class Report:
+class CampaignReport:
     """Observations of a campaign; ``faults`` lists everything that must not happen."""
 
     faults: list[str] = field(default_factory=list)
@@ -100,7 +100,7 @@ class Campaign:
         self._hostile = self._client(hostile_key)
         self._jobs: queue.Queue[dict[str, Any]] = queue.Queue(_UNFINISHED_JOBS)
         self._ended = threading.Event()
-        self.report = Report()
+        self.report = CampaignReport()
 
     def close(self) -> None:
         """Close the hostile tenant's connections."""
@@ -138,7 +138,7 @@ class Campaign:
         self._hostile.delete(f"/v1/sessions/{session_id}")
 
     @contextmanager
-    def observed(self) -> Iterator[Report]:
+    def observed(self) -> Iterator[CampaignReport]:
         """Observe jobs, memory and the other tenant during the block, and until the last hostile job has ended."""
         self.report.undisturbed_s = statistics.median(self._victim_job() for _ in range(3))
         with ThreadPoolExecutor(3) as pool:

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.e2e.serving import serving
 from tests.hostile.calibrations import spoilt_calibrations
-from tests.hostile.campaign import Campaign, Part, Report, alive
+from tests.hostile.campaign import Campaign, CampaignReport, Part, alive
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
 from tests.hostile.media import good_videos, spoilt_videos
 from worker.jobs.model.rights import Scope
@@ -93,7 +93,9 @@ def send_videos(campaign: Campaign, good: Mapping[str, bytes], videos: Sequence[
         campaign.send(video_session({"good.mp4": good["a.mp4"], **accepted}), {"smoothing": "fit"})
 
 
-def send_all(campaign: Campaign, folder: Path, num_videos: int, num_calibrations: int, num_keypoints: int) -> Report:
+def send_all(
+    campaign: Campaign, folder: Path, num_videos: int, num_calibrations: int, num_keypoints: int
+) -> CampaignReport:
     """Send numbers of damaged videos, calibrations and keypoint sessions with several senders at once."""
     simulation = simulate()
     keypoints = keypoint_files(simulation)
@@ -134,7 +136,7 @@ def campaign(tmp_path: Path) -> Iterator[Campaign]:
         assert alive(served)
 
 
-def run(campaign: Campaign, folder: Path, *counts: int) -> Report:
+def run(campaign: Campaign, folder: Path, *counts: int) -> CampaignReport:
     folder.mkdir()
     report = send_all(campaign, folder, *counts)
     print("\n" + "\n".join([f"seed {SEED}", *report.lines()]))  # noqa: T201

@@ -18,7 +18,7 @@ from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Clock, Layout, Rig
 from pipeline.simulation.scenes import Scene, record
 from pipeline.stages.association import assign_identities, link, locate_people, measure_bones, track
-from pipeline.tracking.observations import Bodies, gather
+from pipeline.tracking.observations import Detections2D, gather
 from tests.hostile.crowds import hostile_crowds
 
 CLUSTERING = ReconstructionConfig(method="clustering")
@@ -34,7 +34,7 @@ def child() -> Iterator[ProcessPoolExecutor]:
         yield pool
 
 
-def gathered(session: KeypointSession) -> Bodies:
+def gathered(session: KeypointSession) -> Detections2D:
     return gather(session.cameras, session.times, session.detections)
 
 

@@ -1,10 +1,10 @@
 import pytest
 
-from pipeline.layouts import HAND_POINTS, LAYOUTS, Layout
+from pipeline.layouts import HAND_POINTS, LAYOUTS, KeypointLayout
 
 
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
-def test_every_joint_is_one_point(layout: Layout) -> None:
+def test_every_joint_is_one_point(layout: KeypointLayout) -> None:
     used = [point for point in layout.points if point is not None]
     assert sorted(used) == sorted(layout.joints.names)
     assert [layout.points[index] for index in layout.indices] == list(layout.joints.names)

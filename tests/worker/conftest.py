@@ -28,7 +28,7 @@ from pipeline.stages.stage import (
 )
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
@@ -119,7 +119,7 @@ LIGHT_STAGES: dict[str, Callable[[Work], Output]] = {
 
 
 @dataclass
-class Bench:
+class RunnerBench:
     """Store with a session, and runners that work on it."""
 
     data_dir: Path
@@ -148,7 +148,7 @@ class Bench:
     def _publish(self) -> None:
         self.published += 1
 
-    def create_job(self, retention_s: float | None = None, spec: JobSpec = JobSpec()) -> Job:  # noqa: B008 - frozen
+    def create_job(self, retention_s: float | None = None, spec: JobSpec = JobSpec()) -> JobRecord:  # noqa: B008 - frozen
         stages = plan_job(self.session, spec, CHUNK_FRAMES)
         return self.store.jobs.add(self.session.id, spec, stages, retention_s)
 
@@ -160,7 +160,7 @@ class Bench:
         return content
 
 
-def open_bench(data_dir: Path) -> Bench:
+def open_bench(data_dir: Path) -> RunnerBench:
     """Create a bench with a new session in a data folder."""
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
@@ -175,11 +175,11 @@ def open_bench(data_dir: Path) -> Bench:
         stretches=(range(NUM_FRAMES),),
     )
     session = store.sessions.add("take", files, preflight, session_id)
-    return Bench(data_dir, store, LocalArtifacts(data_dir / "artifacts"), session)
+    return RunnerBench(data_dir, store, LocalArtifacts(data_dir / "artifacts"), session)
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def bench(tmp_path: Path) -> Iterator[RunnerBench]:
     bench = open_bench(tmp_path)
     yield bench
     bench.store.close()

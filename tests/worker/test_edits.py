@@ -11,12 +11,12 @@ from pipeline.errors import PipelineError
 from pipeline.findings import Finding
 from pipeline.problem_codes.warnings import NOBODY_FOUND
 from pipeline.stages.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT, WRITE, Output, ResultFile
-from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, Bench
+from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, RunnerBench
 from worker.chunk import StoppedError, Work
 from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import results_prefix
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import JobState
 from worker.planning import plan_job
 
@@ -24,13 +24,13 @@ FIRST, NOBODY, ANNA = Remove(person=1), Remove(person=2), Rename(person=1, name=
 
 
 @pytest.fixture
-def done(bench: Bench) -> Job:
+def done(bench: RunnerBench) -> JobRecord:
     job = bench.create_job()
     bench.runner().work(60.0)
     return bench.store.jobs.get(job.id)
 
 
-def edit(bench: Bench, job: Job, *edits: PeopleEdit, codes: dict[str, str] | None = None) -> Job:
+def edit(bench: RunnerBench, job: JobRecord, *edits: PeopleEdit, codes: dict[str, str] | None = None) -> JobRecord:
     stages = plan_job(bench.session, job.spec, CHUNK_FRAMES, codes, edits=edits)
     return bench.store.jobs.edit(job.id, edits, stages, job.revision)
 
@@ -39,7 +39,7 @@ def expected(*edits: PeopleEdit) -> bytes:
     return RESULT + repr(edits).encode() if edits else RESULT
 
 
-def test_edits_run_their_own_stages_alone(bench: Bench, done: Job) -> None:
+def test_edits_run_their_own_stages_alone(bench: RunnerBench, done: JobRecord) -> None:
     assert done.people == FOUND
     queued = edit(bench, done, FIRST)
     assert (queued.state, queued.attempt, queued.revision, queued.edits) == (JobState.QUEUED, 2, 1, (FIRST,))
@@ -59,7 +59,7 @@ def test_edits_run_their_own_stages_alone(bench: Bench, done: Job) -> None:
     assert bench.result(done.id) == expected(FIRST)
 
 
-def test_a_rename_stores_the_files_that_hold_the_name_alone(bench: Bench) -> None:
+def test_a_rename_stores_the_files_that_hold_the_name_alone(bench: RunnerBench) -> None:
     export, run = bench.stages[EXPORT], []
 
     def export_with_name(work: Work) -> Output:
@@ -99,7 +99,7 @@ def test_a_rename_stores_the_files_that_hold_the_name_alone(bench: Bench) -> Non
     assert not bench.artifacts.exists(after["person-1.bvh"][0])
 
 
-def test_an_edit_is_undone(bench: Bench, done: Job) -> None:
+def test_an_edit_is_undone(bench: RunnerBench, done: JobRecord) -> None:
     job = done
     for edits in ((FIRST,), (FIRST, NOBODY), (FIRST,), ()):
         edit(bench, job, *edits)
@@ -110,7 +110,7 @@ def test_an_edit_is_undone(bench: Bench, done: Job) -> None:
     assert EDIT not in {stage.name for stage in job.stages}
 
 
-def test_files_of_earlier_revisions_are_removed(bench: Bench, done: Job) -> None:
+def test_files_of_earlier_revisions_are_removed(bench: RunnerBench, done: JobRecord) -> None:
     edit(bench, done, FIRST)
     bench.runner().work(60.0)
     remove_files(bench.store.removals, bench.artifacts)
@@ -119,13 +119,13 @@ def test_files_of_earlier_revisions_are_removed(bench: Bench, done: Job) -> None
     assert [[path.name for path in folder.rglob("*") if path.is_file()] for folder in folders] == [[], ["person-1.bvh"]]
 
 
-def test_edits_of_another_revision_are_refused(bench: Bench, done: Job) -> None:
+def test_edits_of_another_revision_are_refused(bench: RunnerBench, done: JobRecord) -> None:
     edit(bench, done, FIRST)
     with pytest.raises(Conflict, match="revision 1 now"):
         edit(bench, done, NOBODY)
 
 
-def test_the_newest_of_stacked_edits_wins(bench: Bench, done: Job) -> None:
+def test_the_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -> None:
     queued = edit(bench, done, FIRST)
     newest = edit(bench, queued, FIRST, NOBODY)
     bench.runner().work(60.0)
@@ -137,7 +137,7 @@ def test_the_newest_of_stacked_edits_wins(bench: Bench, done: Job) -> None:
 
 
 @pytest.mark.parametrize("stage", [EDIT, REFIT, WRITE, EXPORT])
-def test_work_for_an_older_list_is_given_up(bench: Bench, done: Job, stage: str) -> None:
+def test_work_for_an_older_list_is_given_up(bench: RunnerBench, done: JobRecord, stage: str) -> None:
     """A chunk that ends after a newer edit changes nothing, and a unit of work later it stops."""
     function, stopped = bench.stages[stage], []
 
@@ -170,7 +170,7 @@ def test_work_for_an_older_list_is_given_up(bench: Bench, done: Job, stage: str)
 
 
 @pytest.mark.parametrize("end", ["canceled", "failed"])
-def test_files_stay_if_an_edit_comes_to_nothing(bench: Bench, done: Job, end: str) -> None:
+def test_files_stay_if_an_edit_comes_to_nothing(bench: RunnerBench, done: JobRecord, end: str) -> None:
     def broken(_: Work) -> Output:
         raise PipelineError("It is broken.")
 
@@ -194,7 +194,7 @@ def test_files_stay_if_an_edit_comes_to_nothing(bench: Bench, done: Job, end: st
     assert bench.result(done.id) == expected(FIRST)
 
 
-def test_edits_go_before_other_work_of_the_tenant(bench: Bench, done: Job) -> None:
+def test_edits_go_before_other_work_of_the_tenant(bench: RunnerBench, done: JobRecord) -> None:
     running, queued = bench.create_job(), bench.create_job()
     claim = bench.store.leases.claim("worker", 30.0)
     assert claim is not None
@@ -207,7 +207,7 @@ def test_edits_go_before_other_work_of_the_tenant(bench: Bench, done: Job) -> No
     assert claim.job_id == done.id
 
 
-def test_edits_take_no_share_of_other_tenants(bench: Bench, done: Job) -> None:
+def test_edits_take_no_share_of_other_tenants(bench: RunnerBench, done: JobRecord) -> None:
     """The tenant with fewer running chunks is next, whatever the other one edits."""
     store = bench.store
     session = store.of("other").sessions.add(
@@ -225,7 +225,7 @@ def test_edits_take_no_share_of_other_tenants(bench: Bench, done: Job) -> None:
     assert store.jobs.get(again.id).state is JobState.QUEUED
 
 
-def test_warnings_of_the_last_revision_stay_until_the_next_succeeds(bench: Bench) -> None:
+def test_warnings_of_the_last_revision_stay_until_the_next_succeeds(bench: RunnerBench) -> None:
     export, doubt = bench.stages[EXPORT], Finding(NOBODY_FOUND, "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=() if work.claim.edits else (doubt,))
     job = bench.create_job()
@@ -235,14 +235,14 @@ def test_warnings_of_the_last_revision_stay_until_the_next_succeeds(bench: Bench
     assert bench.store.jobs.get(job.id).result_warnings == ()
 
 
-def test_people_must_have_been_found(bench: Bench) -> None:
+def test_people_must_have_been_found(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.store.jobs.cancel(job.id)
     with pytest.raises(Conflict, match="no results yet"):
         edit(bench, bench.store.jobs.get(job.id), FIRST)
 
 
-def test_a_canceled_edit_can_be_made_again(bench: Bench, done: Job) -> None:
+def test_a_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) -> None:
     edit(bench, done, FIRST)
     canceled = bench.store.jobs.cancel(done.id)
     assert canceled.state is JobState.CANCELED
@@ -251,7 +251,7 @@ def test_a_canceled_edit_can_be_made_again(bench: Bench, done: Job) -> None:
     assert bench.result(done.id) == RESULT
 
 
-def test_another_version_computes_what_differs(bench: Bench, done: Job) -> None:
+def test_another_version_computes_what_differs(bench: RunnerBench, done: JobRecord) -> None:
     """After an upgrade that changed the code of `identify`, everything from there on is run again."""
     old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, CHUNK_FRAMES, edits=(FIRST,))}
     queued = edit(bench, done, FIRST, codes=old | {IDENTIFY: "new"})

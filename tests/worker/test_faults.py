@@ -14,8 +14,8 @@ import pytest
 
 from pipeline.runtime.parent_watch import tied_to_parent
 from tests.waiting import is_alive, wait_for
-from tests.worker.conftest import RESULT, Bench, open_bench
-from worker.jobs.model.jobs import Job
+from tests.worker.conftest import RESULT, RunnerBench, open_bench
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import FINISHED, JobState
 from worker.jobs.queue import WorkQueue
 from worker.process import embedded
@@ -26,12 +26,12 @@ ROOT = Path(__file__).parents[2]
 
 
 @dataclass
-class Service:
+class SmallStageService:
     """Running service with small stages, and its store."""
 
     process: subprocess.Popen[bytes]
     data_dir: Path
-    bench: Bench
+    bench: RunnerBench
 
     def tree(self) -> list[psutil.Process]:
         supervisor = psutil.Process(self.process.pid)
@@ -46,7 +46,7 @@ class Service:
     def worker_children(self) -> list[psutil.Process]:
         return self.part("--worker").children()
 
-    def start_job(self) -> Job:
+    def start_job(self) -> JobRecord:
         job = self.bench.create_job()
         self.publish()
         return job
@@ -55,10 +55,10 @@ class Service:
         directory = embedded.DataDirectory(self.data_dir, self.data_dir / "broker" / "socket")
         return WorkQueue(directory.broker_url).publish()
 
-    def wait_until_detecting(self, job: Job) -> None:
+    def wait_until_detecting(self, job: JobRecord) -> None:
         wait_for(lambda: self.bench.store.jobs.get(job.id).stages[1].done > 0)
 
-    def wait_for_end(self, job: Job, timeout_s: float = 60.0) -> Job:
+    def wait_for_end(self, job: JobRecord, timeout_s: float = 60.0) -> JobRecord:
         wait_for(lambda: self.bench.store.jobs.get(job.id).state in FINISHED, timeout_s)
         return self.bench.store.jobs.get(job.id)
 
@@ -85,11 +85,11 @@ def start(data_dir: Path) -> subprocess.Popen[bytes]:
 
 
 @pytest.fixture
-def service(data_dir: Path) -> Iterator[Service]:
+def service(data_dir: Path) -> Iterator[SmallStageService]:
     bench = open_bench(data_dir)
     with start(data_dir) as process:
         try:
-            running = Service(process, data_dir, bench)
+            running = SmallStageService(process, data_dir, bench)
             wait_for(lambda: len(psutil.Process(process.pid).children()) == 3 and len(running.worker_children()) == 2)
             yield running
         finally:
@@ -100,7 +100,7 @@ def service(data_dir: Path) -> Iterator[Service]:
             bench.store.close()
 
 
-def test_a_job_runs_on_both_children(service: Service) -> None:
+def test_a_job_runs_on_both_children(service: SmallStageService) -> None:
     job = service.wait_for_end(service.start_job())
     assert job.state is JobState.SUCCEEDED
     assert service.bench.result(job.id) == RESULT
@@ -108,12 +108,12 @@ def test_a_job_runs_on_both_children(service: Service) -> None:
     assert log.count("chunk_done") == 10  # four of detection and one of each other stage
 
 
-def test_a_lost_message_is_made_good(service: Service) -> None:
+def test_a_lost_message_is_made_good(service: SmallStageService) -> None:
     job = service.bench.create_job()  # no message is published
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
 
-def test_a_message_lost_with_the_broker_is_made_good(service: Service) -> None:
+def test_a_message_lost_with_the_broker_is_made_good(service: SmallStageService) -> None:
     worker = service.part("--worker")
     worker.suspend()  # so that it can't take the message
     job = service.start_job()
@@ -125,7 +125,7 @@ def test_a_message_lost_with_the_broker_is_made_good(service: Service) -> None:
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
 
-def test_a_killed_child_costs_nothing_but_time(service: Service) -> None:
+def test_a_killed_child_costs_nothing_but_time(service: SmallStageService) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)
     before = service.worker_children()
@@ -135,7 +135,7 @@ def test_a_killed_child_costs_nothing_but_time(service: Service) -> None:
     wait_for(lambda: len(service.worker_children()) == 2)
 
 
-def test_a_killed_worker_is_replaced_and_its_children_are_gone(service: Service) -> None:
+def test_a_killed_worker_is_replaced_and_its_children_are_gone(service: SmallStageService) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)
     worker = service.part("--worker")
@@ -146,7 +146,7 @@ def test_a_killed_worker_is_replaced_and_its_children_are_gone(service: Service)
     assert service.bench.result(job.id) == RESULT
 
 
-def test_a_killed_broker_is_replaced(service: Service) -> None:
+def test_a_killed_broker_is_replaced(service: SmallStageService) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)
     service.part("valkey-server").kill()
@@ -156,7 +156,7 @@ def test_a_killed_broker_is_replaced(service: Service) -> None:
     assert service.wait_for_end(service.start_job()).state is JobState.SUCCEEDED
 
 
-def test_cancel_ends_within_seconds(service: Service) -> None:
+def test_cancel_ends_within_seconds(service: SmallStageService) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)
     service.bench.store.jobs.cancel(job.id)
@@ -166,7 +166,7 @@ def test_cancel_ends_within_seconds(service: Service) -> None:
 def test_a_stop_gives_chunks_back_and_the_next_start_goes_on(data_dir: Path) -> None:
     bench = open_bench(data_dir)
     with start(data_dir) as process:
-        running = Service(process, data_dir, bench)
+        running = SmallStageService(process, data_dir, bench)
         wait_for(lambda: len(psutil.Process(process.pid).children()) == 3)
         job = running.start_job()
         running.wait_until_detecting(job)
@@ -175,7 +175,7 @@ def test_a_stop_gives_chunks_back_and_the_next_start_goes_on(data_dir: Path) -> 
         assert process.wait(15) == 0
     assert not any(is_alive(one) for one in tree)
     with start(data_dir) as process:
-        assert Service(process, data_dir, bench).wait_for_end(job).state is JobState.SUCCEEDED
+        assert SmallStageService(process, data_dir, bench).wait_for_end(job).state is JobState.SUCCEEDED
         process.terminate()
         assert process.wait(15) == 0
     assert bench.result(job.id) == RESULT
@@ -185,7 +185,7 @@ def test_a_stop_gives_chunks_back_and_the_next_start_goes_on(data_dir: Path) -> 
 def test_a_killed_supervisor_leaves_no_orphan(data_dir: Path) -> None:
     bench = open_bench(data_dir)
     with start(data_dir) as process:
-        running = Service(process, data_dir, bench)
+        running = SmallStageService(process, data_dir, bench)
         wait_for(lambda: len(psutil.Process(process.pid).children()) == 3)
         running.wait_until_detecting(running.start_job())
         tree = running.tree()

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from pipeline.stages.stage import DETECT, FIT, IDENTIFY, Output
-from tests.worker.conftest import CHUNK_FRAMES, RESULT, Bench, detect, fit, identify
+from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench, detect, fit, identify
 from worker.chunk import StoppedError, Work
 from worker.jobs.backup.create import create_backup
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import JobState
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
@@ -24,7 +24,7 @@ class Stages:
     ``detected`` and ``measured`` are the indices of the chunks that were run with and without the network.
     """
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: RunnerBench) -> None:
         self.bench = bench
         self.detected: list[int] = []
         self.measured: list[int] = []
@@ -46,11 +46,11 @@ class Stages:
 
 
 @pytest.fixture
-def stages(bench: Bench) -> Stages:
+def stages(bench: RunnerBench) -> Stages:
     return Stages(bench)
 
 
-def run(bench: Bench, **choices: object) -> Job:
+def run(bench: RunnerBench, **choices: object) -> JobRecord:
     """Run a job with some choices to its end."""
     spec = JobSpec.model_validate(choices)
     job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, CHUNK_FRAMES))
@@ -58,12 +58,12 @@ def run(bench: Bench, **choices: object) -> Job:
     return bench.store.jobs.get(job.id)
 
 
-def left(bench: Bench) -> list[Path]:
+def left(bench: RunnerBench) -> list[Path]:
     """Files with interim outputs, in the data folder or anywhere below it."""
     return [path for path in bench.data_dir.rglob("*") if path.is_file() and b"colours of" in path.read_bytes()]
 
 
-def test_they_reach_the_next_stage_and_go_when_the_job_has_ended(bench: Bench, stages: Stages) -> None:
+def test_they_reach_the_next_stage_and_go_when_the_job_has_ended(bench: RunnerBench, stages: Stages) -> None:
     job = run(bench)
     assert bench.result(job.id) == RESULT
     assert (stages.detected, stages.measured, len(stages.passed)) == ([0, 1, 2, 3], [], 1)
@@ -72,7 +72,7 @@ def test_they_reach_the_next_stage_and_go_when_the_job_has_ended(bench: Bench, s
     assert left(bench) == []
 
 
-def test_a_job_that_needs_no_association_needs_none(bench: Bench, stages: Stages) -> None:
+def test_a_job_that_needs_no_association_needs_none(bench: RunnerBench, stages: Stages) -> None:
     run(bench)
     remove_files(bench.store.removals, bench.artifacts)
     stages.forget()
@@ -84,7 +84,7 @@ def test_a_job_that_needs_no_association_needs_none(bench: Bench, stages: Stages
 
 @pytest.mark.parametrize("is_removed", [True, False])
 def test_another_association_makes_them_again_from_the_detections(
-    bench: Bench, stages: Stages, is_removed: bool
+    bench: RunnerBench, stages: Stages, is_removed: bool
 ) -> None:
     run(bench)
     if is_removed:
@@ -98,7 +98,7 @@ def test_another_association_makes_them_again_from_the_detections(
     assert left(bench) == []
 
 
-def test_without_colours_there_are_none(bench: Bench, stages: Stages) -> None:
+def test_without_colours_there_are_none(bench: RunnerBench, stages: Stages) -> None:
     run(bench, appearance="off")
     stages.forget()
     bench.stages[IDENTIFY] = identify
@@ -112,7 +112,7 @@ def flip(path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [flip, Path.unlink])
-def test_a_damaged_one_is_made_again(bench: Bench, stages: Stages, damage: Callable[[Path], None]) -> None:
+def test_a_damaged_one_is_made_again(bench: RunnerBench, stages: Stages, damage: Callable[[Path], None]) -> None:
     damages = iter([damage])
 
     def damaging(work: Work) -> Output:
@@ -128,7 +128,7 @@ def test_a_damaged_one_is_made_again(bench: Bench, stages: Stages, damage: Calla
     assert [failure.problem.code for failure in attempt.failures] == ["output_damaged"]
 
 
-def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: Bench, stages: Stages) -> None:
+def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: RunnerBench, stages: Stages) -> None:
     def broken(work: Work) -> Output:
         raise RuntimeError
 
@@ -147,7 +147,7 @@ def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: Bench, sta
     assert left(bench) == []
 
 
-def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: Bench, stages: Stages) -> None:
+def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: RunnerBench, stages: Stages) -> None:
     def broken(work: Work) -> Output:
         raise RuntimeError
 
@@ -165,7 +165,7 @@ def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: Bench
     assert attempt.failures == ()
 
 
-def test_those_of_a_canceled_job_go(bench: Bench, stages: Stages) -> None:
+def test_those_of_a_canceled_job_go(bench: RunnerBench, stages: Stages) -> None:
     def canceling(work: Work) -> Output:
         bench.store.jobs.cancel(work.claim.job_id)
         raise StoppedError
@@ -178,7 +178,7 @@ def test_those_of_a_canceled_job_go(bench: Bench, stages: Stages) -> None:
     assert left(bench) == []
 
 
-def test_a_backup_holds_none(bench: Bench, stages: Stages, tmp_path: Path) -> None:
+def test_a_backup_holds_none(bench: RunnerBench, stages: Stages, tmp_path: Path) -> None:
     archive = tmp_path / "there" / "backup.tar"
     archive.parent.mkdir()
 

@@ -13,12 +13,12 @@ from pipeline.stages.stage import ASSOCIATE, DETECT, Output
 from tests.s3 import S3, running_s3
 from tests.unreliable import Mode, UnreliableProxy, unreliable
 from tests.waiting import wait_for
-from tests.worker.conftest import RESULT, Bench, detect
+from tests.worker.conftest import RESULT, RunnerBench, detect
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.stores import open_artifacts
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import FINISHED, ChunkState, JobState
 from worker.jobs.outages import Outage
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS
@@ -40,7 +40,7 @@ def proxy(s3: S3) -> Iterator[UnreliableProxy]:
 
 
 @pytest.fixture
-def on_s3(bench: Bench, s3: S3, proxy: UnreliableProxy, monkeypatch: pytest.MonkeyPatch) -> Bench:
+def on_s3(bench: RunnerBench, s3: S3, proxy: UnreliableProxy, monkeypatch: pytest.MonkeyPatch) -> RunnerBench:
     """Bench whose artifacts are behind the proxy."""
     for name, value in (s3.environment | {"AWS_ENDPOINT_URL": proxy.endpoint}).items():
         monkeypatch.setenv(name, value)
@@ -50,19 +50,19 @@ def on_s3(bench: Bench, s3: S3, proxy: UnreliableProxy, monkeypatch: pytest.Monk
     return bench
 
 
-def begin_work(bench: Bench) -> threading.Thread:
+def begin_work(bench: RunnerBench) -> threading.Thread:
     thread = threading.Thread(target=bench.runner().work, args=[600.0], daemon=True)
     thread.start()
     return thread
 
 
-def tries_of(bench: Bench, job: Job) -> int:
+def tries_of(bench: RunnerBench, job: JobRecord) -> int:
     return sum(len(attempt.failures) for attempt in bench.store.jobs.attempts(job.id))
 
 
 @pytest.mark.parametrize("mode", ["unavailable", "slow_down", "hang", "reset", "refuse"])
 def test_a_store_that_does_not_respond_makes_the_job_wait_and_costs_no_try(
-    on_s3: Bench, proxy: UnreliableProxy, mode: Mode
+    on_s3: RunnerBench, proxy: UnreliableProxy, mode: Mode
 ) -> None:
     job = on_s3.create_job()
     began = threading.Event()
@@ -90,7 +90,7 @@ def test_a_store_that_does_not_respond_makes_the_job_wait_and_costs_no_try(
     assert ("chunks_retried", DETECT) not in on_s3.store.figures().totals
 
 
-def test_a_waiting_job_can_be_canceled(on_s3: Bench, proxy: UnreliableProxy) -> None:
+def test_a_waiting_job_can_be_canceled(on_s3: RunnerBench, proxy: UnreliableProxy) -> None:
     job = on_s3.create_job()
     proxy.set("unavailable")
     thread = begin_work(on_s3)
@@ -103,7 +103,7 @@ def test_a_waiting_job_can_be_canceled(on_s3: Bench, proxy: UnreliableProxy) -> 
     assert not thread.is_alive()
 
 
-def test_a_store_that_refuses_is_no_outage(on_s3: Bench, proxy: UnreliableProxy) -> None:
+def test_a_store_that_refuses_is_no_outage(on_s3: RunnerBench, proxy: UnreliableProxy) -> None:
     job = on_s3.create_job()
     proxy.set("forbidden")
     on_s3.runner().work(600.0)
@@ -114,7 +114,7 @@ def test_a_store_that_refuses_is_no_outage(on_s3: Bench, proxy: UnreliableProxy)
     assert tries_of(on_s3, job) == MAX_ATTEMPTS
 
 
-def test_a_missing_bucket_is_no_outage_and_no_damaged_output(on_s3: Bench) -> None:
+def test_a_missing_bucket_is_no_outage_and_no_damaged_output(on_s3: RunnerBench) -> None:
     job = on_s3.create_job()
     on_s3.artifacts = open_artifacts("s3://no-such-bucket/prefix", on_s3.data_dir)  # type: ignore[assignment]
     on_s3.runner().work(600.0)
@@ -123,7 +123,7 @@ def test_a_missing_bucket_is_no_outage_and_no_damaged_output(on_s3: Bench) -> No
     assert (failed.state, failed.problem.code) == (JobState.FAILED, "artifacts_refused")
 
 
-def test_a_missing_object_is_computed_again(on_s3: Bench) -> None:
+def test_a_missing_object_is_computed_again(on_s3: RunnerBench) -> None:
     def lose_an_output(work: Work) -> Output:
         (output, *_) = on_s3.store.outputs.of_stage(work.claim.job_id, DETECT)
         if not lost:
@@ -161,7 +161,7 @@ class CutOff:
 
 
 def test_a_database_outage_does_not_stop_the_work_and_its_result_is_recorded(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     others = JobStore(f"sqlite:///{bench.data_dir / 'multicap.db'}")
     outage = CutOff(bench.store, monkeypatch)
@@ -185,7 +185,9 @@ def test_a_database_outage_does_not_stop_the_work_and_its_result_is_recorded(
     others.close()
 
 
-def test_a_worker_that_was_cut_off_but_not_lost_uses_up_no_try(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_was_cut_off_but_not_lost_uses_up_no_try(
+    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     others = JobStore(f"sqlite:///{bench.data_dir / 'multicap.db'}")
     outage = CutOff(bench.store, monkeypatch)
     job = bench.create_job()
@@ -210,7 +212,7 @@ def test_a_worker_that_was_cut_off_but_not_lost_uses_up_no_try(bench: Bench, mon
 
 
 def test_after_an_outage_of_the_database_the_reaper_lets_workers_renew_their_leases(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outage = CutOff(bench.store, monkeypatch)
     job = bench.create_job()
@@ -224,7 +226,7 @@ def test_after_an_outage_of_the_database_the_reaper_lets_workers_renew_their_lea
     wait_for(lambda: reaper.reap() or tries_of(bench, job) == 1, timeout_s=120)  # type: ignore[func-returns-value]
 
 
-def test_a_job_waits_for_the_broker_until_it_responds(bench: Bench) -> None:
+def test_a_job_waits_for_the_broker_until_it_responds(bench: RunnerBench) -> None:
     job = bench.create_job()
     responds = False
     reaper = Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), lambda: responds, lease_s=20.0)
@@ -238,7 +240,7 @@ def test_a_job_waits_for_the_broker_until_it_responds(bench: Bench) -> None:
     assert bench.store.jobs.get(job.id).state not in FINISHED
 
 
-def test_every_change_of_what_a_job_waits_for_is_an_event(bench: Bench) -> None:
+def test_every_change_of_what_a_job_waits_for_is_an_event(bench: RunnerBench) -> None:
     job = bench.create_job()
     before = bench.store.jobs.changes([job.id])[job.id]
     claim = bench.store.leases.claim("worker", 20.0)

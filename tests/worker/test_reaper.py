@@ -6,7 +6,7 @@ import pytest
 import sqlalchemy as sa
 
 from pipeline.stages.stage import DETECT
-from tests.worker.conftest import Bench
+from tests.worker.conftest import RunnerBench
 from worker.jobs.database.connection import Database
 from worker.jobs.database.tables import removals
 from worker.jobs.errors import Conflict
@@ -31,7 +31,7 @@ class Publisher:
         return True
 
 
-def test_messages_are_published_for_ready_work_only(bench: Bench) -> None:
+def test_messages_are_published_for_ready_work_only(bench: RunnerBench) -> None:
     publish = Publisher()
     Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S).reap()
     assert publish.count == 0
@@ -43,7 +43,7 @@ def test_messages_are_published_for_ready_work_only(bench: Bench) -> None:
     assert publish.count == 1
 
 
-def test_leases_of_silent_workers_are_freed(bench: Bench) -> None:
+def test_leases_of_silent_workers_are_freed(bench: RunnerBench) -> None:
     job = bench.create_job()
     assert bench.store.leases.claim("gone", 0.05)
     publish = Publisher()
@@ -54,14 +54,14 @@ def test_leases_of_silent_workers_are_freed(bench: Bench) -> None:
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_the_reaper_survives_an_unreachable_database(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_reaper_survives_an_unreachable_database(bench: RunnerBench, capfd: pytest.CaptureFixture[str]) -> None:
     store = JobStore("sqlite:////nonexistent/folder/multicap.db")
     Reaper(store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S).reap()
     store.close()
     assert "reap_failed" in "".join(capfd.readouterr())
 
 
-def test_expired_results_are_removed(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+def test_expired_results_are_removed(bench: RunnerBench, capfd: pytest.CaptureFixture[str]) -> None:
     kept, short = bench.create_job(), bench.create_job(retention_s=0.05)
     bench.runner().work(60.0)
     time.sleep(0.1)
@@ -73,7 +73,7 @@ def test_expired_results_are_removed(bench: Bench, capfd: pytest.CaptureFixture[
     assert "job_expired" in "".join(capfd.readouterr())
 
 
-def test_files_of_interrupted_deletions_are_removed(bench: Bench) -> None:
+def test_files_of_interrupted_deletions_are_removed(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.runner().work(60.0)
     files = [
@@ -88,7 +88,7 @@ def test_files_of_interrupted_deletions_are_removed(bench: Bench) -> None:
 
 
 def test_failed_removals_are_repeated(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     job, other = bench.create_job(), bench.create_job()
     bench.runner().work(60.0)
@@ -111,7 +111,7 @@ def test_failed_removals_are_repeated(
     assert not bench.artifacts.exists(result_key(job.id, "person-1.bvh"))
 
 
-def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: Bench) -> None:
+def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: RunnerBench) -> None:
     arriving, recorded = bench.store.sessions.reserve_id(), bench.store.sessions.reserve_id()
     for session_id in (arriving, recorded):
         bench.artifacts.put_bytes(record_key(session_id), b"record")

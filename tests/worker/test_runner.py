@@ -17,10 +17,10 @@ from pipeline.findings import Finding
 from pipeline.problem_codes.sessions import VIDEO_EMPTY, VIDEO_TRUNCATED
 from pipeline.problem_codes.warnings import NOBODY_FOUND
 from pipeline.stages.stage import ASSOCIATE, CHECK, DETECT, EXPORT, FIT, IDENTIFY, LOOK, Output
-from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
+from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, RunnerBench, associate, detect, export, fit
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS
 from worker.jobs.spec import JobSpec
@@ -52,13 +52,13 @@ def slow_detect(work: Work) -> Output:
     return detect(work)
 
 
-def in_thread(bench: Bench, **choices: Any) -> threading.Thread:
+def in_thread(bench: RunnerBench, **choices: Any) -> threading.Thread:
     thread = threading.Thread(target=bench.runner(**choices).work, args=[60.0])
     thread.start()
     return thread
 
 
-def begin_endless_job(bench: Bench, **choices: Any) -> tuple[Job, threading.Thread]:
+def begin_endless_job(bench: RunnerBench, **choices: Any) -> tuple[JobRecord, threading.Thread]:
     """Create a job whose first stage runs until it is stopped; return the job and its worker's thread."""
     endless = bench.stages[DETECT] = Endless()
     job = bench.create_job()
@@ -67,7 +67,7 @@ def begin_endless_job(bench: Bench, **choices: Any) -> tuple[Job, threading.Thre
     return job, thread
 
 
-def run_side_by_side(bench: Bench, num_workers: int) -> None:
+def run_side_by_side(bench: RunnerBench, num_workers: int) -> None:
     """Run all work in threads, and what they have left in this one."""
     threads = [in_thread(bench) for _ in range(num_workers)]
     for thread in threads:
@@ -75,7 +75,7 @@ def run_side_by_side(bench: Bench, num_workers: int) -> None:
     bench.runner().work(60.0)
 
 
-def test_a_job_runs_to_its_results(bench: Bench) -> None:
+def test_a_job_runs_to_its_results(bench: RunnerBench) -> None:
     job = bench.create_job()
     assert bench.runner().work(60.0) == 1 + 4 + 5
     job = bench.store.jobs.get(job.id)
@@ -89,12 +89,12 @@ def test_a_job_runs_to_its_results(bench: Bench) -> None:
     assert bench.result(job.id) == RESULT
 
 
-def test_without_work_nothing_is_published(bench: Bench) -> None:
+def test_without_work_nothing_is_published(bench: RunnerBench) -> None:
     assert bench.runner().work(60.0) == 0
     assert bench.published == 0
 
 
-def test_a_worker_that_finds_work_wakes_the_next(bench: Bench) -> None:
+def test_a_worker_that_finds_work_wakes_the_next(bench: RunnerBench) -> None:
     published_before_the_first = []
 
     def first(work: Work) -> Output:
@@ -107,21 +107,21 @@ def test_a_worker_that_finds_work_wakes_the_next(bench: Bench) -> None:
     assert published_before_the_first[0] == 1
 
 
-def test_after_its_time_a_worker_hands_over(bench: Bench) -> None:
+def test_after_its_time_a_worker_hands_over(bench: RunnerBench) -> None:
     bench.create_job()
     bench.stages[LOOK] = slow_detect
     assert bench.runner().work(0.01) == 1
     assert bench.published >= 2
 
 
-def test_workers_side_by_side_leave_the_same(bench: Bench) -> None:
+def test_workers_side_by_side_leave_the_same(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.stages[DETECT] = slow_detect
     run_side_by_side(bench, 3)
     assert bench.result(job.id) == RESULT
 
 
-def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None:
+def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
     for name in (LOOK, DETECT, CHECK, ASSOCIATE, IDENTIFY, FIT):
@@ -142,7 +142,7 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None
     assert bench.result(again.id) == RESULT
 
 
-def test_a_damaged_output_is_made_again(bench: Bench) -> None:
+def test_a_damaged_output_is_made_again(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
     key = bench.store.outputs.of_stage(bench.store.jobs.page()[0].id, ASSOCIATE)[0].key
@@ -153,7 +153,7 @@ def test_a_damaged_output_is_made_again(bench: Bench) -> None:
     assert {stage.name: stage.reused for stage in bench.store.jobs.get(again.id).stages}[ASSOCIATE] is False
 
 
-def stored(bench: Bench, job_id: str, stage: str, chunk: int = 0) -> Path:
+def stored(bench: RunnerBench, job_id: str, stage: str, chunk: int = 0) -> Path:
     """File of a chunk's output."""
     key = bench.store.outputs.of_stage(job_id, stage)[chunk].key
     return bench.data_dir / "artifacts" / stage_key(bench.session.id, key)
@@ -180,7 +180,7 @@ DAMAGES = pytest.mark.parametrize("damage", [flip, truncate, remove])
     [(DETECT, 2, ASSOCIATE), (ASSOCIATE, 0, IDENTIFY), (IDENTIFY, 0, FIT), (FIT, 0, EXPORT)],
 )
 def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
-    bench: Bench, stage: str, chunk: int, reader: str, damage: Callable[[Path], None]
+    bench: RunnerBench, stage: str, chunk: int, reader: str, damage: Callable[[Path], None]
 ) -> None:
     run = bench.stages[reader]
     damages = iter([damage])
@@ -201,7 +201,7 @@ def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
     assert f"chunk {chunk} of the stage {stage}" in failure.problem.detail
 
 
-def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(bench: Bench) -> None:
+def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(bench: RunnerBench) -> None:
     computed: list[int] = []
 
     def counted(work: Work) -> Output:
@@ -222,7 +222,7 @@ def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(
     assert bench.store.jobs.get(job.id).progress == 1.0
 
 
-def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(bench: Bench) -> None:
+def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(bench: RunnerBench) -> None:
     damages = iter([ASSOCIATE, IDENTIFY])
 
     def damaging(work: Work) -> Output:
@@ -238,7 +238,7 @@ def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(benc
     assert [failure.stage for failure in attempt.failures] == [IDENTIFY, ASSOCIATE]
 
 
-def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(bench: Bench) -> None:
+def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(bench: RunnerBench) -> None:
     runs = []
 
     def damaging(work: Work) -> Output:
@@ -262,7 +262,7 @@ def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(ben
     assert bench.result(job.id) == RESULT
 
 
-def test_workers_side_by_side_compute_a_damaged_output_again(bench: Bench) -> None:
+def test_workers_side_by_side_compute_a_damaged_output_again(bench: RunnerBench) -> None:
     damaged = threading.Event()
 
     def damaging(work: Work) -> Output:
@@ -278,7 +278,7 @@ def test_workers_side_by_side_compute_a_damaged_output_again(bench: Bench) -> No
     assert bench.result(job.id) == RESULT
 
 
-def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: Bench) -> None:
+def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.runner().work(60.0)
     flip(stored(bench, job.id, FIT))
@@ -290,7 +290,7 @@ def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: Bench) -> 
     assert reused == {LOOK: True, DETECT: True, CHECK: True, ASSOCIATE: True, IDENTIFY: True, FIT: False, EXPORT: False}
 
 
-def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:
+def test_bad_input_fails_at_once_with_its_words(bench: RunnerBench) -> None:
     problem = InputProblem(
         VIDEO_TRUNCATED, "Frame 7 can't be decoded.", file="left.mp4", camera="left", hint="Copy it."
     )
@@ -305,7 +305,7 @@ def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:
     assert not job.problem.retryable
 
 
-def test_several_problems_are_all_told(bench: Bench) -> None:
+def test_several_problems_are_all_told(bench: RunnerBench) -> None:
     problems = [InputProblem(VIDEO_EMPTY, "The file is empty.", file=name) for name in ("left.mp4", "right.mp4")]
     bench.stages[DETECT] = fail_with(InputError(problems))
     job = bench.create_job()
@@ -325,7 +325,7 @@ def test_several_problems_are_all_told(bench: Bench) -> None:
     ],
 )
 def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retried(
-    bench: Bench, error: Exception, code: str
+    bench: RunnerBench, error: Exception, code: str
 ) -> None:
     bench.stages[DETECT] = fail_with(error)
     job = bench.create_job()
@@ -340,7 +340,7 @@ def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retr
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_other_errors_are_tried_again_and_tell_nothing(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+def test_other_errors_are_tried_again_and_tell_nothing(bench: RunnerBench, capfd: pytest.CaptureFixture[str]) -> None:
     tries = []
 
     def broken(work: Work) -> Output:
@@ -360,7 +360,7 @@ def test_other_errors_are_tried_again_and_tell_nothing(bench: Bench, capfd: pyte
     assert "/secret/path" in "".join(capfd.readouterr())
 
 
-def test_one_bad_moment_costs_nothing(bench: Bench) -> None:
+def test_one_bad_moment_costs_nothing(bench: RunnerBench) -> None:
     failures = iter([RuntimeError("once")])
 
     def flaky(work: Work) -> Output:
@@ -374,7 +374,7 @@ def test_one_bad_moment_costs_nothing(bench: Bench) -> None:
     assert bench.result(job.id) == RESULT
 
 
-def test_cancel_stops_the_running_pass(bench: Bench) -> None:
+def test_cancel_stops_the_running_pass(bench: RunnerBench) -> None:
     job, thread = begin_endless_job(bench)
     bench.store.jobs.cancel(job.id)
     asked_s = time.monotonic()
@@ -385,7 +385,7 @@ def test_cancel_stops_the_running_pass(bench: Bench) -> None:
     assert bench.stuck == []
 
 
-def test_progress_is_reported_while_it_runs(bench: Bench) -> None:
+def test_progress_is_reported_while_it_runs(bench: RunnerBench) -> None:
     halfway, go_on = threading.Event(), threading.Event()
 
     def slow(work: Work) -> Output:
@@ -408,7 +408,7 @@ def test_progress_is_reported_while_it_runs(bench: Bench) -> None:
     assert bench.store.jobs.get(job.id).stages[1].total == NUM_FRAMES
 
 
-def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: Bench) -> None:
+def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: RunnerBench) -> None:
     job, thread = begin_endless_job(bench, lease_s=0.3, heartbeat_s=1.5)
     bench.stages[DETECT] = detect
     time.sleep(0.5)
@@ -420,7 +420,7 @@ def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: Bench) -
     assert bench.result(job.id) == RESULT
 
 
-def test_shutdown_gives_the_chunk_back(bench: Bench) -> None:
+def test_shutdown_gives_the_chunk_back(bench: RunnerBench) -> None:
     job, thread = begin_endless_job(bench)
     bench.stopping = True
     thread.join(5)
@@ -431,7 +431,7 @@ def test_shutdown_gives_the_chunk_back(bench: Bench) -> None:
     assert bench.result(job.id) == RESULT
 
 
-def test_a_pass_that_does_not_notice_is_given_up(bench: Bench) -> None:
+def test_a_pass_that_does_not_notice_is_given_up(bench: RunnerBench) -> None:
     begun, hang = threading.Event(), threading.Event()
 
     def hanging(work: Work) -> Output:
@@ -455,7 +455,7 @@ def test_a_pass_that_does_not_notice_is_given_up(bench: Bench) -> None:
     assert state is JobState.CANCELED
 
 
-def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: Bench, tmp_path: Path) -> None:
+def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_path: Path) -> None:
     job = bench.create_job()
     claim = bench.store.leases.claim("a", 0.1)
     assert claim is not None
@@ -467,7 +467,7 @@ def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: Bench, tmp_path: P
     assert bench.result(job.id) == RESULT
 
 
-def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Bench) -> None:
+def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: RunnerBench) -> None:
     warning = Finding(NOBODY_FOUND, "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(warning,))
     spec = JobSpec(callback_url="https://example.com/hook")
@@ -478,7 +478,7 @@ def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Be
     assert json.loads(delivery.body)["data"]["warnings"] == ["Nobody was found."]
 
 
-def test_a_chunk_beyond_the_memory_limit_ends_its_job_with_the_reason(bench: Bench) -> None:
+def test_a_chunk_beyond_the_memory_limit_ends_its_job_with_the_reason(bench: RunnerBench) -> None:
     bench.stages[DETECT] = fail_with(MemoryError("Unable to allocate 9.74 GiB"))
     job = bench.create_job()
     bench.runner().work(60.0)
@@ -488,7 +488,7 @@ def test_a_chunk_beyond_the_memory_limit_ends_its_job_with_the_reason(bench: Ben
     assert "MULTICAP_MEMORY_BYTES" in str(problem.hint)
 
 
-def test_pieces_of_outputs_are_found_by_later_jobs_until_they_are_damaged(bench: Bench) -> None:
+def test_pieces_of_outputs_are_found_by_later_jobs_until_they_are_damaged(bench: RunnerBench) -> None:
     found: list[bytes | None] = []
 
     def export_with_pieces(work: Work) -> Output:

@@ -6,12 +6,12 @@ import pytest
 
 from pipeline.edits import PeopleEdit, Remove
 from pipeline.stages.stage import DETECT, EXPORT, OVERLAY, REPORT, WRITE, Output
-from tests.worker.conftest import CHUNK_FRAMES, RESULT, Bench
+from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench
 from worker.chunk import Work
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import JobState
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job, plan_visuals
@@ -23,14 +23,14 @@ VIDEO, PAGE = "overlay-left.mp4", "report.html"
 
 
 @pytest.fixture
-def done(bench: Bench) -> Job:
+def done(bench: RunnerBench) -> JobRecord:
     job = bench.create_job(spec=SPEC)
     bench.runner().work(60.0)
     return bench.store.jobs.get(job.id)
 
 
 @pytest.fixture
-def run(bench: Bench) -> list[str]:
+def run(bench: RunnerBench) -> list[str]:
     """Stages that were run, not reused."""
     stages: list[str] = []
 
@@ -45,13 +45,13 @@ def run(bench: Bench) -> list[str]:
     return stages
 
 
-def edit(bench: Bench, job_id: str, *edits: PeopleEdit) -> Job:
+def edit(bench: RunnerBench, job_id: str, *edits: PeopleEdit) -> JobRecord:
     job = bench.store.jobs.get(job_id)
     stages = plan_job(bench.session, job.spec, CHUNK_FRAMES, edits=edits, revision=job.revision + 1)
     return bench.store.jobs.edit(job_id, edits, stages)
 
 
-def edited(bench: Bench, job_id: str, *edits: PeopleEdit) -> Job:
+def edited(bench: RunnerBench, job_id: str, *edits: PeopleEdit) -> JobRecord:
     """Edit a job, and make its files."""
     edit(bench, job_id, *edits)
     bench.runner().work(60.0)
@@ -60,12 +60,12 @@ def edited(bench: Bench, job_id: str, *edits: PeopleEdit) -> Job:
     return job
 
 
-def make_visuals(bench: Bench, job_id: str) -> Job:
+def make_visuals(bench: RunnerBench, job_id: str) -> JobRecord:
     job = bench.store.jobs.get(job_id)
     return bench.store.visuals.add(job_id, plan_visuals(bench.session, job, CHUNK_FRAMES), job.revision)
 
 
-def listed(bench: Bench, job_id: str) -> dict[str, int]:
+def listed(bench: RunnerBench, job_id: str) -> dict[str, int]:
     """Revisions of the listed files, by name."""
     return {result.name: result.revision for result in bench.store.results.of_job(job_id)}
 
@@ -74,7 +74,7 @@ def shown(*edits: PeopleEdit) -> bytes:
     return RESULT + repr(edits).encode() if edits else RESULT
 
 
-def test_edits_do_not_wait_for_visuals(bench: Bench, done: Job, run: list[str]) -> None:
+def test_edits_do_not_wait_for_visuals(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
     assert listed(bench, done.id) == {"person-1.bvh": 0, VIDEO: 0, PAGE: 0}
     assert not done.has_old_visuals
     job = edited(bench, done.id, FIRST)
@@ -102,7 +102,7 @@ def test_edits_do_not_wait_for_visuals(bench: Bench, done: Job, run: list[str]) 
         make_visuals(bench, done.id)
 
 
-def test_visuals_of_all_edits_undone_are_those_of_none(bench: Bench, done: Job, run: list[str]) -> None:
+def test_visuals_of_all_edits_undone_are_those_of_none(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
     edited(bench, done.id, FIRST)
     run.clear()
     edited(bench, done.id)
@@ -114,7 +114,7 @@ def test_visuals_of_all_edits_undone_are_those_of_none(bench: Bench, done: Job, 
 
 
 @pytest.mark.parametrize("stage", [OVERLAY, REPORT])
-def test_a_newer_edit_deletes_the_job(bench: Bench, done: Job, stage: str) -> None:
+def test_a_newer_edit_deletes_the_job(bench: RunnerBench, done: JobRecord, stage: str) -> None:
     """What it is about to write is not listed, and its files are removed."""
     edited(bench, done.id, FIRST)
     visuals, function = make_visuals(bench, done.id), bench.stages[stage]
@@ -142,7 +142,7 @@ def test_a_newer_edit_deletes_the_job(bench: Bench, done: Job, stage: str) -> No
     assert bench.result(done.id, VIDEO) == b"video of " + shown(SECOND)
 
 
-def test_edits_go_before_visuals(bench: Bench, done: Job) -> None:
+def test_edits_go_before_visuals(bench: RunnerBench, done: JobRecord) -> None:
     other = bench.create_job(spec=SPEC)
     bench.runner().work(60.0)
     edited(bench, done.id, FIRST)
@@ -152,7 +152,7 @@ def test_edits_go_before_visuals(bench: Bench, done: Job) -> None:
     assert [claim and claim.job_id for claim in claims] == [other.id, visuals.id]
 
 
-def test_damaged_outputs_are_computed_again(bench: Bench, done: Job, run: list[str]) -> None:
+def test_damaged_outputs_are_computed_again(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
     edited(bench, done.id, FIRST)
     make_visuals(bench, done.id)
     stages = bench.data_dir / "artifacts" / "sessions" / bench.session.id / "stages"
@@ -165,7 +165,7 @@ def test_damaged_outputs_are_computed_again(bench: Bench, done: Job, run: list[s
     assert bench.result(done.id, VIDEO) == b"video of " + shown(FIRST)
 
 
-def test_a_failed_job_can_be_retried_or_asked_for_again(bench: Bench, done: Job) -> None:
+def test_a_failed_job_can_be_retried_or_asked_for_again(bench: RunnerBench, done: JobRecord) -> None:
     def broken(_: Work) -> Output:
         raise ValueError
 
@@ -188,7 +188,7 @@ def test_a_failed_job_can_be_retried_or_asked_for_again(bench: Bench, done: Job)
     assert bench.result(done.id, VIDEO) == b"video of " + shown(FIRST)
 
 
-def test_they_are_refused_without_need(bench: Bench, done: Job) -> None:
+def test_they_are_refused_without_need(bench: RunnerBench, done: JobRecord) -> None:
     with pytest.raises(Conflict, match="no overlay videos and no report"):
         make_visuals(bench, done.id)
     edit(bench, done.id, FIRST)
@@ -205,8 +205,8 @@ def test_they_are_refused_without_need(bench: Bench, done: Job) -> None:
         make_visuals(bench, plain.id)
 
 
-def test_the_reaper_queues_them_when_edits_rest(bench: Bench, done: Job) -> None:
-    def reaped(rest_s: float) -> list[Job]:
+def test_the_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRecord) -> None:
+    def reaped(rest_s: float) -> list[JobRecord]:
         disk = DiskSpace(bench.data_dir, 0)
         Reaper(bench.store, bench.artifacts, disk, lambda: True, 20.0, CHUNK_FRAMES, rest_s).reap()
         return bench.store.jobs.page(kind="visuals")
@@ -225,7 +225,7 @@ def test_the_reaper_queues_them_when_edits_rest(bench: Bench, done: Job) -> None
     assert [job.id for job in reaped(1e-9)] == [queued.id]
 
 
-def test_they_go_with_their_job_and_count_as_proxies_do(bench: Bench, done: Job) -> None:
+def test_they_go_with_their_job_and_count_as_proxies_do(bench: RunnerBench, done: JobRecord) -> None:
     edited(bench, done.id, FIRST)
     make_visuals(bench, done.id)
     usage = bench.store.of("default").usage()

@@ -11,7 +11,7 @@ from pipeline.data.cameras import Timebase
 from pipeline.data.people import People
 from pipeline.identity.identify import identify
 from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.motion.exchange import Exchange
+from pipeline.simulation.motion.exchange import PlaceExchange
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import SCENES, Scene, record
 from pipeline.tracking.associate import track_bodies
@@ -23,7 +23,7 @@ _RIG = Rig(Layout.RING, 8, (5.5, 5.0), 2.6)
 _DOORS_M = ((-4.5, -3.0), (4.5, 3.0), (0.0, 4.2))
 _SCENES = {
     "ten people come and go": Scene(_RIG, Cast(10, (5.0, 4.0), walking=0.7, doors_m=_DOORS_M), duration_s=60.0),
-    "seven people exchange places": replace(SCENES["exchange"], cast=Exchange(7, gap_m=0.5), duration_s=60.0),
+    "seven people exchange places": replace(SCENES["exchange"], cast=PlaceExchange(7, gap_m=0.5), duration_s=60.0),
 }
 _REPEATS = 3
 

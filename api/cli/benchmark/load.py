@@ -80,7 +80,7 @@ async def _poll_as(client: httpx2.AsyncClient, path: str, first_s: float, durati
 
 
 @dataclass
-class Uploads:
+class UploadTotals:
     """Uploaded bytes, and errors."""
 
     num_bytes: int
@@ -104,9 +104,9 @@ class _Line(io.FileIO):
 
 def upload(
     url: str, videos: Sequence[Path], calibration: Path, num_clients: int, duration_s: float, mbit_per_s: float
-) -> Uploads:
+) -> UploadTotals:
     """Send and delete sessions with several clients, one session after the other, at a total rate."""
-    uploads = Uploads(0, [])
+    uploads = UploadTotals(0, [])
     end_s = time.perf_counter() + duration_s
     bytes_per_s = mbit_per_s * 1e6 / 8 / max(1, num_clients)
     arguments = (url, [*videos, calibration], bytes_per_s, end_s, uploads, threading.Lock())
@@ -119,7 +119,7 @@ def upload(
 
 
 def _upload_as(
-    url: str, paths: Sequence[Path], bytes_per_s: float, end_s: float, uploads: Uploads, lock: threading.Lock
+    url: str, paths: Sequence[Path], bytes_per_s: float, end_s: float, uploads: UploadTotals, lock: threading.Lock
 ) -> None:
     with httpx2.Client(base_url=url, timeout=120.0, trust_env=False) as http:
         while time.perf_counter() < end_s:

@@ -13,7 +13,7 @@ from pipeline.evaluation.pairwise import associate_pairwise
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Clock, Layout, Rig
 from pipeline.simulation.scenes import Scene, Simulation, record
-from pipeline.simulation.views.detector import Detector
+from pipeline.simulation.views.detector import DetectorAccuracy
 from pipeline.simulation.views.faults import NO_FAULTS
 from pipeline.tracking import reference
 from pipeline.tracking.associate import reconstruct_tracks
@@ -33,7 +33,7 @@ _REPEATS = 15
 _PAIRWISE_FRAMES = 4
 _PAIRWISE_LIMIT_MS = 2000.0
 # Detector with 3 px of noise and no other faults.
-_DETECTOR = Detector(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
+_DETECTOR = DetectorAccuracy(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 

@@ -13,7 +13,7 @@ from api.cli.store import settings_in
 from api.settings import Settings
 from pipeline.problem_codes.commands import BACKUP_FAILED, BAD_USAGE
 from pipeline.problem_codes.requests import DATABASE_DAMAGED
-from worker.jobs.backup.contents import Report
+from worker.jobs.backup.contents import BackupReport
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.errors import BackupError, BackupUsageError
 from worker.jobs.backup.restore import restore_backup, verify_backup
@@ -91,7 +91,7 @@ def _code_and_faults(error: BackupError | DamagedDatabase | NewerDatabase) -> tu
             return BACKUP_FAILED, (str(error),)
 
 
-def _finish(report: Report, sentence: str, archive: Path, as_json: bool) -> None:
+def _finish(report: BackupReport, sentence: str, archive: Path, as_json: bool) -> None:
     """Report the contents of a backup; exit with 1 if it has faults or lacks files."""
     if as_json:
         emit(
@@ -109,7 +109,7 @@ def _finish(report: Report, sentence: str, archive: Path, as_json: bool) -> None
         raise typer.Exit(EXIT_FAILED)
 
 
-def _describe(report: Report, sentence: str) -> None:
+def _describe(report: BackupReport, sentence: str) -> None:
     manifest = report.manifest
     jobs = ", ".join(f"{number} {state}" for state, number in manifest.rows.jobs.items())
     console.print(

@@ -50,7 +50,7 @@ _TOO_LARGE = {
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class FormLimits:
     """Size limits of a form and of its parts."""
 
     max_file_bytes: int
@@ -130,7 +130,7 @@ class _OpenFile:
 class Parts:
     """Receiver of the parts of a form: files go to disk, JSON to memory; refused parts are dropped."""
 
-    def __init__(self, folder: Path, limits: Limits, kind: FormKind, places: FieldPlaces) -> None:
+    def __init__(self, folder: Path, limits: FormLimits, kind: FormKind, places: FieldPlaces) -> None:
         self._folder = folder
         self._limits = limits
         self._kind = kind

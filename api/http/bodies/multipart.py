@@ -13,7 +13,7 @@ from starlette.requests import Request
 
 from api.errors import ApiError
 from api.http.bodies.field_places import FieldPlaces
-from api.http.bodies.form import Form, Limits, Parts, too_large
+from api.http.bodies.form import Form, FormLimits, Parts, too_large
 from api.http.bodies.form_kinds import FORM_TYPE, FormKind
 from api.http.bodies.reading import announced_bytes, blocks, drain
 from pipeline.problem_codes.requests import MALFORMED_MULTIPART, UNSUPPORTED_MEDIA_TYPE
@@ -24,7 +24,7 @@ _ENVELOPE_BYTES = 2**20
 
 
 async def receive_form(
-    request: Request, folder: Path, limits: Limits, disk: DiskSpace, kind: FormKind, places: FieldPlaces
+    request: Request, folder: Path, limits: FormLimits, disk: DiskSpace, kind: FormKind, places: FieldPlaces
 ) -> Form:
     """Stream a request's form to disk.
 
@@ -77,7 +77,7 @@ def _boundary_of(request: Request) -> str:
     return boundary
 
 
-def _check_announced_length(request: Request, limits: Limits) -> None:
+def _check_announced_length(request: Request, limits: FormLimits) -> None:
     if announced_bytes(request) > limits.max_session_bytes + _ENVELOPE_BYTES:
         raise too_large("session", limits.max_session_bytes)
 

@@ -8,7 +8,7 @@ import { html, nothing } from "../shared/lit.js";
 import { problemBox } from "../shared/problem.js";
 import { rowOf } from "../send/draft.js";
 import { ACCEPTED_CALIBRATIONS } from "../send/files.js";
-import { Uploads } from "../send/uploads.js";
+import { UploadQueue } from "../send/uploads.js";
 import { boardFields, boardSpec, emptyBoard } from "./board.js";
 
 const SOURCES = [["file", "A file"], ["board", "Footage of a board"], ["people", "Footage of people"], ["session", "People of a capture"]];
@@ -53,7 +53,7 @@ export class AddForm {
     const files = [...(footage?.files ?? []), ...(intrinsics?.files ?? [])];
     const rows = files.map((file) => rowOf({ name: file.name, size: file.size, kind: "footage" }, file));
     const total = rows.reduce((sum, row) => sum + row.size, 0);
-    const uploads = new Uploads(() => {
+    const uploads = new UploadQueue(() => {
       this.#text = `${size(rows.reduce((sum, row) => sum + row.sent, 0))} of ${size(total)} sent`;
       this.draw();
     });

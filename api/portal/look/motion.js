@@ -1,6 +1,6 @@
 // Motion of a job in the view Look: the viewer, and another job of the capture beside it.
 
-import { addressed, call, Problem } from "../shared/api.js";
+import { addressed, call, RequestProblem } from "../shared/api.js";
 import { persistently, reached } from "../shared/away.js";
 import { html, nothing, render } from "../shared/lit.js";
 import { readOptions } from "../shared/options.js";
@@ -9,7 +9,7 @@ import { EditedStore } from "../viewer/motion/edited.js";
 import { titlesOf } from "./titles.js";
 
 // Event `time`: the play head has moved, or another viewer is shown.
-export class Motion extends EventTarget {
+export class JobMotion extends EventTarget {
   #viewer = null;
   #source = null; // of the job's motion
   #store = null; // frames of the files, also while a preview of edits is shown
@@ -158,6 +158,6 @@ async function orAway(task) {
   try {
     return await task();
   } catch (error) {
-    throw await reached() ? error : new Problem(null);
+    throw await reached() ? error : new RequestProblem(null);
   }
 }

@@ -10,7 +10,7 @@ import { readOptions } from "../shared/options.js";
 import { problemBox, warningList } from "../shared/problem.js";
 import { choiceList, errorBox, stageList, waitingBox } from "../watch/job.js";
 import { downloads } from "./downloads.js";
-import { Motion } from "./motion.js";
+import { JobMotion } from "./motion.js";
 import { PeoplePanel } from "./people/panel.js";
 import { colorOf } from "./people/words.js";
 import { Sharing } from "./sharing.js";
@@ -41,7 +41,7 @@ class Look {
     this.below = document.createElement("div");
     this.links = document.createElement("div");
     place.append(this.frame, this.stage, this.people, this.below, this.links);
-    this.motion = new Motion(this.stage);
+    this.motion = new JobMotion(this.stage);
     this.onFeed = () => this.#feedChanged();
   }
 

@@ -7,7 +7,7 @@ import { storedCalibration } from "./calibration_file.js";
 
 const NONE = { id: null, name: null, file: null, units: null, record: null, problem: null, isReading: false };
 
-export class Rig {
+export class ChosenCalibration {
   #number = 0; // of the last choice, so that a slow answer does not take the place of a later one
 
   // `changed` is called after each change.

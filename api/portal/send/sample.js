@@ -1,20 +1,20 @@
 // One click to try the service: the sample capture, if the machine of the service has it.
 
-import { call, Problem } from "../shared/api.js";
+import { call, RequestProblem } from "../shared/api.js";
 import { html } from "../shared/lit.js";
 
 let isLoading = false;
 
 async function fetchFile({ name, link, media_type: type }) {
   const response = await fetch(link);
-  if (!response.ok) throw new Problem(await response.json().catch(() => null), response.status);
+  if (!response.ok) throw new RequestProblem(await response.json().catch(() => null), response.status);
   return new File([await response.blob()], name, { type, lastModified: 0 });
 }
 
 async function fetchSample() {
   const sample = await call("/v1/sample");
   if (!sample.installed) {
-    throw new Problem({ detail: "The sample capture is not installed on the service.", hint: sample.install });
+    throw new RequestProblem({ detail: "The sample capture is not installed on the service.", hint: sample.install });
   }
   return { ...sample, files: await Promise.all(sample.files.map(fetchFile)) };
 }

@@ -13,8 +13,8 @@ import { addFiles } from "./chosen_files.js";
 import { emptyDraft, loadDraft, saveDraft } from "./draft.js";
 import { faultsOf } from "./faults.js";
 import { inOrder, matchCameras } from "./matching.js";
-import { Rig } from "./rig.js";
-import { Uploads } from "./uploads.js";
+import { ChosenCalibration } from "./rig.js";
+import { UploadQueue } from "./uploads.js";
 
 const SAVE_MS = 300;
 const STILL_CHECKING_MS = 1500;
@@ -23,13 +23,13 @@ const LOCKED = ["restoring", "checking", "checked", "starting"];
 
 class Sending extends EventTarget {
   draft = loadDraft();
-  rig = new Rig(() => { this.assignCameras(); this.changed(); });
+  rig = new ChosenCalibration(() => { this.assignCameras(); this.changed(); });
   options = null; // choices that the service offers
   phase = "draft"; // draft, waiting, sending, paused, restoring, checking, checked, starting
   problem = null;
   notes = []; // about files that were dropped
   session = null; // once the files are checked
-  #uploads = new Uploads(() => this.changed());
+  #uploads = new UploadQueue(() => this.changed());
   #reading = new Map(); // what is being read and has to be there before the capture is sent, as words by promise
   #press = 0; // number of the last press of Send or Pause, so that a former one does not go on
   #round = 0; // number of the draft, so that what was read for a former one is left out

@@ -1,7 +1,7 @@
 // Resumable upload of a file by tus (tus-js-client).
 
 import "../vendor/tus.min.js";
-import { Problem } from "../shared/api.js";
+import { RequestProblem } from "../shared/api.js";
 
 const { Upload } = window.tus;
 const RETRY_DELAYS_MS = [0, 1000, 3000, 5000, 10_000, 20_000];
@@ -33,11 +33,11 @@ export function upload(file, { name, url, onUrl, onProgress }) {
 
 function problemOf(error) {
   const answer = error.originalResponse;
-  if (!answer) return new Problem(null);
+  if (!answer) return new RequestProblem(null);
   try {
-    return new Problem(JSON.parse(answer.getBody()), answer.getStatus());
+    return new RequestProblem(JSON.parse(answer.getBody()), answer.getStatus());
   } catch {
-    return new Problem(null, answer.getStatus());
+    return new RequestProblem(null, answer.getStatus());
   }
 }
 

@@ -1,11 +1,11 @@
 // Uploads of a capture's files, a few at a time.
 
-import { Problem } from "../shared/api.js";
+import { RequestProblem } from "../shared/api.js";
 import { discard, upload } from "./uploader.js";
 
 const PARALLEL = 2;
 
-export class Uploads {
+export class UploadQueue {
   #tasks = new Map(); // running uploads by row
   #isCut = false;
 
@@ -65,7 +65,7 @@ export class Uploads {
       if (await task.done !== null) update({ isSent: true, sent: row.size });
     } catch ({ message, hint, code, status }) {
       row.hasFailed = true;
-      throw new Problem({ detail: `${row.name}: ${message}`, hint, code }, status);
+      throw new RequestProblem({ detail: `${row.name}: ${message}`, hint, code }, status);
     } finally {
       row.isActive = false;
       if (this.#tasks.get(row) === task) this.#tasks.delete(row);

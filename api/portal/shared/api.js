@@ -1,6 +1,6 @@
 // Requests to the service, by the browser's session or by the link that the page was opened with.
 
-export class Problem extends Error {
+export class RequestProblem extends Error {
   // body: a problem of RFC 9457, or null if the service did not answer.
   constructor(body, status = 0) {
     super(body?.detail ?? "The service does not answer. It is asked again until it does.");
@@ -32,12 +32,12 @@ async function send(path, { method = "GET", body, form, headers: more } = {}) {
   try {
     response = await fetch(addressed(path), { method, headers, body: form ?? (body && JSON.stringify(body)) });
   } catch {
-    throw new Problem(null);
+    throw new RequestProblem(null);
   }
   const answer = response.status === 204 ? null : await response.json().catch(() => null);
   if (response.ok) return { answer, response };
   if (response.status === 401) signedOut.dispatchEvent(new Event("signedout"));
-  throw new Problem(answer, response.status);
+  throw new RequestProblem(answer, response.status);
 }
 
 // Answer's JSON; null of an empty answer. `signedOut` hears of requests that need a key.

@@ -12,7 +12,7 @@ import { tabs } from "./panels/tabs.js";
 import { transport } from "./panels/transport.js";
 import { viewControls } from "./panels/view_controls.js";
 import { rangeOf, SPEEDS } from "./player.js";
-import { View } from "./scene/view.js";
+import { SceneView } from "./scene/view.js";
 import { Wall } from "./video/wall.js";
 
 export class Viewer {
@@ -167,7 +167,7 @@ export class Viewer {
       el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.status), this.wall.element),
       this.hasTransport ? transport(player) : null, this.strips.element, this.figures);
     element.replaceChildren(this.element);
-    this.view = draws ? new View(this.canvas, layer, this.store) : null;
+    this.view = draws ? new SceneView(this.canvas, layer, this.store) : null;
     this.unlisten = listenToKeys(this);
   }
 

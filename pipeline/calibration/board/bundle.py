@@ -134,7 +134,7 @@ class BoardFit:
         ]
 
     def last_covariance(self, number: int) -> Float[np.ndarray, "unknowns unknowns"]:
-        """Covariance of the poses of the last boards: steps of ``adjustment.structure.Bodies``, six a board."""
+        """Covariance of the poses of the last boards: steps of ``adjustment.structure.RigidBodies``, six a board."""
         num_blocks = self.adjustment.structure.num_blocks
         return block_covariance(self.problem, self.adjustment, np.arange(num_blocks - number, num_blocks))
 

@@ -113,7 +113,7 @@ def find_board_world(
 
     Directions of the boards' normals and heights of their middles, relative to the first board, are the observations:
     linear in the slopes and the height of the plane, which are small. The boards are in the frame of the cameras; their
-    covariance is of steps of ``adjustment.structure.Bodies``, six a board.
+    covariance is of steps of ``adjustment.structure.RigidBodies``, six a board.
     """
     first = root_from_boards[0]
     middle_in_root_m = first.apply(middle_m)

@@ -26,7 +26,7 @@ from pipeline.capture.keypoint_files.people import (
 )
 from pipeline.capture.keypoint_files.points import arranged, joint_of, layout_of_names
 from pipeline.joints import BODY_FEET, COCO_17
-from pipeline.layouts import LAYOUTS, Layout
+from pipeline.layouts import LAYOUTS, KeypointLayout
 
 _BODY, _FEET = "keypoints", "foot_kpts"
 _NUM_BODY, _NUM_FEET = len(COCO_17.names), 6
@@ -78,7 +78,7 @@ class _Frame(NamedTuple):
     """People of a frame, and the layout of their points if the file names them."""
 
     people: Sequence[Any]
-    layout: Layout | None
+    layout: KeypointLayout | None
 
 
 def _people_of(content: Any) -> _Frame:

@@ -23,7 +23,7 @@ from pipeline.capture.keypoint_files.people import (
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import arranged, joint_of, named_layout
-from pipeline.layouts import Layout
+from pipeline.layouts import KeypointLayout
 from pipeline.parsing import UnreadableError
 
 _MAX_LINE = 4 * 2**20
@@ -39,7 +39,7 @@ class Columns:
     names: Sequence[str]  # Name of each column as messages show it; empty for those before the points
     # Column of each number: individuals, points of the layout, and x, y and likelihood; -1 without one
     number: Int[np.ndarray, "people points 3"]
-    layout: Layout  # Layout of the points
+    layout: KeypointLayout  # Layout of the points
     num_leading: int  # Columns before the points
 
 

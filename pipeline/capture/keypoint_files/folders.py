@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.capture.keypoint_files.forms import Form, form_of
+from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.errors import Problem
@@ -171,7 +171,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
     return _Files(numbered, None, others)
 
 
-def _form_in(forms: set[str], size_px: tuple[int, int] | None, content: Any) -> Form:
+def _form_in(forms: set[str], size_px: tuple[int, int] | None, content: Any) -> KeypointForm:
     """Form of a file's content, which is added to ``forms``."""
     form = form_of(content, size_px)
     if content:  # an empty list may be of any program
@@ -179,7 +179,7 @@ def _form_in(forms: set[str], size_px: tuple[int, int] | None, content: Any) -> 
     return form
 
 
-_FormOf = Callable[[Any], Form]
+_FormOf = Callable[[Any], KeypointForm]
 
 
 def _read_frames(numbered: Mapping[int, Path], camera: str, form_in: _FormOf) -> Iterator[tuple[int, People | Problem]]:

@@ -8,7 +8,7 @@ from pipeline.capture.keypoint_files import alphapose, coco, deeplabcut, mediapi
 from pipeline.capture.keypoint_files.people import KeypointsError, People
 
 
-class Form(NamedTuple):
+class KeypointForm(NamedTuple):
     """Form of a file, with the functions of its reader.
 
     Both raise ``TypeError``, ``KeyError`` or ``UnreadableError`` if the content is not in the format, and
@@ -26,7 +26,7 @@ class Form(NamedTuple):
 OPENPOSE = "OpenPose"
 
 
-def form_of(content: Any, size_px: tuple[int, int] | None) -> Form:
+def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
     """Find the form of a file's content: parsed JSON, or the bytes of a CSV file.
 
     ``size_px`` has width and height of the camera's images; ``None`` if unknown. Unknown JSON is taken as OpenPose's.
@@ -35,38 +35,38 @@ def form_of(content: Any, size_px: tuple[int, int] | None) -> Form:
     if isinstance(content, bytes):
         if not deeplabcut.is_table(content):
             raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
-        return Form("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
+        return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
     if isinstance(content, list):
         return _form_of_list(content, size_px)
     if isinstance(content, dict):
         return _form_of_object(content, size_px)
-    return Form(OPENPOSE, openpose.read_frame, None)
+    return KeypointForm(OPENPOSE, openpose.read_frame, None)
 
 
-def _form_of_list(content: list[Any], size_px: tuple[int, int] | None) -> Form:
+def _form_of_list(content: list[Any], size_px: tuple[int, int] | None) -> KeypointForm:
     first = next((entry for entry in content if isinstance(entry, dict)), {})
     if "instances" in first:
-        return Form("MMPose", mmpose.read_frame, mmpose.frames_of)
+        return KeypointForm("MMPose", mmpose.read_frame, mmpose.frames_of)
     if "keypoint_scores" in first:
-        return Form("MMPose", mmpose.read_frame, None)
+        return KeypointForm("MMPose", mmpose.read_frame, None)
     if not first.keys().isdisjoint(mediapipe.RESULTS):
-        return Form("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), mediapipe.frames_of)
+        return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), mediapipe.frames_of)
     if isinstance(first.get("image_id"), str):
-        return Form("AlphaPose", alphapose.read_frame, alphapose.frames_of)
-    return Form("COCO", coco.read_frame, coco.frames_of)
+        return KeypointForm("AlphaPose", alphapose.read_frame, alphapose.frames_of)
+    return KeypointForm("COCO", coco.read_frame, coco.frames_of)
 
 
-def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None) -> Form:
+def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None) -> KeypointForm:
     if "annotations" in content:
-        return Form("COCO", coco.read_frame, coco.frames_of)
+        return KeypointForm("COCO", coco.read_frame, coco.frames_of)
     if "instance_info" in content:
-        return Form("MMPose", mmpose.read_frame, mmpose.frames_of)
+        return KeypointForm("MMPose", mmpose.read_frame, mmpose.frames_of)
     if not content.keys().isdisjoint(("poses", "frames", *mediapipe.RESULTS)):
         frames_of = mediapipe.frames_of if "frames" in content else None
-        return Form("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), frames_of)
+        return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), frames_of)
     if "bodies" in content:
-        return Form("AlphaPose", alphapose.read_frame, None)
+        return KeypointForm("AlphaPose", alphapose.read_frame, None)
     first = next(iter(content.values()), None)
     if "people" not in content and isinstance(first, dict) and ("people" in first or "bodies" in first):
-        return Form("AlphaPose", alphapose.read_frame, alphapose.frames_of)
-    return Form(OPENPOSE, openpose.read_frame, None)
+        return KeypointForm("AlphaPose", alphapose.read_frame, alphapose.frames_of)
+    return KeypointForm(OPENPOSE, openpose.read_frame, None)

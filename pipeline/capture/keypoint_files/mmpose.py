@@ -21,7 +21,7 @@ from pipeline.capture.keypoint_files.people import (
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import arranged, layout_of, layout_of_names
-from pipeline.layouts import Layout
+from pipeline.layouts import KeypointLayout
 from pipeline.parsing import read_numbers
 
 _POINTS, _SCORES, _NAMES = "keypoints", "keypoint_scores", "keypoint_id2name"
@@ -75,7 +75,7 @@ class _Frame(NamedTuple):
     """Instances of a frame, and the layout of their points if the file names them."""
 
     instances: Any
-    layout: Layout | None
+    layout: KeypointLayout | None
 
 
 def _names_of(meta: Any) -> Sequence[str] | None:

@@ -9,10 +9,10 @@ import numpy as np
 
 from pipeline.capture.keypoint_files.people import KeypointsError, People
 from pipeline.joints import BODY_FEET, COCO_17, SIDES, without_hands
-from pipeline.layouts import LAYOUTS, Layout
+from pipeline.layouts import LAYOUTS, KeypointLayout
 
 _NAMES = ("coco-17", "coco-wholebody-23", "halpe-26", "coco-wholebody-133", "halpe-136")
-_BY_COUNT: Mapping[int, Layout] = {len(LAYOUTS[name].points): LAYOUTS[name] for name in _NAMES}
+_BY_COUNT: Mapping[int, KeypointLayout] = {len(LAYOUTS[name].points): LAYOUTS[name] for name in _NAMES}
 # Layouts with hands: points of fingers have names of each file's own, so that the number tells the layout.
 _WHOLE = {133, 136}
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+", re.ASCII)
@@ -27,7 +27,7 @@ REQUIRED = tuple(f"{side}_{part}" for part in ("shoulder", "hip") for side in SI
 """Joints without which there is no trunk, and so no skeleton."""
 
 
-def layout_of(num_points: int, field: str) -> Layout:
+def layout_of(num_points: int, field: str) -> KeypointLayout:
     """Layout of so many points without names; raises ``KeypointsError`` if there is none."""
     if num_points not in _BY_COUNT:
         known = ", ".join(f"{layout.name.rpartition('-')[0]} has {count}" for count, layout in _BY_COUNT.items())
@@ -35,12 +35,12 @@ def layout_of(num_points: int, field: str) -> Layout:
     return _BY_COUNT[num_points]
 
 
-def layout_of_names(names: Sequence[str], field: str) -> Layout:
+def layout_of_names(names: Sequence[str], field: str) -> KeypointLayout:
     """Layout of points with names; raises ``KeypointsError`` if they are not those of a body."""
     return _BY_COUNT[len(names)] if len(names) in _WHOLE else named_layout(names, field)
 
 
-def arranged(points: People, layout: Layout) -> People:
+def arranged(points: People, layout: KeypointLayout) -> People:
     """Points of people as the joints of their layout; joints without a point, and hands of nobody, are not detected.
 
     Axes are people, points of the layout, and x, y and score; those of the result people, joints of ``layout.joints``
@@ -54,7 +54,7 @@ def arranged(points: People, layout: Layout) -> People:
 
 
 @lru_cache(maxsize=64)
-def _chosen(layout: Layout) -> tuple[list[int], list[int]]:
+def _chosen(layout: KeypointLayout) -> tuple[list[int], list[int]]:
     """Joints that have a point, and their points."""
     joints = [k for k, name in enumerate(layout.joints.names) if name in layout.points]
     return joints, [layout.points.index(layout.joints.names[k]) for k in joints]
@@ -82,7 +82,7 @@ def joint_of(name: str) -> str | None:
     return f"{sides[0]}_{_PARTS[part]}" if len(sides) == 1 and part in _PARTS else None
 
 
-def named_layout(names: Sequence[str], field: str) -> Layout:
+def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
     """Layout of points with these names: joints of ``COCO_17``, with heels and big toes if one of them is named.
 
     Raises ``KeypointsError`` if there are too many points, if two of them are one joint, or if a shoulder or a hip is
@@ -100,4 +100,4 @@ def named_layout(names: Sequence[str], field: str) -> Layout:
         message = f"No point is named after the joints {', '.join(missing)}; shoulders and hips are required."
         raise KeypointsError(message, field)
     joints = COCO_17 if set(used) <= set(COCO_17.names) else BODY_FEET
-    return Layout(f"named-{len(points)}", points, joints)
+    return KeypointLayout(f"named-{len(points)}", points, joints)

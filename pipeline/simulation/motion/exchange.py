@@ -18,7 +18,7 @@ _NEAR = 1.1
 
 
 @dataclass(frozen=True, slots=True)
-class Exchange:
+class PlaceExchange:
     """People who stand in a group, one in the middle and the others around, and exchange places with neighbours."""
 
     num_people: int  # Number of people, two to seven
@@ -26,7 +26,7 @@ class Exchange:
     num_pairs: int = 2  # Largest number of pairs who exchange places at a time
 
 
-def exchange(cast: Exchange, duration_s: float, rng: np.random.Generator) -> tuple[Role, ...]:
+def exchange(cast: PlaceExchange, duration_s: float, rng: np.random.Generator) -> tuple[Role, ...]:
     """Draw the script of each person: pairs of neighbours exchange places round by round, the others stay."""
     places_m = _places(cast)
     holder = rng.permutation(cast.num_people)  # person at each place
@@ -57,14 +57,16 @@ def exchange(cast: Exchange, duration_s: float, rng: np.random.Generator) -> tup
     )
 
 
-def _places(cast: Exchange) -> Float[np.ndarray, "places 2"]:
+def _places(cast: PlaceExchange) -> Float[np.ndarray, "places 2"]:
     """The middle and the corners of a hexagon around it, which are neighbours of each other."""
     angle = np.arange(6) * np.pi / 3
     corners = np.column_stack([np.cos(angle), np.sin(angle)])
     return cast.gap_m * np.concatenate([np.zeros((1, 2)), corners])[: cast.num_people]
 
 
-def _pairs(places_m: Float[np.ndarray, "places 2"], cast: Exchange, rng: np.random.Generator) -> list[tuple[int, int]]:
+def _pairs(
+    places_m: Float[np.ndarray, "places 2"], cast: PlaceExchange, rng: np.random.Generator
+) -> list[tuple[int, int]]:
     """Draw disjoint pairs of neighbouring places."""
     apart_m = np.linalg.norm(places_m[:, None] - places_m, axis=-1)
     near = [(int(first), int(second)) for first, second in np.argwhere(apart_m < _NEAR * cast.gap_m) if first < second]

@@ -19,7 +19,7 @@ _LEFT = np.array([1.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Overlay:
+class GestureMotion:
     """Gesture over time, from rest to rest."""
 
     wrists: Float[np.ndarray, "times 2 3"]  # Wrist targets
@@ -33,7 +33,7 @@ class Overlay:
 
 def overlay(
     gesture: Gesture, time_s: Float[np.ndarray, " times"], hand: Float[np.ndarray, " 3"], rng: np.random.Generator
-) -> Overlay:
+) -> GestureMotion:
     """Compute a gesture over time.
 
     ``time_s`` is since its start, and the last entry its end; right hands meet at ``hand``, a target of the wrist.
@@ -42,7 +42,7 @@ def overlay(
     blend = smoothstep(time_s / BLEND_S) * smoothstep((time_s[-1] - time_s) / BLEND_S)
     match gesture:
         case Gesture.IDLE:
-            return Overlay(np.zeros((len(time_s), 2, 3)), np.zeros((len(time_s), 2)), zero, zero, zero, zero)
+            return GestureMotion(np.zeros((len(time_s), 2, 3)), np.zeros((len(time_s), 2)), zero, zero, zero, zero)
         case Gesture.WAVE:
             arms = rng.permutation([0.0, 1.0])
             sway = 0.2 * np.sin(2 * np.pi * rng.uniform(1.3, 1.9) * time_s)
@@ -75,14 +75,14 @@ def overlay(
             depth = rng.uniform(0.3, 0.45)
             slow = smoothstep(time_s / 0.8) * smoothstep((time_s[-1] - time_s) / 0.8)
             wrists = _both(0.5 + zero, -0.05 + zero, -0.6 + zero)
-            return Overlay(wrists, _share(slow, np.ones(2)), depth * slow, zero, 0.6 * slow, zero)
+            return GestureMotion(wrists, _share(slow, np.ones(2)), depth * slow, zero, 0.6 * slow, zero)
         case Gesture.JUMP:
             return _jump(time_s, blend, rng)
         case Gesture.HANDS:
             # Hands in front of the chest, apart from each other, that show postures of the fingers.
             arms = np.ones(2)
             wrists = _both(0.5 + zero, 0.1 + zero, -0.1 + zero) + 0.07 * smooth_noise(time_s, (2, 3), 0.2, 0.9, rng)
-    return Overlay(wrists, _share(blend, arms), zero, zero, zero, zero)
+    return GestureMotion(wrists, _share(blend, arms), zero, zero, zero, zero)
 
 
 def smooth_noise(
@@ -105,7 +105,7 @@ def _share(blend: np.ndarray, arms: np.ndarray) -> Float[np.ndarray, "times 2"]:
     return blend[:, None] * arms
 
 
-def _punch(time_s: np.ndarray, blend: np.ndarray) -> Overlay:
+def _punch(time_s: np.ndarray, blend: np.ndarray) -> GestureMotion:
     """Alternating straight punches out of a guard, 0.1 s to the target."""
     cycle_s, stroke_s = 0.9, 0.2
     zero = np.zeros_like(time_s)
@@ -114,10 +114,12 @@ def _punch(time_s: np.ndarray, blend: np.ndarray) -> Overlay:
     stroke = np.where(since_s < stroke_s, np.sin(np.pi * since_s / stroke_s) ** 2, 0.0)
     guard, hit = _both(0.3 + zero, -0.05 + zero, 0.0 + zero), _both(0.98 + zero, -0.1 + zero, 0.1 + zero)
     wrists = guard + stroke[..., None] * (hit - guard)
-    return Overlay(wrists, _share(blend, np.ones(2)), 0.06 * blend, zero, 0.1 * blend, 0.3 * blend * (stroke @ -_LEFT))
+    return GestureMotion(
+        wrists, _share(blend, np.ones(2)), 0.06 * blend, zero, 0.1 * blend, 0.3 * blend * (stroke @ -_LEFT)
+    )
 
 
-def _swing(time_s: np.ndarray, blend: np.ndarray) -> Overlay:
+def _swing(time_s: np.ndarray, blend: np.ndarray) -> GestureMotion:
     """Strikes of both hands from above the right shoulder to the left hip in 0.25 s, back in 0.8 s."""
     since_s = time_s % 1.4
     done = smoothstep(since_s / 0.25) - smoothstep((since_s - 0.45) / 0.8)
@@ -126,10 +128,12 @@ def _swing(time_s: np.ndarray, blend: np.ndarray) -> Overlay:
     # The hands meet in front of the chest, about a third of an arm inwards of each shoulder.
     wrists = wrist[:, None] - 0.3 * _LEFT[:, None] * np.array([0.0, 1.0, 0.0])
     zero = np.zeros_like(time_s)
-    return Overlay(wrists, _share(blend, np.ones(2)), 0.05 * blend, zero, 0.1 * blend, blend * (0.5 * done - 0.25))
+    return GestureMotion(
+        wrists, _share(blend, np.ones(2)), 0.05 * blend, zero, 0.1 * blend, blend * (0.5 * done - 0.25)
+    )
 
 
-def _jump(time_s: np.ndarray, blend: np.ndarray, rng: np.random.Generator) -> Overlay:
+def _jump(time_s: np.ndarray, blend: np.ndarray, rng: np.random.Generator) -> GestureMotion:
     """Repeated jumps: squat, flight and landing."""
     takeoff_m_s = rng.uniform(1.8, 2.7)
     flight_s, squat_s, land_s = 2 * takeoff_m_s / _GRAVITY_M_S2, 0.5, 0.45
@@ -145,4 +149,4 @@ def _jump(time_s: np.ndarray, blend: np.ndarray, rng: np.random.Generator) -> Ov
     raised = smoothstep((since_s - 0.7 * squat_s) / 0.25) * smoothstep((cycle_s - land_s - since_s) / 0.3 + 1)
     zero = np.zeros_like(time_s)
     wrists = _both(-0.3 + 0.8 * raised, 0.2 + zero, -0.85 + 1.2 * raised)
-    return Overlay(wrists, _share(blend, np.ones(2)), drop, hop_m, 0.3 * (squat + land), zero)
+    return GestureMotion(wrists, _share(blend, np.ones(2)), drop, hop_m, 0.3 * (squat + land), zero)

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from pipeline.joints import COCO_17, FINGER_JOINTS, JointSet
 from pipeline.simulation.motion.body import STANDING_LEG, Pose, Proportions, joints_of, random_proportions, turned
 from pipeline.simulation.motion.feet import Feet, heels_and_toes, random_foot_shape, roll
-from pipeline.simulation.motion.gestures import Overlay, overlay, smooth_noise
+from pipeline.simulation.motion.gestures import GestureMotion, overlay, smooth_noise
 from pipeline.simulation.motion.hand_postures import finger_motion
 from pipeline.simulation.motion.hands import Hands, fingers, random_scale
 from pipeline.simulation.motion.locomotion import GRID_HZ, Route, ankles, follow_steps, lay_out
@@ -22,7 +22,7 @@ _PAIRS = [COCO_17.indices((f"left_{joint}", f"right_{joint}")) for joint in ("sh
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Person:
+class SimulatedPerson:
     """Body and motion of a person on the grid of ``GRID_HZ``, from time 0 on."""
 
     # Body, its pose, and whether the person is present
@@ -34,7 +34,7 @@ class Person:
     hands: Hands | None = None
 
 
-def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: JointSet = COCO_17) -> Person:
+def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: JointSet = COCO_17) -> SimulatedPerson:
     """Perform a role: draw a body and compute its motion.
 
     Parameters
@@ -62,7 +62,7 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: Joi
     twist_rad = acting.twist_rad + 0.1 * pace * np.cos(stride) + 0.03 * smooth_noise(time_s, (), 0.05, 0.3, rng)
     gaze_rad = np.array([0.3, 0.1]) * smooth_noise(time_s, (2,), 0.05, 0.3, rng)
     feet_m[..., 2] += acting.hop_m[:, None]
-    person = Person(
+    person = SimulatedPerson(
         body=body,
         pose=Pose(
             hips_m=_hips(route, feet_m, body, acting, pace),
@@ -85,7 +85,7 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: Joi
     return person
 
 
-def joints_at(person: Person, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times joints 3"]:
+def joints_at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times joints 3"]:
     """World positions in metres of the joints for which the person was performed, NaN while the person is absent."""
     row = np.clip(time_s * GRID_HZ, 0, len(person.present) - 1)
     lower = np.minimum(row.astype(int), len(person.present) - 2)
@@ -108,7 +108,9 @@ def joints_at(person: Person, time_s: Float[np.ndarray, " times"]) -> Float[np.n
     return np.where(there[:, None, None], joints_m, np.nan)
 
 
-def _overlays(role: Role, route: Route, cue_rows: list[slice], body: Proportions, rng: np.random.Generator) -> Overlay:
+def _overlays(
+    role: Role, route: Route, cue_rows: list[slice], body: Proportions, rng: np.random.Generator
+) -> GestureMotion:
     """Concatenate the gestures of all cues at their rows; zero elsewhere."""
     num_rows = len(route.steps)
     wrists, arms = np.zeros((num_rows, 2, 3)), np.zeros((num_rows, 2))
@@ -129,7 +131,7 @@ def _overlays(role: Role, route: Route, cue_rows: list[slice], body: Proportions
             (twist_rad, gesture.twist_rad),
         ):
             whole[rows] = part[kept]
-    return Overlay(wrists, arms, drop, hop_m, lean_rad, twist_rad)
+    return GestureMotion(wrists, arms, drop, hop_m, lean_rad, twist_rad)
 
 
 def _hand(cue: Stay, route: Route, row: int, body: Proportions) -> Float[np.ndarray, " 3"]:
@@ -142,7 +144,7 @@ def _hand(cue: Stay, route: Route, row: int, body: Proportions) -> Float[np.ndar
     return np.asarray((np.asarray(cue.hand_m) - shoulder_m) @ world_from_upright / body.arm_m)
 
 
-def _wrists(acting: Overlay, pace: np.ndarray, stride: np.ndarray) -> Float[np.ndarray, "times 2 3"]:
+def _wrists(acting: GestureMotion, pace: np.ndarray, stride: np.ndarray) -> Float[np.ndarray, "times 2 3"]:
     """Wrist targets of hanging arms that swing against the legs, blended with gestures."""
     # The left foot lands ahead at stride 0, where the left arm is behind.
     swing = -0.42 * (pace * np.cos(stride))[:, None] * _SIDES
@@ -157,7 +159,7 @@ def _wrists(acting: Overlay, pace: np.ndarray, stride: np.ndarray) -> Float[np.n
 
 
 def _hips(
-    route: Route, feet_m: np.ndarray, body: Proportions, acting: Overlay, pace: np.ndarray
+    route: Route, feet_m: np.ndarray, body: Proportions, acting: GestureMotion, pace: np.ndarray
 ) -> Float[np.ndarray, "times 3"]:
     """Centre of the hips in metres, at the height of the posture, limited by the reach of the legs."""
     world_from_hips = turned(route.yaw_rad, np.zeros_like(route.yaw_rad))

@@ -31,7 +31,7 @@ _DUPLICATE_MISSING = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class Detector:
+class DetectorAccuracy:
     """Accuracy of a simulated detector."""
 
     # Standard deviation of the average joint in metres at the person's distance: a fixed share of the body's size in
@@ -47,12 +47,12 @@ class Detector:
     smallest_palm_px: float = 15.0
 
 
-PERFECT = Detector(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS, smallest_palm_px=0.0)
+PERFECT = DetectorAccuracy(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS, smallest_palm_px=0.0)
 """Detector that finds every joint in the image exactly; hidden joints have lower scores."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class ProjectedPeople:
     """Projection of people to a camera: pixels, image scale, and whether joints are in the image or hidden."""
 
     points_px: Float[np.ndarray, "people frames joints 2"]
@@ -62,7 +62,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bodies:
+class SimulatedBodies:
     """Detected bodies as rows of arrays."""
 
     frame: Int[np.ndarray, " n"]
@@ -76,9 +76,9 @@ class Found:
     """Bodies that a detector finds in one camera: each once, some a second time, and false positives."""
 
     confusion: Confusion
-    bodies: Bodies
-    copies: Bodies
-    nobody: Bodies
+    bodies: SimulatedBodies
+    copies: SimulatedBodies
+    nobody: SimulatedBodies
 
 
 def detect(
@@ -86,7 +86,7 @@ def detect(
     period_s: float,
     people_m: Float[np.ndarray, "people frames joints 3"],
     boxes: Sequence[Box],
-    detector: Detector,
+    detector: DetectorAccuracy,
     rng: np.random.Generator,
 ) -> tuple[Detections, Int[np.ndarray, " n"]]:
     """Detect people in all frames of one camera.
@@ -114,7 +114,7 @@ def find_bodies(
     period_s: float,
     people_m: Float[np.ndarray, "people frames joints 3"],
     boxes: Sequence[Box],
-    detector: Detector,
+    detector: DetectorAccuracy,
     rng: np.random.Generator,
 ) -> Found:
     """Find the bodies in all frames of one camera; for the arguments see ``detect``."""
@@ -128,15 +128,17 @@ def find_bodies(
     copies = _mark(view, confusion, twice, detector, noise_frames, rng)
     copies = _keep(copies, rng.random(copies.score.shape) >= _DUPLICATE_MISSING, _DUPLICATE_SCORE)
     frame, keypoints_px, score = false_positives(camera.size_px, people_m.shape[1], faults, memory_frames, rng)
-    return Found(confusion, bodies, copies, Bodies(frame, keypoints_px, score, np.full(len(frame), NOBODY)))
+    return Found(confusion, bodies, copies, SimulatedBodies(frame, keypoints_px, score, np.full(len(frame), NOBODY)))
 
 
-def look(camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], boxes: Sequence[Box]) -> View:
+def look(
+    camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], boxes: Sequence[Box]
+) -> ProjectedPeople:
     """Project people to a camera and determine hidden joints; see ``detect``."""
     in_cam_m = camera.cam_from_world.apply(people_m)
     points_px = project(camera, people_m)
     focal_px = np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
-    return View(
+    return ProjectedPeople(
         points_px=points_px,
         px_per_m=focal_px / np.maximum(in_cam_m[..., 2], 0.1),
         in_image=np.all((points_px >= 0) & (points_px <= np.array(camera.size_px) - 1), axis=-1),
@@ -145,25 +147,25 @@ def look(camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], 
 
 
 def _mark(
-    view: View,
+    view: ProjectedPeople,
     confusion: Confusion,
     found: Bool[np.ndarray, "people frames"],
-    detector: Detector,
+    detector: DetectorAccuracy,
     noise_frames: float,
     rng: np.random.Generator,
-) -> Bodies:
+) -> SimulatedBodies:
     """Detect the joints of the bodies that are found."""
     points_px, score = see_joints(view, confusion.who, confusion.which, detector, noise_frames, rng)
     people, rows = np.nonzero(found)
-    bodies = Bodies(rows, points_px[people, rows], score[people, rows], people)
+    bodies = SimulatedBodies(rows, points_px[people, rows], score[people, rows], people)
     return _keep(bodies, bodies.score > 0)
 
 
 def see_joints(
-    view: View,
+    view: ProjectedPeople,
     who: Int[np.ndarray, "people frames joints"],
     which: Int[np.ndarray, "people frames joints"],
-    detector: Detector,
+    detector: DetectorAccuracy,
     noise_frames: float,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
@@ -185,7 +187,7 @@ def noisy(
     sigma_px: Float[np.ndarray, "people frames joints"],
     px_per_m: Float[np.ndarray, "people frames joints"],
     hidden: Bool[np.ndarray, "people frames joints"],
-    detector: Detector,
+    detector: DetectorAccuracy,
     noise_frames: float,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
@@ -207,9 +209,9 @@ def noisy(
     return error_px, score
 
 
-def _keep(bodies: Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1.0) -> Bodies:
+def _keep(bodies: SimulatedBodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1.0) -> SimulatedBodies:
     """Remove joints of bodies, and scale the scores of the others."""
-    return Bodies(
+    return SimulatedBodies(
         bodies.frame,
         np.where(kept[..., None], bodies.keypoints_px, np.nan),
         np.where(kept, factor * bodies.score, 0.0),
@@ -217,7 +219,7 @@ def _keep(bodies: Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1.
     )
 
 
-def collect(camera: str, kinds: Sequence[Bodies], rng: np.random.Generator) -> tuple[Detections, np.ndarray]:
+def collect(camera: str, kinds: Sequence[SimulatedBodies], rng: np.random.Generator) -> tuple[Detections, np.ndarray]:
     """Sort bodies by frame, in random order within a frame; bodies without joints are left out."""
     frame, keypoints_px, score, identity = (
         np.concatenate([getattr(kind, name) for kind in kinds])

@@ -13,7 +13,14 @@ from pipeline.data.cameras import Camera
 from pipeline.data.detections import Detections
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.joints import COCO_17, FINGER_JOINTS, SIDES, JointSet, finger_joints
-from pipeline.simulation.views.detector import Bodies, Detector, View, collect, find_bodies, noisy
+from pipeline.simulation.views.detector import (
+    DetectorAccuracy,
+    ProjectedPeople,
+    SimulatedBodies,
+    collect,
+    find_bodies,
+    noisy,
+)
 from pipeline.simulation.views.faults import Confusion
 from pipeline.simulation.views.noise import lasting_events
 from pipeline.simulation.views.occlusion import Box, hidden_by_boxes, points_hidden_by_bodies
@@ -30,7 +37,7 @@ def detect_extremities(
     period_s: float,
     people_m: Float[np.ndarray, "people frames joints 3"],
     boxes: Sequence[Box],
-    detector: Detector,
+    detector: DetectorAccuracy,
     rng: np.random.Generator,
     joints: JointSet,
 ) -> tuple[Detections, Int[np.ndarray, " n"]]:
@@ -52,7 +59,7 @@ def detect_extremities(
 
 def _look(
     camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], boxes: Sequence[Box], joints: JointSet
-) -> View:
+) -> ProjectedPeople:
     """Project the joints of feet and hands to a camera; the person's trunk can hide hands."""
     in_cam_m = camera.cam_from_world.apply(people_m)
     beyond_m = people_m[:, :, _NUM_BODY:]
@@ -60,7 +67,7 @@ def _look(
     hands = [k for k, name in enumerate(joints.names[_NUM_BODY:]) if name in FINGER_JOINTS]
     hidden = points_hidden_by_bodies(in_cam_m[:, :, _NUM_BODY:], in_cam_m[:, :, :_NUM_BODY], hands)
     focal_px = np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
-    return View(
+    return ProjectedPeople(
         points_px=points_px,
         px_per_m=focal_px / np.maximum(in_cam_m[:, :, _NUM_BODY:, 2], 0.1),
         in_image=np.all((points_px >= 0) & (points_px <= np.array(camera.size_px) - 1), axis=-1),
@@ -69,7 +76,7 @@ def _look(
 
 
 def _palm_px(
-    people_m: Float[np.ndarray, "people frames joints 3"], view: View, joints: JointSet
+    people_m: Float[np.ndarray, "people frames joints 3"], view: ProjectedPeople, joints: JointSet
 ) -> Float[np.ndarray, "people frames beyond"]:
     """Length of the palm that belongs to each joint in pixels, as if seen from the front; infinite for feet."""
     palm_px = np.full(view.px_per_m.shape, np.inf)
@@ -90,15 +97,15 @@ def _hand_columns(side: str, joints: JointSet, parts: Sequence[str] | None = Non
 
 
 def _extend(
-    bodies: Bodies,
-    view: View,
+    bodies: SimulatedBodies,
+    view: ProjectedPeople,
     palm_px: Float[np.ndarray, "people frames beyond"],
     confusion: Confusion,
-    detector: Detector,
+    detector: DetectorAccuracy,
     period_s: float,
     joints: JointSet,
     rng: np.random.Generator,
-) -> Bodies:
+) -> SimulatedBodies:
     """Add the joints of feet and hands to detected bodies."""
     memory_frames = detector.faults.memory_s / period_s
     noise_frames = detector.noise_memory_s / period_s
@@ -119,7 +126,7 @@ def _extend(
     rows = bodies.identity, bodies.frame
     # Without a wrist nobody looks for a hand, and without any joint there is no body.
     carried = np.where(_is_finger(joints), bodies.score[:, _carriers(joints)], bodies.score.max(1, keepdims=True)) > 0
-    return Bodies(
+    return SimulatedBodies(
         bodies.frame,
         np.concatenate([bodies.keypoints_px, np.where(carried[..., None], points_px[rows], np.nan)], axis=1),
         np.concatenate([bodies.score, np.where(carried, score[rows], 0.0)], axis=1),
@@ -128,7 +135,7 @@ def _extend(
 
 
 def _sources(
-    confusion: Confusion, detector: Detector, memory_frames: float, joints: JointSet, rng: np.random.Generator
+    confusion: Confusion, detector: DetectorAccuracy, memory_frames: float, joints: JointSet, rng: np.random.Generator
 ) -> tuple[Int[np.ndarray, "people frames beyond"], Int[np.ndarray, "people frames beyond"]]:
     """Person and joint behind each detected joint of feet and hands."""
     carriers = _carriers(joints)
@@ -142,10 +149,10 @@ def _sources(
 
 
 def _missed_hands(
-    view: View,
+    view: ProjectedPeople,
     source: tuple[np.ndarray, np.ndarray, np.ndarray],
     palm_px: Float[np.ndarray, "people frames beyond"],
-    detector: Detector,
+    detector: DetectorAccuracy,
     memory_frames: float,
     joints: JointSet,
     rng: np.random.Generator,
@@ -165,10 +172,10 @@ def _missed_hands(
     return missed
 
 
-def _without(bodies: Bodies, num_joints: int) -> Bodies:
+def _without(bodies: SimulatedBodies, num_joints: int) -> SimulatedBodies:
     """Add joints that are not found."""
     missing = ((0, 0), (0, num_joints - bodies.score.shape[1]))
-    return Bodies(
+    return SimulatedBodies(
         bodies.frame,
         np.pad(bodies.keypoints_px, (*missing, (0, 0)), constant_values=np.nan),
         np.pad(bodies.score, missing),

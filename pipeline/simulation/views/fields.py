@@ -19,7 +19,7 @@ from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.detect.letterbox import fit_letterbox
 from pipeline.geometry.fields import quantise
 from pipeline.joints import COCO_17, COCO_18
-from pipeline.simulation.views.detector import BEST_SCORE, Detector, look, see_joints
+from pipeline.simulation.views.detector import BEST_SCORE, DetectorAccuracy, look, see_joints
 from pipeline.simulation.views.field_kernels import draw_limbs, draw_peaks
 from pipeline.simulation.views.noise import lasting_events
 from pipeline.simulation.views.occlusion import Box
@@ -73,7 +73,7 @@ def sketch(
     period_s: float,
     people_m: Float[np.ndarray, "people frames joints 3"],
     boxes: Sequence[Box],
-    detector: Detector,
+    detector: DetectorAccuracy,
     rng: np.random.Generator,
 ) -> Sketch:
     """Draw the content of a camera's maps; for the arguments see ``detector.detect``.

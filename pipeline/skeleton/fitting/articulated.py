@@ -49,7 +49,7 @@ class Evidence(Protocol):
 
 
 @dataclass(slots=True, eq=False)
-class Bodies:
+class JointPoses:
     """Pose of a person in each frame of a window; changed by the fit."""
 
     root_m: Float[np.ndarray, "frames 3"]  # World position of the root
@@ -66,7 +66,7 @@ def start_from(
     root_m: Float[np.ndarray, "frames 3"],
     parent_from_joint: Float[np.ndarray, "frames joints 4"],
     skeleton: Articulation,
-) -> Bodies:
+) -> JointPoses:
     """Build bodies from any pose. Rotations of hinges are reduced to their axis and clipped to their limits."""
     num_frames = len(root_m)
     local = Rotation.from_quat(parent_from_joint.reshape(-1, 4)).as_matrix().reshape(num_frames, -1, 3, 3)
@@ -77,10 +77,10 @@ def start_from(
             bend = Rotation.from_quat(parent_from_joint[:, joint]).as_rotvec() @ axis
             angle_rad[:, number] = np.clip(bend, *freedom.limits_rad)
             local[:, joint] = Rotation.from_rotvec(angle_rad[:, [number]] * axis).as_matrix()
-    return Bodies(np.array(root_m), local, angle_rad)
+    return JointPoses(np.array(root_m), local, angle_rad)
 
 
-def landmarks_of(bodies: Bodies, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
+def landmarks_of(bodies: JointPoses, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
     """World positions of landmarks (metres)."""
     return Posed(bodies, skeleton).landmark_m
 
@@ -88,7 +88,7 @@ def landmarks_of(bodies: Bodies, skeleton: Articulation) -> Float[np.ndarray, "f
 class Posed:
     """World positions and orientations of all joints, and positions of landmarks."""
 
-    def __init__(self, bodies: Bodies, skeleton: Articulation) -> None:
+    def __init__(self, bodies: JointPoses, skeleton: Articulation) -> None:
         self._skeleton = skeleton
         num_frames, num_joints = bodies.local.shape[:2]
         self.world = np.empty((num_frames, num_joints, 3, 3))
@@ -123,7 +123,7 @@ class Posed:
         return result
 
 
-def move(bodies: Bodies, skeleton: Articulation, step: Float[np.ndarray, "frames freedoms"]) -> None:
+def move(bodies: JointPoses, skeleton: Articulation, step: Float[np.ndarray, "frames freedoms"]) -> None:
     """Apply a step to all degrees of freedom in place; rotations are limited a step, and hinges to their range."""
     turn(
         step,
@@ -139,7 +139,7 @@ def move(bodies: Bodies, skeleton: Articulation, step: Float[np.ndarray, "frames
 
 
 def refine(
-    bodies: Bodies,
+    bodies: JointPoses,
     skeleton: Articulation,
     evidence: Evidence,
     usual_m: Float[np.ndarray, " landmarks"],
@@ -158,7 +158,7 @@ def refine(
 
 
 def _step(
-    bodies: Bodies,
+    bodies: JointPoses,
     skeleton: Articulation,
     evidence: Evidence,
     usual_m: Float[np.ndarray, " landmarks"],
@@ -185,7 +185,7 @@ def _step(
 
 
 def _draw_to_rest(
-    bodies: Bodies,
+    bodies: JointPoses,
     skeleton: Articulation,
     lower: Float[np.ndarray, "frames freedoms below"],
     force: Float[np.ndarray, "frames freedoms"],
@@ -207,7 +207,7 @@ def _draw_to_rest(
 
 
 def _steady_twist(
-    bodies: Bodies,
+    bodies: JointPoses,
     skeleton: Articulation,
     frame_rate_hz: float,
     lower: Float[np.ndarray, "frames freedoms below"],

@@ -14,7 +14,7 @@ from pipeline.data.people import Observations, Source, Track3D
 from pipeline.geometry.tracks import reproject
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.progress import OnShare, ignore
-from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of, refine, start_from
+from pipeline.skeleton.fitting.articulated import JointPoses, landmarks_of, refine, start_from
 from pipeline.skeleton.fitting.articulation import FREEDOMS, articulate
 from pipeline.skeleton.fitting.positions import SCALES_M, fit_positions, usual_step_m
 from pipeline.skeleton.fitting.rays import Rays
@@ -146,7 +146,7 @@ class SkeletonFit:
         num_frames = self._track.num_frames
         self._root_m, self._quat = np.empty((num_frames, 3)), np.empty((num_frames, len(SKELETON), 4))
 
-        def start(rows: slice) -> Bodies:
+        def start(rows: slice) -> JointPoses:
             landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
             return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
 
@@ -175,7 +175,7 @@ class SkeletonFit:
         (metres, in the world) are by landmark, NaN in frames and along axes in which it is free.
         """
 
-        def start(rows: slice) -> Bodies:
+        def start(rows: slice) -> JointPoses:
             return start_from(self._root_m[rows], self._quat[rows], self._skeleton)
 
         self._fit(start, places_m, _NUM_STEPS_PINNED, on_share)
@@ -199,7 +199,7 @@ class SkeletonFit:
 
     def _fit(
         self,
-        start: Callable[[slice], Bodies],
+        start: Callable[[slice], JointPoses],
         places_m: Mapping[str, Float[np.ndarray, "frames 3"]],
         num_steps: int,
         on_share: OnShare,
@@ -223,7 +223,9 @@ class SkeletonFit:
             self._quat[rows] /= np.linalg.norm(self._quat[rows], axis=-1, keepdims=True)
             on_share((number + 1) / len(all_rows))
 
-    def _evidence(self, rows: slice, start: Bodies, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> _Evidence:
+    def _evidence(
+        self, rows: slice, start: JointPoses, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]
+    ) -> _Evidence:
         """Evidence for the fit of a window. In gaps, the targets are the positions at the start of the fit."""
         position_m = np.array(self._track.xyz_m[rows])
         landmark = self._skeleton.landmark

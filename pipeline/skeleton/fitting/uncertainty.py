@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import convolve1d
 
-from pipeline.skeleton.fitting.articulated import Bodies, Posed
+from pipeline.skeleton.fitting.articulated import JointPoses, Posed
 from pipeline.skeleton.fitting.articulation import NUM_ROOT, Articulation
 from pipeline.skeleton.fitting.articulation_kernels import factorise, spread
 
@@ -37,7 +37,7 @@ class Precise(Protocol):
 
 
 def uncertainty_m(
-    bodies: Bodies, skeleton: Articulation, evidence: Precise, frame_rate_hz: float
+    bodies: JointPoses, skeleton: Articulation, evidence: Precise, frame_rate_hz: float
 ) -> Float[np.ndarray, "frames landmarks"]:
     """Standard deviation of each landmark's position in metres: root mean square over the three axes."""
     posed = Posed(bodies, skeleton)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.data.animation import Side, SkeletonMotion
 from pipeline.data.cameras import Camera
 from pipeline.joints import JointSet
-from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of, refine
+from pipeline.skeleton.fitting.articulated import JointPoses, landmarks_of, refine
 from pipeline.skeleton.fitting.articulation import Articulation
 from pipeline.skeleton.fitting.rays import Rays
 from pipeline.skeleton.fitting.uncertainty import uncertainty_m
@@ -151,17 +151,17 @@ def fingers_m(
 
 def _bodies(
     side: Side, skeleton: Articulation, wrist_m: Float[np.ndarray, "frames 3"], forearm: Rotation, pose: HandPose
-) -> Bodies:
+) -> JointPoses:
     """Joints of a hand on the body's wrist; hinges are clipped to their limits."""
     angle_rad = np.zeros((len(wrist_m), skeleton.num_freedoms))
     hinges = slice(-NUM_HINGES, None)
     angle_rad[:, hinges] = np.clip(pose.angle_rad, skeleton.lowest_rad[hinges], skeleton.highest_rad[hinges])
     local = local_rotations(side, forearm.as_matrix(), pose.forearm_from_hand.as_matrix(), angle_rad[:, hinges])
-    return Bodies(np.array(wrist_m), local, angle_rad)
+    return JointPoses(np.array(wrist_m), local, angle_rad)
 
 
 def _evidence(
-    start: Bodies,
+    start: JointPoses,
     skeleton: Articulation,
     points_m: Float[np.ndarray, "rows landmarks 3"],
     views: HandViews,

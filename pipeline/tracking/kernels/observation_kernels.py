@@ -90,7 +90,7 @@ def _sample_frame(sampling, frame, bodies, flat_px, sampled_px, score):
     Parameters
     ----------
     bodies
-        ``observations.Bodies``.
+        ``observations.Detections2D``.
     flat_px
         Joints of all detections, x and y of each in turn, (detections, 2 * joints).
     sampled_px, score
@@ -140,7 +140,7 @@ def locate(sampling, bodies, ideal_px, solver, sampled_px, score, xyz_m, dispute
     Parameters
     ----------
     bodies, ideal_px
-        ``observations.Bodies``, and their undistorted joints, (detections, 2 * joints).
+        ``observations.Detections2D``, and their undistorted joints, (detections, 2 * joints).
     solver
         ``geometry.kernels.Solver``.
     sampled_px, score
@@ -170,7 +170,7 @@ def record(sampling, bodies, seen_px, lenses, xyz_m, sampled_px, score, error_px
     Parameters
     ----------
     bodies, seen_px
-        ``observations.Bodies``, and their joints as seen, (detections, 2 * joints).
+        ``observations.Detections2D``, and their joints as seen, (detections, 2 * joints).
     lenses
         ``geometry.camera_kernels.Lenses``.
     xyz_m
@@ -195,7 +195,7 @@ def sample(sampling, bodies, seen_px, sampled_px, score):
     Parameters
     ----------
     bodies, seen_px
-        ``observations.Bodies``, and their joints as seen, (detections, 2 * joints).
+        ``observations.Detections2D``, and their joints as seen, (detections, 2 * joints).
     sampled_px, score
         Outputs (frames, cameras, 2 * joints) and (frames, cameras, joints); NaN and 0 without an observation.
     """

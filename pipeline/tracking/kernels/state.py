@@ -88,7 +88,7 @@ def fence_dtype() -> np.dtype:
     )
 
 
-class Rig(NamedTuple):
+class RigGeometry(NamedTuple):
     """Geometry of all cameras."""
 
     image_from_world: np.ndarray  # (cameras, 3, 4)

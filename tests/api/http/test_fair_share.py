@@ -12,7 +12,7 @@ from api.http.fair_share import threads_of_checks
 WAIT_S = 30.0
 
 
-class Work:
+class HeldCalls:
     """Calls that run until the test ends them."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ async def settled(calls: list[asyncio.Task[str]]) -> None:
 
 def test_one_owner_never_has_all_threads() -> None:
     async def scenario() -> None:
-        threads, work = threads_of_checks(3, WAIT_S), Work()
+        threads, work = threads_of_checks(3, WAIT_S), HeldCalls()
         many = [asyncio.create_task(threads.run("many", work, f"many {k}")) for k in range(5)]
         await until(lambda: len(work.begun) == 2)
         await settled(many)
@@ -58,7 +58,7 @@ def test_one_owner_never_has_all_threads() -> None:
 
 def test_owners_take_turns_however_many_calls_they_have() -> None:
     async def scenario() -> None:
-        threads, first = threads_of_checks(1, WAIT_S), Work()
+        threads, first = threads_of_checks(1, WAIT_S), HeldCalls()
         order: list[str] = []
         holding = asyncio.create_task(threads.run("a", first, "first"))
         await until(lambda: bool(first.begun))
@@ -78,7 +78,7 @@ def test_owners_take_turns_however_many_calls_they_have() -> None:
 )
 def test_waiting_times_are_limited(owner: str, status: int, code: str) -> None:
     async def scenario() -> ApiError:
-        threads, work = threads_of_checks(1, 0.1), Work()
+        threads, work = threads_of_checks(1, 0.1), HeldCalls()
         holding = asyncio.create_task(threads.run("holder", work, "holder"))
         await until(lambda: bool(work.begun))
         with pytest.raises(ApiError) as raised:
@@ -96,7 +96,7 @@ def test_waiting_times_are_limited(owner: str, status: int, code: str) -> None:
 
 def test_no_owner_has_more_than_some_calls_waiting() -> None:
     async def scenario() -> None:
-        threads, work = threads_of_checks(2, WAIT_S), Work()
+        threads, work = threads_of_checks(2, WAIT_S), HeldCalls()
         calls = [asyncio.create_task(threads.run("many", work, "many")) for _ in range(33)]
         await until(lambda: bool(work.begun))
         for refused in (threads.run("many", work, "many"), asyncio.to_thread(threads.require_room, "many")):
@@ -112,7 +112,7 @@ def test_no_owner_has_more_than_some_calls_waiting() -> None:
 
 def test_calls_that_are_given_up_leave_their_turns_to_others() -> None:
     async def scenario() -> None:
-        threads, work = threads_of_checks(1, WAIT_S), Work()
+        threads, work = threads_of_checks(1, WAIT_S), HeldCalls()
         holding = asyncio.create_task(threads.run("a", work, "a"))
         await until(lambda: bool(work.begun))
         waiting = [asyncio.create_task(threads.run("b", work, "b")) for _ in range(3)]
@@ -128,7 +128,7 @@ def test_calls_that_are_given_up_leave_their_turns_to_others() -> None:
 
 def test_a_turn_comes_at_the_moment_of_giving_up() -> None:
     async def scenario() -> None:
-        threads, work = threads_of_checks(1, WAIT_S), Work()
+        threads, work = threads_of_checks(1, WAIT_S), HeldCalls()
         work.end()
         held = asyncio.create_task(threads.run("a", work, "a"))
         waiting = asyncio.create_task(threads.run("b", work, "b"))

@@ -13,7 +13,7 @@ from pipeline.problem_codes.requests import INTERNAL_ERROR
 from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
 from pipeline.problem_codes.warnings import NOBODY_FOUND
 from tests.api.conftest import Live, form, problem_of
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.repositories.jobs import Jobs
 
 
@@ -188,7 +188,9 @@ def test_failed_job_says_why(live: Live) -> None:
     job_id = live.job_id()
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
-    problem = Problem(VIDEO_TRUNCATED, "The video ends early.", stage="detect", camera="cam_1", hint="Copy it again.")
+    problem = JobProblem(
+        VIDEO_TRUNCATED, "The video ends early.", stage="detect", camera="cam_1", hint="Copy it again."
+    )
     live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     assert job["state"] == "failed"
@@ -202,12 +204,12 @@ def test_attempts_say_why_each_failed(live: Live) -> None:
     job_id = live.job_id()
     claim = live.services.store.leases.claim("worker", 60.0)
     assert claim is not None
-    again = Problem(INTERNAL_ERROR, "It failed inside.", stage="look", retryable=True)
+    again = JobProblem(INTERNAL_ERROR, "It failed inside.", stage="look", retryable=True)
     live.services.store.leases.fail(claim.chunk_id, claim.lease_token, again)
     claim = live.services.store.leases.claim("worker", 60.0)
     assert claim is not None
     live.services.store.leases.fail(
-        claim.chunk_id, claim.lease_token, Problem(INPUT_ERROR, "It is broken.", camera="left")
+        claim.chunk_id, claim.lease_token, JobProblem(INPUT_ERROR, "It is broken.", camera="left")
     )
     live.client.post(f"/v1/jobs/{job_id}/retry").raise_for_status()
     link = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["attempts"]
@@ -276,7 +278,7 @@ def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
         job_id = live.job_id()
         claim = live.services.store.leases.claim("test", 30.0)
         assert claim is not None
-        problem = Problem(Code("broken"), "It is broken.", retryable=retryable)
+        problem = JobProblem(Code("broken"), "It is broken.", retryable=retryable)
         while claim is not None:
             live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
             claim = live.services.store.leases.claim("test", 30.0)

@@ -9,7 +9,7 @@ import pytest
 from pipeline.edits import PersonSpan
 from pipeline.problem_codes.model import Code
 from tests.api.conftest import RESULT, Live, problem_of
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.store import MAX_ATTEMPTS
 
 FOUND = (PersonSpan(1, 0, 60), PersonSpan(2, 10, 40))
@@ -160,12 +160,12 @@ def test_files_stay_until_those_of_the_next_revision_are_made(live: Live, job_id
     assert claim is not None
     assert read() == before
     live.services.store.leases.fail(
-        claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It broke.", retryable=True)
+        claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It broke.", retryable=True)
     )
     for _ in range(MAX_ATTEMPTS - 1):
         claim = live.services.store.leases.claim("test", 30.0)
         assert claim is not None
-        problem = Problem(Code("broken"), "It broke.", retryable=True)
+        problem = JobProblem(Code("broken"), "It broke.", retryable=True)
         live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
     assert live.client.get(f"/v1/jobs/{job_id}").json()["state"] == "failed"
     assert read() == before

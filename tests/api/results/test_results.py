@@ -22,7 +22,7 @@ from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
 from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.s3 import running_s3
 from worker.jobs.files.artifacts import result_key
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.reaper import Reaper
 
 # More than the buffers of a connection hold.
@@ -205,7 +205,7 @@ def test_jobs_that_ended_without_results_have_none_anywhere(live: Live, results:
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
     live.services.store.leases.fail(
-        claim.chunk_id, claim.lease_token, Problem(VIDEO_TRUNCATED, "The video ends early.")
+        claim.chunk_id, claim.lease_token, JobProblem(VIDEO_TRUNCATED, "The video ends early.")
     )
     problem = problem_of(live.client.get(f"/v1/jobs/{failed}/{results}"), 409, "no_results")
     assert problem["hint"] == (
@@ -213,7 +213,7 @@ def test_jobs_that_ended_without_results_have_none_anywhere(live: Live, results:
     )
     assert not problem["retryable"]
     crashed = live.job_id()
-    crash = Problem(INTERNAL_ERROR, "It crashed.", retryable=True)
+    crash = JobProblem(INTERNAL_ERROR, "It crashed.", retryable=True)
     while claim := live.services.store.leases.claim("test", 30.0):
         live.services.store.leases.fail(claim.chunk_id, claim.lease_token, crash)
     problem = problem_of(live.client.get(f"/v1/jobs/{crashed}/{results}"), 409, "no_results")

@@ -5,7 +5,7 @@ import numpy as np
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Observations, People, Track3D
 from pipeline.hands.attach import owners
-from pipeline.tracking.observations import NOBODY, Bodies
+from pipeline.tracking.observations import NOBODY, Detections2D
 
 NUM_JOINTS = 17
 TIMEBASE = Timebase(1.0, 10.0, 20)
@@ -45,7 +45,7 @@ def test_detections_belong_to_whoever_has_their_joints() -> None:
         (1, 1, 1.4, other, 0),
         (1, 2, 1.4, body_px(300.0), NOBODY),
     ]
-    bodies = Bodies(
+    bodies = Detections2D(
         np.array([row[0] for row in rows]),
         np.array([row[1] for row in rows]),
         np.array([row[2] for row in rows]),

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from pipeline.joints import COCO_17
-from pipeline.report.motion import Motion
+from pipeline.report.motion import ReportMotion
 from pipeline.report.pictures import LONG_SIDE_PX, Moment, draw_picture, moments_of
 from tests.pipeline.export.test_overlay import CAMERA, standing
 from tests.pipeline.export.test_overlay_video import LARGE
@@ -13,7 +13,7 @@ NAN = np.nan
 
 
 def moments(num_people: list[int], error_px: list[float], num_cameras: int = 4) -> list[Moment]:
-    return moments_of(Motion({}, 1, np.array(num_people), np.array(error_px)), num_cameras)
+    return moments_of(ReportMotion({}, 1, np.array(num_people), np.array(error_px)), num_cameras)
 
 
 def test_moments() -> None:

@@ -15,7 +15,7 @@ from pipeline.evaluation.extremities.feet import score_feet
 from pipeline.geometry.camera import project
 from pipeline.joints import BODY_25, COCO_17
 from pipeline.simulation.scenes import Simulation, find_scene, record
-from pipeline.simulation.views.detector import Detector
+from pipeline.simulation.views.detector import DetectorAccuracy
 from pipeline.simulation.views.faults import Faults
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.fitting import windows
@@ -26,7 +26,7 @@ from pipeline.tracking.parameters import derive_parameters
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.skeleton.synthetic_tracks import walker
 
-HARD = Detector(noise_m=0.0, noise_px=3.0, faults=Faults(miss_joint=0.2, swap=0.05))
+HARD = DetectorAccuracy(noise_m=0.0, noise_px=3.0, faults=Faults(miss_joint=0.2, swap=0.05))
 _Found = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
 
 

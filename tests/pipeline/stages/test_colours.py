@@ -20,7 +20,7 @@ from pipeline.joints import COCO_17
 from pipeline.stages import association
 from pipeline.stages.association import track
 from pipeline.stages.local import reconstruct
-from pipeline.tracking.observations import Bodies
+from pipeline.tracking.observations import Detections2D
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import write_video
 
@@ -29,7 +29,7 @@ NUM_COLOURED = 19  # the other pictures are too dark for the network
 CONFIG = ReconstructionConfig(detector="movenet-multipose", chunk_frames=10, smoothing="none")
 
 
-class FakeNetwork:
+class CountingNetwork:
     """Network that finds a body at the same place of each picture but the darkest; counts its pictures."""
 
     def __init__(self) -> None:
@@ -63,19 +63,19 @@ def session(tmp_path: Path) -> CaptureSession:
 
 
 @pytest.fixture
-def network(monkeypatch: pytest.MonkeyPatch) -> FakeNetwork:
-    fake = FakeNetwork()
+def network(monkeypatch: pytest.MonkeyPatch) -> CountingNetwork:
+    fake = CountingNetwork()
     detector = Detector(fake, NetworkInput("rgb", multiple=32, scaled_px=512), NetworkHead.MOVENET_MULTIPOSE, COCO_17)
     monkeypatch.setattr(detection, "load_detector", lambda name: detector)
     return fake
 
 
 @pytest.fixture
-def tracked(monkeypatch: pytest.MonkeyPatch) -> list[Bodies]:
+def tracked(monkeypatch: pytest.MonkeyPatch) -> list[Detections2D]:
     """Bodies that were tracked, in the order of the calls."""
-    calls: list[Bodies] = []
+    calls: list[Detections2D] = []
 
-    def recorded(session: Any, bodies: Bodies, *others: Any) -> Any:
+    def recorded(session: Any, bodies: Detections2D, *others: Any) -> Any:
         calls.append(bodies)
         return track(session, bodies, *others)
 
@@ -94,7 +94,7 @@ def arrays_in(folder: Path) -> set[str]:
 
 
 def test_colours_reach_the_tracker_and_stay_in_no_cache(
-    session: CaptureSession, network: FakeNetwork, tracked: list[Bodies], tmp_path: Path
+    session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
     (bodies,) = tracked
@@ -108,7 +108,7 @@ def test_colours_reach_the_tracker_and_stay_in_no_cache(
 
 @pytest.mark.slow
 def test_another_association_measures_them_again_without_the_network(
-    session: CaptureSession, network: FakeNetwork, tracked: list[Bodies], tmp_path: Path
+    session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
     num_images = network.num_images
@@ -121,8 +121,8 @@ def test_another_association_measures_them_again_without_the_network(
 
 def test_nothing_is_decoded_for_people_who_are_tracked_already(
     session: CaptureSession,
-    network: FakeNetwork,
-    tracked: list[Bodies],
+    network: CountingNetwork,
+    tracked: list[Detections2D],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -134,7 +134,7 @@ def test_nothing_is_decoded_for_people_who_are_tracked_already(
 
 @pytest.mark.slow
 def test_a_damaged_output_of_detection_is_detected_anew_with_its_colours(
-    session: CaptureSession, network: FakeNetwork, tracked: list[Bodies], tmp_path: Path
+    session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
     for path in (tmp_path / "cache").iterdir():
@@ -146,7 +146,7 @@ def test_a_damaged_output_of_detection_is_detected_anew_with_its_colours(
 
 
 def test_the_cut_into_chunks_changes_no_byte(
-    session: CaptureSession, network: FakeNetwork, tracked: list[Bodies]
+    session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D]
 ) -> None:
     for chunk_frames in (5, 10, 100):
         reconstruct(session, replace(CONFIG, chunk_frames=chunk_frames))
@@ -160,8 +160,8 @@ def test_the_cut_into_chunks_changes_no_byte(
 @pytest.mark.parametrize("choice", [{"appearance": "off"}, {"method": "clustering"}])
 def test_colours_that_nobody_asks_for_are_not_measured(
     session: CaptureSession,
-    network: FakeNetwork,
-    tracked: list[Bodies],
+    network: CountingNetwork,
+    tracked: list[Detections2D],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     choice: dict[str, Any],

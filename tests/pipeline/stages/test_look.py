@@ -26,7 +26,7 @@ CONFIG = ReconstructionConfig(
 )
 
 
-class FakeNetwork:
+class WidthKeepingNetwork:
     """Network that finds a body over seven tenths of the height of each picture; keeps the widths of its input."""
 
     def __init__(self) -> None:
@@ -57,14 +57,14 @@ def session(tmp_path: Path) -> CaptureSession:
 
 
 @pytest.fixture
-def network(monkeypatch: pytest.MonkeyPatch) -> FakeNetwork:
-    fake = FakeNetwork()
+def network(monkeypatch: pytest.MonkeyPatch) -> WidthKeepingNetwork:
+    fake = WidthKeepingNetwork()
     detector = Detector(fake, NetworkInput("rgb", multiple=32, scaled_px=512), NetworkHead.MOVENET_MULTIPOSE, COCO_17)
     monkeypatch.setattr(detection, "load_detector", lambda name: detector)
     return fake
 
 
-def test_detection_takes_the_size_that_the_look_chose(session: CaptureSession, network: FakeNetwork) -> None:
+def test_detection_takes_the_size_that_the_look_chose(session: CaptureSession, network: WidthKeepingNetwork) -> None:
     reconstruct(session, CONFIG)
     looked, detected = network.widths[: 2 * LOOKED_AT_FRAMES], network.widths[2 * LOOKED_AT_FRAMES :]
     assert set(looked) == {512}
@@ -74,7 +74,7 @@ def test_detection_takes_the_size_that_the_look_chose(session: CaptureSession, n
 
 @pytest.mark.slow
 def test_another_part_and_cut_of_the_session_reuse_the_look(
-    session: CaptureSession, network: FakeNetwork, tmp_path: Path
+    session: CaptureSession, network: WidthKeepingNetwork, tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
     steps: dict[str, Progress] = {}
@@ -84,6 +84,6 @@ def test_another_part_and_cut_of_the_session_reuse_the_look(
     assert steps[DETECT].reused == 0
 
 
-def test_a_network_alone_has_its_usual_size(session: CaptureSession, network: FakeNetwork) -> None:
+def test_a_network_alone_has_its_usual_size(session: CaptureSession, network: WidthKeepingNetwork) -> None:
     reconstruct(session, replace(CONFIG, detector="movenet-multipose"))
     assert network.widths == [512] * 40

@@ -15,7 +15,7 @@ from pipeline.data.animation import SkeletonMotion
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
 from pipeline.export.formats import FORMATS as FORMATS_BY_NAME
-from pipeline.export.formats import Person
+from pipeline.export.formats import PersonContent
 from pipeline.export.person_files import PersonOfTake, people_of
 from pipeline.export.results import keep_people, write_files
 from pipeline.export.writers import bvh, c3d_file, csv_table, glb, skeletons_json, trc
@@ -149,7 +149,7 @@ def test_formats_say_whether_their_files_hold_names(session: KeypointSession, ca
 
     def content(motion: SkeletonMotion) -> bytes:
         return b"".join(
-            FORMATS_BY_NAME[name].encode(Person(one.track, motion, one.joints, one.timebase, "f", "default"))
+            FORMATS_BY_NAME[name].encode(PersonContent(one.track, motion, one.joints, one.timebase, "f", "default"))
         )
 
     holds_name = content(one.motion) != content(dataclasses.replace(one.motion, name="Somebody else"))

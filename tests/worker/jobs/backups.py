@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.worker.jobs.conftest import LEASE_S, PREFLIGHT, UNITS
-from worker.jobs.backup.contents import Report
+from worker.jobs.backup.contents import BackupReport
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.restore import restore_backup
 from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import LocalArtifacts, input_key, record_key, result_key, stage_key
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model.jobs import Job, Result
+from worker.jobs.model.jobs import JobRecord, Result
 from worker.jobs.model.rights import Scope
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.work import ChunkPlan, StagePlan
@@ -48,7 +48,7 @@ class Data:
         self.store.sessions.add(name, files, PREFLIGHT, session_id)
         return session_id
 
-    def add_job(self, session_id: str) -> Job:
+    def add_job(self, session_id: str) -> JobRecord:
         chunks = tuple(ChunkPlan(k, {}, UNITS, hashlib.sha256(f"detect-{k}".encode()).hexdigest()) for k in range(2))
         last = ChunkPlan(0, {}, UNITS, hashlib.sha256(b"export").hexdigest())
         return self.store.jobs.add(
@@ -85,7 +85,7 @@ class Data:
         self.store.sessions.delete(session_id)
         remove_files(self.store.removals, self.artifacts)
 
-    def back_up(self, archive: Path) -> Report:
+    def back_up(self, archive: Path) -> BackupReport:
         return create_backup(self.folder, self.url, "", archive, ignore)
 
     def tree(self) -> dict[str, bytes]:
@@ -130,7 +130,7 @@ def opened_data(folder: Path, url: str = "") -> Iterator[Data]:
         store.close()
 
 
-def restored(archive: Path, folder: Path, url: str = "") -> Report:
+def restored(archive: Path, folder: Path, url: str = "") -> BackupReport:
     return restore_backup(archive, folder, url or f"sqlite:///{folder / 'multicap.db'}", "", ignore)
 
 

@@ -13,7 +13,7 @@ import uuid_utils
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from tests.postgres import POSTGRES_VARIABLE, running_postgres
-from worker.jobs.model.jobs import Job, Result
+from worker.jobs.model.jobs import JobRecord, Result
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
 from worker.jobs.spec import JobSpec
@@ -45,14 +45,14 @@ def result(job_id: str, name: str = "person-1.bvh") -> Result:
 
 
 @dataclass(frozen=True)
-class Bench:
+class StoreBench:
     """A store with a session."""
 
     url: str
     store: JobStore
     session_id: str
 
-    def queue(self, num_chunks: int = 3) -> Job:
+    def queue(self, num_chunks: int = 3) -> JobRecord:
         return self.store.jobs.add(self.session_id, JobSpec(), stages(num_chunks))
 
     def claim(self, lease_s: float = LEASE_S) -> Claim:
@@ -180,6 +180,6 @@ def new_store(database_url: str) -> Iterator[Callable[[], JobStore]]:
 
 
 @pytest.fixture
-def jobs(database_url: str, new_store: Callable[[], JobStore]) -> Bench:
+def jobs(database_url: str, new_store: Callable[[], JobStore]) -> StoreBench:
     store = new_store()
-    return Bench(database_url, store, new_session(store))
+    return StoreBench(database_url, store, new_session(store))

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.worker.jobs.conftest import LEASE_S, Bench
+from tests.worker.jobs.conftest import LEASE_S, StoreBench
 from worker.jobs.database.connection import Database
 from worker.jobs.database.transitions import lock_job, move_chunk
 from worker.jobs.errors import Conflict
@@ -33,7 +33,7 @@ store.close()
 """
 
 
-def test_threads_claim_every_chunk_once(jobs: Bench) -> None:
+def test_threads_claim_every_chunk_once(jobs: StoreBench) -> None:
     for _ in range(2):
         jobs.queue(NUM_CHUNKS // 2)
 
@@ -45,7 +45,7 @@ def test_threads_claim_every_chunk_once(jobs: Bench) -> None:
     assert len(claimed) == len(set(claimed)) == NUM_CHUNKS
 
 
-def test_processes_claim_every_chunk_once(jobs: Bench) -> None:
+def test_processes_claim_every_chunk_once(jobs: StoreBench) -> None:
     for _ in range(2):
         jobs.queue(NUM_CHUNKS // 2)
     workers = [
@@ -63,7 +63,7 @@ def test_processes_claim_every_chunk_once(jobs: Bench) -> None:
     assert len(claimed) == len(set(claimed)) == NUM_CHUNKS
 
 
-def test_one_of_the_last_to_finish_opens_the_next_stage(jobs: Bench, new_store: Callable[[], JobStore]) -> None:
+def test_one_of_the_last_to_finish_opens_the_next_stage(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
     stores = [new_store() for _ in range(NUM_WORKERS)]
     for _ in range(5):
         job_id = jobs.queue(NUM_WORKERS).id
@@ -77,7 +77,7 @@ def test_one_of_the_last_to_finish_opens_the_next_stage(jobs: Bench, new_store: 
         assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
-def test_a_report_that_waited_is_judged_by_what_is_true_then(jobs: Bench) -> None:
+def test_a_report_that_waited_is_judged_by_what_is_true_then(jobs: StoreBench) -> None:
     job_id = jobs.queue(1).id
     claim = jobs.claim()
     database = Database(jobs.url)
@@ -94,12 +94,12 @@ def test_a_report_that_waited_is_judged_by_what_is_true_then(jobs: Bench) -> Non
 
 
 def test_claims_heartbeats_cancels_and_reaps_at_once_end_every_job(
-    jobs: Bench, new_store: Callable[[], JobStore]
+    jobs: StoreBench, new_store: Callable[[], JobStore]
 ) -> None:
     job_ids = [jobs.queue(6).id for _ in range(4)]
 
     def work(store: JobStore) -> None:
-        bench = Bench(jobs.url, store, jobs.session_id)
+        bench = StoreBench(jobs.url, store, jobs.session_id)
         while claim := store.leases.claim("worker", LEASE_S):
             store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
             bench.finish(claim)
@@ -122,7 +122,7 @@ def test_claims_heartbeats_cancels_and_reaps_at_once_end_every_job(
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-def test_a_store_is_carried_across_a_fork(jobs: Bench) -> None:
+def test_a_store_is_carried_across_a_fork(jobs: StoreBench) -> None:
     jobs.queue(NUM_CHUNKS)
     jobs.claim()  # the parent has a connection
     children = [_fork(lambda: _claim_and_finish(jobs, 5)) for _ in range(3)]
@@ -133,7 +133,7 @@ def test_a_store_is_carried_across_a_fork(jobs: Bench) -> None:
     assert job.stages[0].done == 25 * 10
 
 
-def _claim_and_finish(jobs: Bench, num_chunks: int) -> None:
+def _claim_and_finish(jobs: StoreBench, num_chunks: int) -> None:
     for _ in range(num_chunks):
         jobs.finish(jobs.claim())
 

@@ -5,12 +5,12 @@ from alembic import command
 from alembic.config import Config
 
 from pipeline.problem_codes.model import Code
-from tests.worker.jobs.conftest import LEASE_S, Bench, stages
+from tests.worker.jobs.conftest import LEASE_S, StoreBench, stages
 from worker.jobs.database.tables import events, metadata
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 
 
-def noted(jobs: Bench, job_id: str) -> list[tuple[str, str]]:
+def noted(jobs: StoreBench, job_id: str) -> list[tuple[str, str]]:
     engine = sa.create_engine(jobs.url)
     with engine.connect() as connection:
         rows = connection.execute(sa.select(events).where(events.c.job_id == job_id).order_by(events.c.id)).all()
@@ -18,7 +18,7 @@ def noted(jobs: Bench, job_id: str) -> list[tuple[str, str]]:
     return [(row.kind, row.value) for row in rows]
 
 
-def test_a_life_is_noted_in_its_order(jobs: Bench) -> None:
+def test_a_life_is_noted_in_its_order(jobs: StoreBench) -> None:
     job = jobs.queue(num_chunks=2)
     jobs.finish_all()
     assert noted(jobs, job.id) == [
@@ -29,7 +29,7 @@ def test_a_life_is_noted_in_its_order(jobs: Bench) -> None:
     ]
 
 
-def test_cancel_failure_and_retry_are_noted(jobs: Bench) -> None:
+def test_cancel_failure_and_retry_are_noted(jobs: StoreBench) -> None:
     canceled = jobs.queue()
     claim = jobs.claim()
     jobs.store.jobs.cancel(canceled.id)
@@ -39,12 +39,12 @@ def test_cancel_failure_and_retry_are_noted(jobs: Bench) -> None:
     assert noted(jobs, canceled.id) == [("state", state) for state in states]
     failed = jobs.queue()
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     jobs.store.jobs.retry(failed.id, stages())
     assert noted(jobs, failed.id) == [("state", state) for state in ("queued", "running", "failed", "queued")]
 
 
-def test_changes_are_seen_and_nothing_else_is(jobs: Bench) -> None:
+def test_changes_are_seen_and_nothing_else_is(jobs: StoreBench) -> None:
     job, other = jobs.queue(), jobs.queue()
     queued = jobs.store.jobs.changes([job.id, other.id, "nobody"])
     assert set(queued) == {job.id, other.id}
@@ -59,7 +59,7 @@ def test_changes_are_seen_and_nothing_else_is(jobs: Bench) -> None:
     assert jobs.store.jobs.changes([]) == {}
 
 
-def test_numbers_are_not_used_again(jobs: Bench) -> None:
+def test_numbers_are_not_used_again(jobs: StoreBench) -> None:
     job = jobs.queue()
     jobs.store.jobs.cancel(job.id)
     last = jobs.store.jobs.changes([job.id])[job.id].event
@@ -70,7 +70,7 @@ def test_numbers_are_not_used_again(jobs: Bench) -> None:
     assert jobs.store.jobs.changes([again.id])[again.id].event > last
 
 
-def test_jobs_from_before_there_were_events_have_one(jobs: Bench) -> None:
+def test_jobs_from_before_there_were_events_have_one(jobs: StoreBench) -> None:
     job = jobs.queue()
     jobs.finish_all()
     engine = sa.create_engine(jobs.url)

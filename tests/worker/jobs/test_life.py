@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from pipeline.problem_codes.model import Code
-from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench, new_session, stages
-from worker.jobs.model.jobs import Problem
+from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, StoreBench, new_session, stages
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.states import FINISHED, ChunkState, JobState
 from worker.jobs.model.work import Claim
 from worker.jobs.store import JobStore
@@ -25,7 +25,7 @@ class Life(RuleBasedStateMachine):
         url = f"sqlite:///{self._folder / 'jobs.db'}"
         store = JobStore(url)
         store.migrate()
-        self._bench = Bench(url, store, new_session(store))
+        self._bench = StoreBench(url, store, new_session(store))
         self._store = store
         self._claims: list[Claim] = []
         self._progress: dict[tuple[str, int], float] = {}
@@ -60,7 +60,7 @@ class Life(RuleBasedStateMachine):
     def fail(self, data: st.DataObject, retryable: bool) -> None:
         claim = data.draw(st.sampled_from(self._claims))
         self._store.leases.fail(
-            claim.chunk_id, claim.lease_token, Problem(Code("bad"), "It failed.", retryable=retryable)
+            claim.chunk_id, claim.lease_token, JobProblem(Code("bad"), "It failed.", retryable=retryable)
         )
 
     @precondition(lambda self: self._claims)

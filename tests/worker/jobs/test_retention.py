@@ -5,18 +5,18 @@ import time
 import pytest
 
 from pipeline.problem_codes.model import Code
-from tests.worker.jobs.conftest import LEASE_S, Bench, stages
+from tests.worker.jobs.conftest import LEASE_S, StoreBench, stages
 from worker.jobs.errors import Conflict
-from worker.jobs.model.jobs import Job, Problem
+from worker.jobs.model.jobs import JobProblem, JobRecord
 from worker.jobs.model.states import JobState
 from worker.jobs.spec import JobSpec
 
 
-def queue(jobs: Bench, retention_s: float | None) -> Job:
+def queue(jobs: StoreBench, retention_s: float | None) -> JobRecord:
     return jobs.store.jobs.add(jobs.session_id, JobSpec(), stages(), retention_s)
 
 
-def test_results_are_kept_for_as_long_as_was_said(jobs: Bench) -> None:
+def test_results_are_kept_for_as_long_as_was_said(jobs: StoreBench) -> None:
     job = queue(jobs, 3600.0)
     assert job.expires_at is None
     jobs.finish_all()
@@ -28,14 +28,14 @@ def test_results_are_kept_for_as_long_as_was_said(jobs: Bench) -> None:
     assert jobs.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_without_a_time_they_stay(jobs: Bench) -> None:
+def test_without_a_time_they_stay(jobs: StoreBench) -> None:
     job = queue(jobs, None)
     jobs.finish_all()
     assert jobs.store.jobs.get(job.id).expires_at is None
     assert jobs.store.removals.expire_jobs() == []
 
 
-def test_a_job_whose_time_is_over_is_due_once(jobs: Bench) -> None:
+def test_a_job_whose_time_is_over_is_due_once(jobs: StoreBench) -> None:
     job, other = queue(jobs, 0.01), queue(jobs, None)
     jobs.finish_all()
     time.sleep(0.05)
@@ -56,10 +56,10 @@ def test_a_job_whose_time_is_over_is_due_once(jobs: Bench) -> None:
     jobs.store.jobs.delete(job.id)
 
 
-def test_what_is_tried_again_is_not_due_meanwhile(jobs: Bench) -> None:
+def test_what_is_tried_again_is_not_due_meanwhile(jobs: StoreBench) -> None:
     job = queue(jobs, 0.01)
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     jobs.store.jobs.retry(job.id, stages())
     time.sleep(0.05)
     assert jobs.store.jobs.get(job.id).expires_at is None
@@ -69,7 +69,7 @@ def test_what_is_tried_again_is_not_due_meanwhile(jobs: Bench) -> None:
     assert jobs.store.removals.expire_jobs() == [job.id]
 
 
-def test_the_time_left_is_guessed_from_the_work_that_was_done(jobs: Bench) -> None:
+def test_the_time_left_is_guessed_from_the_work_that_was_done(jobs: StoreBench) -> None:
     job = queue(jobs, None)
     assert jobs.store.jobs.get(job.id).eta_s is None
     claim = jobs.claim()

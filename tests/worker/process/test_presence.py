@@ -7,14 +7,14 @@ from dataclasses import replace
 from sqlalchemy.exc import OperationalError
 
 from tests.waiting import wait_for
-from tests.worker.conftest import Bench
+from tests.worker.conftest import RunnerBench
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.presence import Presence, process_name, remove_killed
 
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")
 
 
-def test_a_change_is_told_at_once_and_the_end_too(bench: Bench) -> None:
+def test_a_change_is_told_at_once_and_the_end_too(bench: RunnerBench) -> None:
     now: list[WorkerStatus | None] = [STARTING]
     presence = Presence(bench.store.workers, lambda: now[0])
     presence.start()
@@ -30,7 +30,7 @@ def test_a_change_is_told_at_once_and_the_end_too(bench: Bench) -> None:
     presence.stop()
 
 
-def test_stopping_takes_the_process_off_the_list(bench: Bench) -> None:
+def test_stopping_takes_the_process_off_the_list(bench: RunnerBench) -> None:
     presence = Presence(bench.store.workers, lambda: STARTING)
     presence.start()
     wait_for(lambda: bench.store.workers.all() == [STARTING])
@@ -38,8 +38,8 @@ def test_stopping_takes_the_process_off_the_list(bench: Bench) -> None:
     assert bench.store.workers.all() == []
 
 
-def test_a_database_that_is_away_is_told_as_soon_as_it_is_back(bench: Bench) -> None:
-    class Away:
+def test_a_database_that_is_away_is_told_as_soon_as_it_is_back(bench: RunnerBench) -> None:
+    class UnreachableWorkers:
         tries = 0
 
         def report(self, status: WorkerStatus) -> None:
@@ -51,7 +51,7 @@ def test_a_database_that_is_away_is_told_as_soon_as_it_is_back(bench: Bench) -> 
         def remove(self, worker_ids: Collection[str]) -> None:
             bench.store.workers.remove(worker_ids)
 
-    workers = Away()
+    workers = UnreachableWorkers()
     presence = Presence(workers, lambda: STARTING)  # type: ignore[arg-type]
     presence.start()
     wait_for(lambda: bench.store.workers.all() == [STARTING])
@@ -59,7 +59,7 @@ def test_a_database_that_is_away_is_told_as_soon_as_it_is_back(bench: Bench) -> 
     presence.stop()
 
 
-def test_killed_processes_of_this_machine_are_taken_off_the_list(bench: Bench) -> None:
+def test_killed_processes_of_this_machine_are_taken_off_the_list(bench: RunnerBench) -> None:
     host = process_name().rpartition(":")[0]
     killed = replace(STARTING, id=f"{host}:4194304")  # beyond the largest process id
     elsewhere = replace(STARTING, id="another-machine:4194304")

@@ -11,10 +11,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from tests.worker.conftest import Bench
+from tests.worker.conftest import RunnerBench
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import deliveries
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.webhooks import Delivery, WebhookSecret
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
@@ -39,7 +39,7 @@ class Receiver:
 
 @contextlib.contextmanager
 def receiving(context: ssl.SSLContext | None = None) -> Iterator[Receiver]:
-    class Handler(BaseHTTPRequestHandler):
+    class WebhookHandler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["Content-Length"]))
             found.received.append(({name.lower(): value for name, value in self.headers.items()}, body))
@@ -52,7 +52,7 @@ def receiving(context: ssl.SSLContext | None = None) -> Iterator[Receiver]:
         def log_message(self, *_: object) -> None:
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), WebhookHandler) as server:
         if context is not None:
             server.socket = context.wrap_socket(server.socket, server_side=True)
         found = Receiver(server.server_address[1])
@@ -69,7 +69,7 @@ def receiver() -> Iterator[Receiver]:
         yield found
 
 
-def end_job(bench: Bench, url: str) -> Job:
+def end_job(bench: RunnerBench, url: str) -> JobRecord:
     """Run a job with a callback URL to its end."""
     spec = JobSpec(callback_url=url)
     job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, 1000))
@@ -77,12 +77,12 @@ def end_job(bench: Bench, url: str) -> Job:
     return bench.store.jobs.get(job.id)
 
 
-def deliver(bench: Bench, sender: Sender | None = None) -> int:
+def deliver(bench: RunnerBench, sender: Sender | None = None) -> int:
     with ThreadPoolExecutor(16) as pool:
         return Courier(bench.store, sender or Sender(allow_private=True), pool).start_due()
 
 
-def make_due(bench: Bench) -> None:
+def make_due(bench: RunnerBench) -> None:
     with bench.store._database.writing() as connection:
         connection.execute(deliveries.update().values(due_at=0.0))
 
@@ -95,7 +95,7 @@ def secret() -> list[WebhookSecret]:
     return [WebhookSecret("whsec_c2VjcmV0", None, None)]  # type: ignore[arg-type]
 
 
-def queue_for(bench: Bench, tenant: str, url: str) -> None:
+def queue_for(bench: RunnerBench, tenant: str, url: str) -> None:
     """Queue a message of a tenant that is due now."""
     if not bench.store.webhooks.pending():
         end_job(bench, "https://hook.example/")

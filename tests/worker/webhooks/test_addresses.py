@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.worker.conftest import Bench
+from tests.worker.conftest import RunnerBench
 from tests.worker.webhooks.conftest import HOUR_S, deliver, queue_for
 from tests.worker.webhooks.special_addresses import PRIVATE, PUBLIC
 from worker.webhooks.addresses import is_public, url_fault
@@ -27,7 +27,7 @@ WRONG_URLS = [
 ]  # fmt: skip
 
 
-def test_malformed_urls(bench: Bench) -> None:
+def test_malformed_urls(bench: RunnerBench) -> None:
     assert [url for url in WRONG_URLS if not url_fault(url)] == []
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     for url in WRONG_URLS:

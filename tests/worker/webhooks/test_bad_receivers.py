@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.worker.conftest import Bench
+from tests.worker.conftest import RunnerBench
 from tests.worker.webhooks.conftest import HOUR_S, Receiver, deliver, end_job, make_due, message, secret
 from worker.jobs.repositories.webhooks import MAX_TRIES
 from worker.webhooks.sender import Sender
@@ -32,7 +32,7 @@ def test_an_attempt_has_a_time_limit(
 class TestBadReceivers:
     """Misbehaving servers on loopback: every attempt ends in time and is recorded with its reason."""
 
-    def problem_after_attempt(self, bench: Bench, url: str, try_s: float = AMPLE_S) -> str | None:
+    def problem_after_attempt(self, bench: RunnerBench, url: str, try_s: float = AMPLE_S) -> str | None:
         """Send a message to a URL and return the recorded problem."""
         bench.store.webhook_secrets.rotate("default", HOUR_S)
         end_job(bench, url)
@@ -44,46 +44,46 @@ class TestBadReceivers:
         assert left.due_at.timestamp() - time.time() > 3  # on the schedule
         return left.problem
 
-    def test_never_answers(self, bench: Bench, silent: str) -> None:
+    def test_never_answers(self, bench: RunnerBench, silent: str) -> None:
         assert self.problem_after_attempt(bench, silent, REACHED_S) == "The answer took too long."
 
-    def test_never_answers_to_tls(self, bench: Bench, silent: str) -> None:
+    def test_never_answers_to_tls(self, bench: RunnerBench, silent: str) -> None:
         address = silent.replace("http:", "https:")
         assert self.problem_after_attempt(bench, address, REACHED_S) == "The answer took too long."
 
-    def test_drips_a_handshake(self, bench: Bench, dripping: Callable[[bytes], str]) -> None:
+    def test_drips_a_handshake(self, bench: RunnerBench, dripping: Callable[[bytes], str]) -> None:
         # Header of a TLS record; its 16,384 bytes follow one at a time.
         address = dripping(b"\x16\x03\x03\x40\x00").replace("http:", "https:")
         assert self.problem_after_attempt(bench, address, REACHED_S) == "The answer took too long."
 
     @pytest.mark.parametrize("first", [b"", b"HTTP/1.1 200 OK\r\nX-", b"HTTP/1.1 20"])
-    def test_drips_an_answer(self, bench: Bench, dripping: Callable[[bytes], str], first: bytes) -> None:
+    def test_drips_an_answer(self, bench: RunnerBench, dripping: Callable[[bytes], str], first: bytes) -> None:
         assert self.problem_after_attempt(bench, dripping(first), REACHED_S) == "The answer took too long."
 
     @pytest.mark.parametrize("piece", [b"X-More: " + b"x" * 8000 + b"\r\n", b"HTTP/1.1 100 Continue\r\n\r\n"])
-    def test_headers_without_end(self, bench: Bench, flooding: Callable[[bytes], str], piece: bytes) -> None:
+    def test_headers_without_end(self, bench: RunnerBench, flooding: Callable[[bytes], str], piece: bytes) -> None:
         assert self.problem_after_attempt(bench, flooding(piece), REACHED_S) in {
             "The connection failed.",
             "The answer took too long.",
         }
 
     @pytest.mark.parametrize("with_answer", [b"", b"HTTP/1.1 200"])
-    def test_closes_at_once(self, bench: Bench, closing: Callable[[bytes], str], with_answer: bytes) -> None:
+    def test_closes_at_once(self, bench: RunnerBench, closing: Callable[[bytes], str], with_answer: bytes) -> None:
         assert self.problem_after_attempt(bench, closing(with_answer)) == "The connection failed."
 
-    def test_no_server_listens(self, bench: Bench) -> None:
+    def test_no_server_listens(self, bench: RunnerBench) -> None:
         assert self.problem_after_attempt(bench, "http://127.0.0.1:1/") == "The connection failed."
 
-    def test_speaks_no_tls(self, bench: Bench, receiver: Receiver) -> None:
+    def test_speaks_no_tls(self, bench: RunnerBench, receiver: Receiver) -> None:
         address = receiver.url.replace("http:", "https:")
         assert self.problem_after_attempt(bench, address) == "The TLS handshake failed."
 
-    def test_redirects(self, bench: Bench, receiver: Receiver) -> None:
+    def test_redirects(self, bench: RunnerBench, receiver: Receiver) -> None:
         receiver.statuses = [302]
         assert self.problem_after_attempt(bench, receiver.url) == "It was answered with 302."
         assert receiver.paths == ["/hook?x=1"]
 
-    def test_is_given_up_after_the_last_try(self, bench: Bench, silent: str) -> None:
+    def test_is_given_up_after_the_last_try(self, bench: RunnerBench, silent: str) -> None:
         bench.store.webhook_secrets.rotate("default", HOUR_S)
         end_job(bench, silent)
         for _ in range(MAX_TRIES):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.worker.conftest import Bench
+from tests.worker.conftest import RunnerBench
 from tests.worker.webhooks.conftest import (
     HOUR_S,
     Receiver,
@@ -23,7 +23,7 @@ from worker.webhooks.sender import Sender
 
 
 def test_a_hanging_receiver_delays_no_other_receiver(
-    bench: Bench, receiver: Receiver, dripping: Callable[[bytes], str], monkeypatch: pytest.MonkeyPatch
+    bench: RunnerBench, receiver: Receiver, dripping: Callable[[bytes], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, dripping(b""))
@@ -34,7 +34,7 @@ def test_a_hanging_receiver_delays_no_other_receiver(
 
 
 def test_slow_receivers_of_a_tenant_do_not_delay_other_tenants(
-    bench: Bench, receiver: Receiver, silent: str, monkeypatch: pytest.MonkeyPatch
+    bench: RunnerBench, receiver: Receiver, silent: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One tenant has forty messages to a hanging receiver; then another tenant has one, in the service's loop."""
     for tenant in ("default", "other"):
@@ -77,7 +77,7 @@ def test_slow_receivers_of_a_tenant_do_not_delay_other_tenants(
     assert not sending.is_alive()
 
 
-def test_tenants_take_turns(bench: Bench) -> None:
+def test_tenants_take_turns(bench: RunnerBench) -> None:
     for tenant in ["default"] * 6 + ["second", "third", "second"]:
         queue_for(bench, tenant, "https://hook.example/")
 

@@ -10,7 +10,7 @@ from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
 from api.jobs.schemas import JobEnded
-from tests.worker.conftest import Bench
+from tests.worker.conftest import RunnerBench
 from tests.worker.webhooks.conftest import HOUR_S, Receiver, deliver, end_job, make_due
 from worker.jobs.model.webhooks import Delivery
 from worker.jobs.repositories.webhooks import MAX_TRIES
@@ -20,7 +20,7 @@ from worker.webhooks import sender as webhooks
 from worker.webhooks.sender import Sender
 
 
-def test_the_end_of_a_job_arrives_signed(bench: Bench, receiver: Receiver) -> None:
+def test_the_end_of_a_job_arrives_signed(bench: RunnerBench, receiver: Receiver) -> None:
     key = bench.store.webhook_secrets.rotate("default", HOUR_S)
     job = end_job(bench, receiver.url)
     assert deliver(bench) == 1
@@ -37,14 +37,14 @@ def test_the_end_of_a_job_arrives_signed(bench: Bench, receiver: Receiver) -> No
     assert bench.store.webhooks.pending() == []
 
 
-def test_a_job_without_a_callback_url_sends_nothing(bench: Bench) -> None:
+def test_a_job_without_a_callback_url_sends_nothing(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
     assert bench.store.webhooks.pending() == []
 
 
 @pytest.mark.parametrize(("end", "state"), [("cancel", "canceled"), ("fail", "failed")])
-def test_every_end_sends_a_message(bench: Bench, receiver: Receiver, end: str, state: str) -> None:
+def test_every_end_sends_a_message(bench: RunnerBench, receiver: Receiver, end: str, state: str) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     spec = JobSpec(callback_url=receiver.url)
     job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, 1000), retention_s=-1.0)
@@ -62,7 +62,7 @@ def test_every_end_sends_a_message(bench: Bench, receiver: Receiver, end: str, s
 
 
 @pytest.mark.parametrize("status", [301, 302, 307, 400, 404, 429, 500, 503])
-def test_a_refused_message_is_sent_again_with_the_same_id(bench: Bench, receiver: Receiver, status: int) -> None:
+def test_a_refused_message_is_sent_again_with_the_same_id(bench: RunnerBench, receiver: Receiver, status: int) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [status]
@@ -77,7 +77,7 @@ def test_a_refused_message_is_sent_again_with_the_same_id(bench: Bench, receiver
     assert receiver.paths == ["/hook?x=1"] * 2  # redirects are not followed
 
 
-def test_an_answer_410_ends_the_attempts(bench: Bench, receiver: Receiver) -> None:
+def test_an_answer_410_ends_the_attempts(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [410]
@@ -85,7 +85,7 @@ def test_an_answer_410_ends_the_attempts(bench: Bench, receiver: Receiver) -> No
     assert bench.store.webhooks.pending() == []
 
 
-def test_attempts_end_after_about_a_day(bench: Bench, receiver: Receiver) -> None:
+def test_attempts_end_after_about_a_day(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [500] * 100
@@ -101,7 +101,7 @@ def test_attempts_end_after_about_a_day(bench: Bench, receiver: Receiver) -> Non
     assert 20 * HOUR_S < sum(waits_s) < 30 * HOUR_S
 
 
-def test_a_sender_killed_before_recording_sends_the_message_again(bench: Bench, receiver: Receiver) -> None:
+def test_a_sender_killed_before_recording_sends_the_message_again(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # claimed, and never recorded
@@ -109,13 +109,13 @@ def test_a_sender_killed_before_recording_sends_the_message_again(bench: Bench, 
     assert len(receiver.received) == 1
 
 
-def test_two_senders_share_the_work(bench: Bench, receiver: Receiver) -> None:
+def test_two_senders_share_the_work(bench: RunnerBench, receiver: Receiver) -> None:
     end_job(bench, receiver.url)
     assert len(bench.store.webhooks.claim(10, 60.0)) == 1
     assert bench.store.webhooks.claim(10, 60.0) == []
 
 
-def test_after_a_rotation_both_secrets_sign_for_a_while(bench: Bench, receiver: Receiver) -> None:
+def test_after_a_rotation_both_secrets_sign_for_a_while(bench: RunnerBench, receiver: Receiver) -> None:
     old = bench.store.webhook_secrets.rotate("default", HOUR_S)
     other = bench.store.webhook_secrets.rotate("other", HOUR_S)
     new = bench.store.webhook_secrets.rotate("default", HOUR_S)
@@ -154,7 +154,7 @@ class Exploding(Sender):
         raise LookupError(delivery.url)
 
 
-def test_an_unforeseen_exception_counts_as_an_attempt(bench: Bench) -> None:
+def test_an_unforeseen_exception_counts_as_an_attempt(bench: RunnerBench) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, "https://hook.example/")
     assert deliver(bench, Exploding(allow_private=False)) == 1
@@ -166,7 +166,7 @@ def test_an_unforeseen_exception_counts_as_an_attempt(bench: Bench) -> None:
     assert bench.store.webhooks.pending() == []
 
 
-def test_unrecorded_attempts_have_an_end(bench: Bench, receiver: Receiver) -> None:
+def test_unrecorded_attempts_have_an_end(bench: RunnerBench, receiver: Receiver) -> None:
     end_job(bench, receiver.url)
     for _ in range(MAX_TRIES):
         assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # the sender is killed

@@ -33,7 +33,7 @@ class RowCounts(BaseModel):
     uploads: int
 
 
-class Manifest(BaseModel):
+class BackupManifest(BaseModel):
     """First member of a backup.
 
     ``schema_revision`` is that of the database; ``artifacts_url`` names the bucket of artifacts that are not in the
@@ -75,10 +75,10 @@ class StoredFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class BackupReport:
     """Contents of a backup, and the files that it lacks."""
 
-    manifest: Manifest
+    manifest: BackupManifest
     archive_bytes: int
     problems: tuple[FileProblem, ...]
     faults: tuple[str, ...] = ()
@@ -89,10 +89,10 @@ class Report:
         return tuple(problem for problem in self.problems if problem.needed)
 
 
-def read_manifest(content: bytes) -> Manifest:
+def read_manifest(content: bytes) -> BackupManifest:
     """Read a manifest; ``BackupError`` if this version can't read its backup."""
     try:
-        manifest = Manifest.model_validate_json(content)
+        manifest = BackupManifest.model_validate_json(content)
     except ValueError as error:
         raise BackupError("The archive's manifest can't be read: it is damaged, or no backup of Multicap.") from error
     if manifest.format != FORMAT:

@@ -18,9 +18,9 @@ from worker.jobs.backup.contents import (
     FORMAT,
     MANIFEST,
     PROBLEMS,
+    BackupManifest,
+    BackupReport,
     FileProblem,
-    Manifest,
-    Report,
     RowCounts,
     StoredFile,
     count_rows,
@@ -63,7 +63,7 @@ class _Snapshot:
 
 def create_backup(
     data_dir: Path, database_url: str, artifacts_url: str, archive: Path, on_progress: OnProgress
-) -> Report:
+) -> BackupReport:
     """Write the database and the files of a service to a new archive, as they are at one moment.
 
     Parameters
@@ -110,7 +110,7 @@ def create_backup(
             raise BackupUsageError(f"{archive} was made by somebody else meanwhile. Choose another name.")
         part.rename(archive)
         sync(archive.parent)
-    return Report(manifest, num_bytes, problems)
+    return BackupReport(manifest, num_bytes, problems)
 
 
 def _require_database(database_url: str) -> None:
@@ -197,8 +197,8 @@ def _require_room(archive: Path, data_dir: Path, num_bytes: int) -> None:
         )
 
 
-def _manifest(snapshot: _Snapshot, created_at: datetime, artifacts_url: str) -> Manifest:
-    return Manifest(
+def _manifest(snapshot: _Snapshot, created_at: datetime, artifacts_url: str) -> BackupManifest:
+    return BackupManifest(
         format=FORMAT,
         created_at=created_at,
         multicap_version=importlib.metadata.version("multicap"),
@@ -210,7 +210,9 @@ def _manifest(snapshot: _Snapshot, created_at: datetime, artifacts_url: str) -> 
     )
 
 
-def _write(file: BinaryIO, manifest: Manifest, snapshot: _Snapshot, on_progress: OnProgress) -> tuple[FileProblem, ...]:
+def _write(
+    file: BinaryIO, manifest: BackupManifest, snapshot: _Snapshot, on_progress: OnProgress
+) -> tuple[FileProblem, ...]:
     done, total = 0, snapshot.num_bytes
 
     def on_bytes(num_bytes: int) -> None:

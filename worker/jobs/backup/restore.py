@@ -18,9 +18,9 @@ from worker.jobs.backup.contents import (
     FILE_PROBLEMS,
     MANIFEST,
     PROBLEMS,
+    BackupManifest,
+    BackupReport,
     FileProblem,
-    Manifest,
-    Report,
     StoredFile,
     files_of_rows,
     read_manifest,
@@ -64,9 +64,9 @@ class _Contents:
         self._differing: set[str] = set()
         self._faults: list[str] = []
         self._problems: tuple[FileProblem, ...] | None = None
-        self._manifest: Manifest | None = None
+        self._manifest: BackupManifest | None = None
 
-    def read(self, accept: Callable[[Manifest], None]) -> Report:
+    def read(self, accept: Callable[[BackupManifest], None]) -> BackupReport:
         """Read all members; ``accept`` may refuse the manifest. The report lists problems as ``faults``."""
         for number, member in enumerate(self._reader.members()):
             if number == 0:
@@ -83,7 +83,7 @@ class _Contents:
         if self._manifest is None or self._problems is None:
             raise BackupError("The archive is no backup of Multicap: a part of it is missing.")
         self._compare(self._problems)
-        return Report(self._manifest, self.archive_bytes, self._problems, tuple(self._faults))
+        return BackupReport(self._manifest, self.archive_bytes, self._problems, tuple(self._faults))
 
     def _on_bytes(self, num_bytes: int) -> None:
         self._done += num_bytes
@@ -149,7 +149,7 @@ class _Contents:
         self._faults = faults if more <= 0 else [*faults[:_MAX_FAULTS], f"There are {more} more faults."]
 
 
-def verify_backup(archive: Path, on_progress: OnProgress) -> Report:
+def verify_backup(archive: Path, on_progress: OnProgress) -> BackupReport:
     """Read and check a backup as ``restore_backup`` does; the report lists problems as ``faults``.
 
     Raises ``BackupError`` if the archive can't be read to its end.
@@ -162,7 +162,7 @@ def verify_backup(archive: Path, on_progress: OnProgress) -> Report:
 
 def restore_backup(
     archive: Path, data_dir: Path, database_url: str, artifacts_url: str, on_progress: OnProgress
-) -> Report:
+) -> BackupReport:
     """Restore a backup into a new or empty data folder. Everything is checked before the folder gets its name.
 
     Parameters
@@ -187,7 +187,7 @@ def restore_backup(
     """
     data_dir = data_dir.absolute()
 
-    def accept(manifest: Manifest) -> None:
+    def accept(manifest: BackupManifest) -> None:
         _require_same_store(manifest, artifacts_url)
 
     with _opened(archive) as file, writing_to(data_dir), _unfinished(data_dir) as folder:
@@ -239,7 +239,7 @@ def _extract(member: Member, path: Path, on_block: Callable[[bytes], None] = lam
             file.write(block)
 
 
-def _require_same_store(manifest: Manifest, artifacts_url: str) -> None:
+def _require_same_store(manifest: BackupManifest, artifacts_url: str) -> None:
     if manifest.artifacts_url and not artifacts_url:
         raise BackupUsageError(
             f"The backup's artifacts are at {manifest.artifacts_url}. Set MULTICAP_ARTIFACTS_URL to where they are."

@@ -16,7 +16,7 @@ from pipeline.stages.stage import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model.calibrations import Calibration
-from worker.jobs.model.jobs import Job, Making, NewestJob, Problem, Result, Stage
+from worker.jobs.model.jobs import JobProblem, JobRecord, Making, NewestJob, Result, StageProgress
 from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.spec import JobSpec
@@ -86,7 +86,7 @@ def select_jobs() -> Select[Any]:
     ).join(sessions)
 
 
-def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
+def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[JobRecord]:
     """Jobs with their stages, from rows of ``select_jobs``."""
     stages = _stages(connection, [row.id for row in rows])
     visuals = _visuals_jobs(connection, [row.id for row in rows if row.revision > 0])
@@ -101,12 +101,12 @@ def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str
     return {row.of_job: NewestJob(row.id, JobState(row.state)) for row in connection.execute(query)}
 
 
-def _job(row: Row[Any], stages: tuple[Stage, ...], visuals_job: NewestJob | None) -> Job:
+def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None) -> JobRecord:
     spec = JobSpec.model_validate(row.spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
     found = tuple(Finding(**warning) for warning in row.warnings)
-    return Job(
+    return JobRecord(
         id=row.id,
         session_id=row.session_id,
         session_name=row.session_name,
@@ -123,8 +123,8 @@ def _job(row: Row[Any], stages: tuple[Stage, ...], visuals_job: NewestJob | None
         finished_at=row.finished_at,
         expires_at=row.expires_at,
         eta_s=_eta_s(row, stages),
-        problem=None if row.problem is None else Problem(**row.problem),
-        waiting_for=None if row.waiting_for is None else Problem(**row.waiting_for),
+        problem=None if row.problem is None else JobProblem(**row.problem),
+        waiting_for=None if row.waiting_for is None else JobProblem(**row.waiting_for),
         warnings=(
             *preflight.warnings,
             *method_warnings(spec.config, has_videos),
@@ -174,11 +174,11 @@ def calibration_of(row: Row[Any]) -> Calibration:
         report=row.report,
         session_id=row.session_id,
         job_state=None if row.job_state is None else JobState(row.job_state),
-        problem=None if row.problem is None else Problem(**row.problem),
+        problem=None if row.problem is None else JobProblem(**row.problem),
     )
 
 
-def _eta_s(row: Row[Any], stages: Iterable[Stage]) -> float | None:
+def _eta_s(row: Row[Any], stages: Iterable[StageProgress]) -> float | None:
     if row.state != JobState.RUNNING:
         return None
     # Outputs of an earlier job took no time.
@@ -187,7 +187,7 @@ def _eta_s(row: Row[Any], stages: Iterable[Stage]) -> float | None:
     return round(max(0.0, row.elapsed_s) * (total - done) / done, 1) if done else None
 
 
-def _stages(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, tuple[Stage, ...]]:
+def _stages(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, tuple[StageProgress, ...]]:
     rows = connection.execute(_select_stages(), {"job_ids": job_ids})
     return {
         job_id: tuple(_stage(row) for row in of_job) for job_id, of_job in groupby(rows, key=lambda row: row.job_id)
@@ -218,10 +218,10 @@ def _count(condition: ColumnElement[bool]) -> ColumnElement[int]:
     return func.sum(case((condition, 1), else_=0))
 
 
-def _stage(row: Row[Any]) -> Stage:
+def _stage(row: Row[Any]) -> StageProgress:
     counts = {state: row._mapping[state] for state in ChunkState if row._mapping[state]}
     state = stage_state(counts.keys())
-    return Stage(
+    return StageProgress(
         name=row.stage,
         state=state,
         done=row.done_units,

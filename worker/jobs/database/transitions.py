@@ -18,7 +18,7 @@ from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.totals import Total, count
 from worker.jobs.files.artifacts import interim_prefix, job_prefix
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.states import FINISHED, JOB_TRANSITIONS, ChunkState, JobState
 from worker.jobs.repositories.webhooks import queue_delivery
 
@@ -76,7 +76,7 @@ def delete_visuals_job(connection: Connection, job_id: str) -> None:
         connection.execute(delete(jobs).where(jobs.c.id == visuals_id))
 
 
-def set_waiting(connection: Connection, job: Row[Any], problem: Problem | None) -> None:
+def set_waiting(connection: Connection, job: Row[Any], problem: JobProblem | None) -> None:
     """Set the outage that a locked job waits for; ``None``: it does not wait any more."""
     before = None if job.waiting_for is None else job.waiting_for["code"]
     after = None if problem is None else problem.code
@@ -133,7 +133,7 @@ def advance(connection: Connection, job_id: str, stage_index: int) -> bool:
     return True
 
 
-def fail_job(connection: Connection, job_id: str, chunk_id: int, problem: Problem) -> None:
+def fail_job(connection: Connection, job_id: str, chunk_id: int, problem: JobProblem) -> None:
     """Fail a locked job by the problem of a chunk; its other chunks are canceled, and workers lose their leases."""
     move_chunk(connection, chunk_id, ChunkState.FAILED)
     cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY, ChunkState.RUNNING))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.states import JobState
 
 
@@ -24,7 +24,7 @@ class Calibration:
     session_id: str | None = None  # Session from which it is made; it may be deleted since
     # State and problem of the job that makes it; ``None`` of a file, or once the job is deleted
     job_state: JobState | None = None
-    problem: Problem | None = None
+    problem: JobProblem | None = None
 
 
 @dataclass(frozen=True, slots=True)

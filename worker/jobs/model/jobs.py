@@ -44,7 +44,7 @@ def config_of(
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class JobProblem:
     """Problem of a job: a stable code, and a sentence for the client without texts of exceptions or paths."""
 
     code: Code
@@ -55,13 +55,13 @@ class Problem:
     retryable: bool = False
 
 
-def is_worth_a_retry(state: JobState, problem: Problem | None) -> bool:
+def is_worth_a_retry(state: JobState, problem: JobProblem | None) -> bool:
     """Whether another attempt of a job may succeed: the job was canceled, or its problem is retryable."""
     return state in RETRYABLE and (problem is None or problem.retryable)
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class StageProgress:
     """Progress of a stage; ``done`` and ``total`` are in the units of its chunks."""
 
     name: str
@@ -82,7 +82,7 @@ class NewestJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class JobRecord:
     """A reconstruction of a session, the making of a calibration from it, of proxies of its videos, or of visuals.
 
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
@@ -103,7 +103,7 @@ class Job:
     state: JobState
     spec: JobSpec
     attempt: int
-    stages: tuple[Stage, ...]
+    stages: tuple[StageProgress, ...]
     progress: float
     queue_position: int | None
     created_at: datetime
@@ -111,8 +111,8 @@ class Job:
     finished_at: datetime | None
     expires_at: datetime | None
     eta_s: float | None
-    problem: Problem | None
-    waiting_for: Problem | None
+    problem: JobProblem | None
+    waiting_for: JobProblem | None
     warnings: tuple[str, ...]
     result_warnings: tuple[Finding, ...]
     making: Making | None = None
@@ -131,7 +131,7 @@ class Failure:
     stage: str
     chunk_index: int
     chunk_try: int
-    problem: Problem
+    problem: JobProblem
     failed_at: datetime
 
 
@@ -141,7 +141,7 @@ class Attempt:
 
     attempt: int
     state: JobState
-    problem: Problem | None
+    problem: JobProblem | None
     queued_at: datetime
     started_at: datetime | None
     finished_at: datetime | None

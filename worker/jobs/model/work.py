@@ -57,7 +57,7 @@ class Claim:
     attempt: int  # try of the chunk, from 1
     job_attempt: int
     trace: str | None  # W3C traceparent of the request for the job
-    making: Making | None = None  # as of ``Job``, like the next two
+    making: Making | None = None  # as of ``JobRecord``, like the next two
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0
     of_job: str | None = None  # reconstruction of which it makes visuals

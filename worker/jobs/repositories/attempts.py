@@ -8,13 +8,13 @@ from sqlalchemy import Connection, Row, insert, select
 
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import attempts, failures
-from worker.jobs.model.jobs import Attempt, Failure, Problem
+from worker.jobs.model.jobs import Attempt, Failure, JobProblem
 from worker.jobs.model.states import FINISHED, JobState
 
 _KEPT = ("attempt", "state", "problem", "queued_at", "started_at", "finished_at")
 
 
-def note_failure(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem) -> None:
+def note_failure(connection: Connection, job: Row[Any], chunk: Row[Any], problem: JobProblem) -> None:
     """Add a failed try of a chunk whose job is locked."""
     connection.execute(
         insert(failures).values(
@@ -50,7 +50,7 @@ def attempts_of(connection: Connection, job: Row[Any]) -> list[Attempt]:
         Attempt(
             attempt=row.attempt,
             state=JobState(row.state),
-            problem=None if row.problem is None else Problem(**row.problem),
+            problem=None if row.problem is None else JobProblem(**row.problem),
             queued_at=row.queued_at,
             started_at=row.started_at,
             finished_at=row.finished_at,
@@ -65,6 +65,6 @@ def _failure(row: Row[Any]) -> Failure:
         stage=row.stage,
         chunk_index=row.chunk_index,
         chunk_try=row.chunk_try,
-        problem=Problem(**row.problem),
+        problem=JobProblem(**row.problem),
         failed_at=row.failed_at,
     )

@@ -17,7 +17,7 @@ from worker.jobs.database.tables import calibrations, jobs, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix
 from worker.jobs.model.calibrations import Calibration, MadeCalibration
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import FINISHED
 from worker.jobs.repositories.audit import AuditAction, record_event
 
@@ -35,7 +35,7 @@ class Calibrations:
         """
         return self._insert(str(uuid7()), name, "file", source, files)
 
-    def begin(self, job: Job, name: str) -> Calibration:
+    def begin(self, job: JobRecord, name: str) -> Calibration:
         """Add the calibration that a job will make, in the transaction that adds the job."""
         making = job.making if isinstance(job.making, CalibrationChoices) else None
         if making is None:

@@ -17,7 +17,7 @@ from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import interim_prefix, job_prefix, results_prefix, visuals_prefix
-from worker.jobs.model.jobs import SIDE_KINDS, Attempt, Job, JobKind, Making, kind_of
+from worker.jobs.model.jobs import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, kind_of
 from worker.jobs.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState
 from worker.jobs.model.work import Change, Precedence, StagePlan
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
@@ -42,7 +42,7 @@ class Jobs:
         retention_s: float | None = None,
         trace: str | None = None,
         making: Making | None = None,
-    ) -> Job:
+    ) -> JobRecord:
         """Queue a job; its first stage is ready. The caller publishes that there is work.
 
         Parameters
@@ -52,7 +52,7 @@ class Jobs:
         trace
             W3C traceparent of the request, for the workers.
         making
-            See ``worker.jobs.model.jobs.Job``.
+            See ``worker.jobs.model.jobs.JobRecord``.
 
         Raises
         ------
@@ -88,7 +88,7 @@ class Jobs:
             record_event(connection, access.actor, tenant, AuditAction.JOB_CREATED, job_id)
             return self._read(connection, job_id)
 
-    def get(self, job_id: str) -> Job:
+    def get(self, job_id: str) -> JobRecord:
         """Job with an id; ``NotFound`` if there is none."""
         with self._access.reading() as connection:
             return self._read(connection, job_id)
@@ -100,7 +100,7 @@ class Jobs:
         after: str | None = None,
         session_id: str | None = None,
         kind: JobKind | None = None,
-    ) -> list[Job]:
+    ) -> list[JobRecord]:
         """Jobs, the newest first: all of them, or those in a state or of a session.
 
         ``after`` is the last id of the page before. Without a ``kind`` all count but those of ``SIDE_KINDS``.
@@ -131,7 +131,7 @@ class Jobs:
         with self._access.reading() as connection:
             return attempts_of(connection, job_row(connection, self._access, job_id))
 
-    def cancel(self, job_id: str) -> Job:
+    def cancel(self, job_id: str) -> JobRecord:
         """Cancel a job: at once, or as soon as its running chunks are given back. Canceling twice is no error.
 
         Raises ``NotFound``, or ``Conflict`` if the job is finished.
@@ -146,7 +146,7 @@ class Jobs:
             settle_canceling(connection, job_id)
             return self._read(connection, job_id)
 
-    def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> Job:
+    def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> JobRecord:
         """Queue a failed or canceled job again, as its next attempt. The caller publishes that there is work.
 
         Workers reuse outputs that are stored already. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``,
@@ -174,7 +174,7 @@ class Jobs:
         stages: Sequence[StagePlan],
         revision: int | None = None,
         trace: str | None = None,
-    ) -> Job:
+    ) -> JobRecord:
         """Replace the edits of a job's people and queue it again, as its next revision and attempt.
 
         Chunks that are done under the same keys stay done. An attempt that has not ended is given up: its running
@@ -228,7 +228,7 @@ class Jobs:
             forget_unmade(connection, job_id)
             connection.execute(delete(jobs).where(jobs.c.id == job_id))
 
-    def _read(self, connection: Connection, job_id: str) -> Job:
+    def _read(self, connection: Connection, job_id: str) -> JobRecord:
         query = select_jobs().where(jobs.c.id == job_id, self._access.may_reach(jobs))
         found = jobs_of(connection, connection.execute(query).all())
         if not found:

@@ -7,7 +7,7 @@ from worker.jobs.database.access import Access
 from worker.jobs.database.rows import result_of
 from worker.jobs.database.tables import jobs, results
 from worker.jobs.errors import NoResults, NotFinished, NotFound
-from worker.jobs.model.jobs import Problem, Result, is_worth_a_retry
+from worker.jobs.model.jobs import JobProblem, Result, is_worth_a_retry
 from worker.jobs.model.states import FINISHED, JobState
 from worker.jobs.repositories.jobs import job_row
 
@@ -35,7 +35,7 @@ class Results:
                 raise NotFinished("The job is unfinished; its results come with its end.")
             found = [result_of(row) for row in connection.execute(query)]
         if not found and job.results_revision is None:
-            problem = Problem(**job.problem) if job.problem else None
+            problem = JobProblem(**job.problem) if job.problem else None
             reason = f"{problem.code}: {problem.detail}" if problem else None
             raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
         return found

@@ -13,7 +13,7 @@ from worker.jobs.database.rows import jobs_of, select_jobs
 from worker.jobs.database.tables import jobs
 from worker.jobs.database.transitions import delete_visuals_job, note
 from worker.jobs.errors import Conflict
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import RETRYABLE, JobState
 from worker.jobs.model.work import StagePlan
 from worker.jobs.repositories.audit import AuditAction, record_event
@@ -27,7 +27,7 @@ class Visuals:
     def __init__(self, access: Access) -> None:
         self._access = access
 
-    def add(self, job_id: str, stages: Sequence[StagePlan], revision: int, trace: str | None = None) -> Job:
+    def add(self, job_id: str, stages: Sequence[StagePlan], revision: int, trace: str | None = None) -> JobRecord:
         """Queue the job that makes visuals of a reconstruction; chunks that the reconstruction has done are done.
 
         The caller publishes that there is work.

@@ -18,7 +18,7 @@ export function parsePieces(buffer) {
 }
 
 /** Reader of the records of a take. A place is `{ buffer, start }`: an answer, and the first byte of a record in it. */
-export class Records {
+export class FrameRecords {
   constructor(description) {
     const { num_bytes, offsets, absent, error_step_px, unknown_error } = description.record;
     this.numBytes = num_bytes;

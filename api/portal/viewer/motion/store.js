@@ -1,6 +1,6 @@
 // Frames of a take, fetched in pieces when they are needed. The pieces used last are kept, up to a limit of memory.
 
-import { parsePieces, Records } from "./records.js";
+import { FrameRecords, parsePieces } from "./records.js";
 
 const PIECE_BYTES = 2 ** 20;
 const MIN_FRAMES = 64;
@@ -21,7 +21,7 @@ export class MotionStore extends EventTarget {
     super();
     this.#source = source;
     this.description = description;
-    this.records = new Records(description);
+    this.records = new FrameRecords(description);
     const frameBytes = this.records.numBytes * Math.max(1, description.people.length);
     this.pieceFrames = Math.min(MAX_FRAMES, Math.max(MIN_FRAMES, Math.floor(PIECE_BYTES / frameBytes)));
     this.problem = null;

@@ -16,7 +16,7 @@ const RADII = [
 ];
 const HIDDEN = new THREE.Matrix4().makeScale(0, 0, 0);
 
-export class People {
+export class PeopleFigures {
   #store;
   #people;
   #bones;

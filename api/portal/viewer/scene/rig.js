@@ -6,7 +6,7 @@ const DEPTH_M = 0.45;
 const TINT = [0.56, 0.65, 0.62];
 const CHOSEN_TINT = [0.98, 0.82, 0.35];
 
-export class Rig {
+export class CameraFrustums {
   #cameras;
 
   constructor(stage, cameras) {

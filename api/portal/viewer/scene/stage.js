@@ -15,7 +15,7 @@ const PAUSE_MS = 2000;
 // Time without a change after which the view is at rest, and is drawn with all pixels.
 const REST_MS = 250;
 
-export class Stage {
+export class Canvas3D {
   #needsDraw = true;
   #durations = [];
   #lastDraw = 0;

@@ -2,9 +2,9 @@
 
 import * as THREE from "../../vendor/three/three.module.js";
 import { Labels } from "./labels.js";
-import { People } from "./people.js";
-import { Rig } from "./rig.js";
-import { Stage } from "./stage.js";
+import { PeopleFigures } from "./people.js";
+import { CameraFrustums } from "./rig.js";
+import { Canvas3D } from "./stage.js";
 
 const OBLIQUE = new THREE.Vector3(0.55, -0.75, 0.42).normalize();
 const DIRECTIONS = {
@@ -14,7 +14,7 @@ const DIRECTIONS = {
 };
 const MARGIN_M = 0.35;
 
-export class View {
+export class SceneView {
   #frame = 0;
   #hasCameras = true;
 
@@ -22,8 +22,8 @@ export class View {
     const { description } = store;
     this.cameras = description.cameras;
     this.seen = null;
-    this.stage = new Stage(canvas, description.floor);
-    this.rig = new Rig(this.stage, description.cameras);
+    this.stage = new Canvas3D(canvas, description.floor);
+    this.rig = new CameraFrustums(this.stage, description.cameras);
     this.labels = new Labels(this.stage, layer);
     this.#add(store);
     this.cameraNames = description.cameras.map(({ name }, number) => this.labels.add(name, this.rig.centers[number], { kind: "camera" }));
@@ -39,7 +39,7 @@ export class View {
   }
 
   #add(store) {
-    this.people = new People(this.stage, store);
+    this.people = new PeopleFigures(this.stage, store);
     this.names = store.description.people.map(({ name, color }, number) => this.labels.add(name, this.people.anchors[number], { color, kind: "person" }));
   }
 

@@ -2,7 +2,7 @@
 
 const [FRAME, SESSION, VIDEO] = [0, 1, 2];
 
-export class CameraClock {
+export class FrameClock {
   #rows;
 
   constructor(rows) {

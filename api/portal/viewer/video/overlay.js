@@ -5,7 +5,7 @@ import { lensOf } from "./lens.js";
 
 const OUTLINE = "rgb(0 0 0 / 0.65)";
 
-export class Overlay {
+export class SkeletonDrawing {
   #context;
   #lens;
   #bones;

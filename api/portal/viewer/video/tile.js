@@ -3,9 +3,9 @@
 import { el, iconButton } from "../dom.js";
 import { graphics } from "../graphics.js";
 import { between } from "../motion/kinematics.js";
-import { CameraClock } from "./clock.js";
+import { FrameClock } from "./clock.js";
 import { Film } from "./film.js";
-import { Overlay } from "./overlay.js";
+import { SkeletonDrawing } from "./overlay.js";
 import { Pictures } from "./pictures.js";
 
 // A video that is farther behind than this is waited for; farther off, it is set to the play head.
@@ -48,7 +48,7 @@ export class Tile {
     Object.assign(this, { camera, number });
     this.#player = player;
     this.#isShown = isShown;
-    this.#clock = new CameraClock(camera.clock);
+    this.#clock = new FrameClock(camera.clock);
     this.video = el("video", { muted: true, playsinline: true, preload: "auto", tabindex: -1, "aria-hidden": "true" });
     this.video.muted = true;
     this.canvas = el("canvas", { role: "img", "aria-label": `Picture of ${camera.name} with the skeletons over it` });
@@ -59,7 +59,7 @@ export class Tile {
         iconButton("enlarge", `Enlarge ${camera.name}`, () => onenlarge(this), { "aria-pressed": "false" })));
     this.element.style.setProperty("--ratio", `${camera.size_px[0]} / ${camera.size_px[1]}`);
     this.#numVideos = store.description.cameras.length;
-    this.#overlay = new Overlay(this.canvas, camera, store.description);
+    this.#overlay = new SkeletonDrawing(this.canvas, camera, store.description);
     this.replace(store);
     this.#listen();
   }

@@ -19,14 +19,14 @@ from starlette.types import Message
 
 from api.errors import ApiError
 from api.http.bodies.field_places import FieldPlaces
-from api.http.bodies.form import Form, Limits, name_error
+from api.http.bodies.form import Form, FormLimits, name_error
 from api.http.bodies.multipart import receive_form
 from api.sessions.form import SESSION_FORM
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from worker.jobs.files.disk import DiskSpace
 
-LIMITS = Limits(
+LIMITS = FormLimits(
     max_file_bytes=10_000,
     max_keypoints_bytes=10_000,
     max_session_bytes=20_000,

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
-import { parsePieces, Records } from "../../../../api/portal/viewer/motion/records.js";
+import { FrameRecords, parsePieces } from "../../../../api/portal/viewer/motion/records.js";
 import { EditedStore } from "../../../../api/portal/viewer/motion/edited.js";
 import { MotionStore } from "../../../../api/portal/viewer/motion/store.js";
 import { badSpots, bucketErrorPx, decodeStrips } from "../../../../api/portal/viewer/motion/strips.js";
@@ -51,7 +51,7 @@ async function until(isSo) {
 }
 
 test("records hold what the pipeline wrote", () => {
-  const records = new Records(description);
+  const records = new FrameRecords(description);
   const buffer = answer(0, description.num_frames);
   const pieces = parsePieces(buffer);
   assert.deepEqual(pieces.map(({ id, firstFrame, numFrames }) => [id, firstFrame, numFrames]), [[1, 0, 40], [4, 30, 60]]);

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Player } from "../../../../api/portal/viewer/player.js";
-import { CameraClock } from "../../../../api/portal/viewer/video/clock.js";
+import { FrameClock } from "../../../../api/portal/viewer/video/clock.js";
 
 const player = () => new Player({ startS: 2, rateHz: 25, numFrames: 100 });
 
@@ -50,7 +50,7 @@ test("a tab that was hidden does not jump ahead", () => {
 
 test("a camera's clock with an offset, a pause and its own rate", () => {
   // 30 frames a second from 1.5 s on; after frame 299 a pause of 5 s, which the video does not have.
-  const clock = new CameraClock([[0, 1.5, 0], [299, 1.5 + 299 / 30, 299 / 30], [300, 6.5 + 300 / 30, 300 / 30], [599, 6.5 + 599 / 30, 599 / 30]]);
+  const clock = new FrameClock([[0, 1.5, 0], [299, 1.5 + 299 / 30, 299 / 30], [300, 6.5 + 300 / 30, 300 / 30], [599, 6.5 + 599 / 30, 599 / 30]]);
   assert.ok(clock.hasVideo);
   assert.equal(clock.frameAt(1.4), null);
   assert.equal(clock.frameAt(1.49), 0);
@@ -62,6 +62,6 @@ test("a camera's clock with an offset, a pause and its own rate", () => {
 });
 
 test("cameras without video or frames", () => {
-  assert.ok(!new CameraClock([[0, 0], [9, 1]]).hasVideo);
-  assert.equal(new CameraClock([]).frameAt(0), null);
+  assert.ok(!new FrameClock([[0, 0], [9, 1]]).hasVideo);
+  assert.equal(new FrameClock([]).frameAt(0), null);
 });

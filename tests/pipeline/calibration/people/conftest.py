@@ -12,13 +12,13 @@ from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, Simulation, record
-from pipeline.simulation.views.detector import Detector
+from pipeline.simulation.views.detector import DetectorAccuracy
 
 
 def room(num_cameras: int, seed: int, duration_s: float = 60.0) -> Simulation:
     """Record people who walk about in a room, with noise of some pixels."""
     rig = Rig(Layout.RING, num_cameras, (4.0, 4.0), 2.2, focal_px=760.0)
-    detector = Detector(noise_m=0.0, noise_px=3.0)
+    detector = DetectorAccuracy(noise_m=0.0, noise_px=3.0)
     return record(Scene(rig, Cast(2, (3.0, 3.0)), detector=detector, duration_s=duration_s), seed)
 
 

@@ -13,7 +13,7 @@ DEPTHWISE = RNG.normal(size=(1, 1, 4, 1)).astype(np.float32)
 BIAS = RNG.normal(size=4).astype(np.float32)
 
 
-class Graph:
+class GraphBuilder:
     """Builder of a serialised graph."""
 
     def __init__(self) -> None:
@@ -44,8 +44,8 @@ class Graph:
         return bytes(self.message.SerializeToString())
 
 
-def small_network(padding: str = "SAME", kind: str = "Relu") -> Graph:
-    graph = Graph()
+def small_network(padding: str = "SAME", kind: str = "Relu") -> GraphBuilder:
+    graph = GraphBuilder()
     graph.add("image", "Placeholder")
     options = {"padding": padding, "strides": (1, 1, 1, 1), "data_format": "NHWC"}
     graph.add("conv", "Conv2D", "image", graph.constant("kernel", KERNEL), **options)
@@ -78,7 +78,7 @@ def test_every_kind_of_node_does_what_it_does() -> None:
 
 
 def test_a_single_value_stands_for_all() -> None:
-    graph = Graph()
+    graph = GraphBuilder()
     tensor = graph.message.node.add(name="zeros", op="Const").attr.add(key="value").value.tensor
     tensor.dtype = 1
     tensor.shape.dim.add(size=3)
@@ -91,7 +91,7 @@ def test_a_single_value_stands_for_all() -> None:
     [
         (b"\xff\xff", "damaged or has another format"),
         (small_network(kind="Tanh").encode(), "needs Tanh, which is not supported"),
-        (Graph().encode(), "has no node joined"),
+        (GraphBuilder().encode(), "has no node joined"),
     ],
 )
 def test_what_can_not_be_converted_is_said(content: bytes, message: str) -> None:

@@ -34,7 +34,7 @@ class FileServer:
 
 
 def _handler(server: FileServer) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
+    class FileHandler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             content = server.files.get(self.path)
             if content is None:
@@ -58,7 +58,7 @@ def _handler(server: FileServer) -> type[BaseHTTPRequestHandler]:
         def log_message(self, format: str, *args: object) -> None:
             pass
 
-    return Handler
+    return FileHandler
 
 
 @pytest.fixture

@@ -6,18 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.joints import BODY_FEET
-from pipeline.simulation.motion.performance import Person, joints_at, perform
+from pipeline.simulation.motion.performance import SimulatedPerson, joints_at, perform
 from pipeline.simulation.motion.script import Cue, Gesture, Role, Stay, Turn, Walk
 
 HEELS, TOES, ANKLES = (BODY_FEET.indices((f"left_{part}", f"right_{part}")) for part in ("heel", "big_toe", "ankle"))
 RATE_HZ = 200.0
 
 
-def act(*cues: Cue, duration_s: float = 5.0, seed: int = 1) -> Person:
+def act(*cues: Cue, duration_s: float = 5.0, seed: int = 1) -> SimulatedPerson:
     return perform(Role((0.0, 0.0), 0.0, cues), duration_s, np.random.default_rng(seed), BODY_FEET)
 
 
-def joints_m(person: Person, duration_s: float = 5.0) -> np.ndarray:
+def joints_m(person: SimulatedPerson, duration_s: float = 5.0) -> np.ndarray:
     return joints_at(person, np.arange(0.0, duration_s, 1 / RATE_HZ))
 
 

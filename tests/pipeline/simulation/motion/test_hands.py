@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 from pipeline.joints import FINGERS, WHOLE_BODY, hand_bones
 from pipeline.simulation.motion.hand_postures import REST, finger_motion
 from pipeline.simulation.motion.hands import ANGLES, LIMITS_RAD, Hands, fingers
-from pipeline.simulation.motion.performance import Person, joints_at, perform
+from pipeline.simulation.motion.performance import SimulatedPerson, joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Walk
 
 WRISTS = WHOLE_BODY.indices(("left_wrist", "right_wrist"))
 
 
-def act(*gestures: Gesture, seed: int = 1, duration_s: float = 6.0) -> Person:
+def act(*gestures: Gesture, seed: int = 1, duration_s: float = 6.0) -> SimulatedPerson:
     cues = tuple(Stay(duration_s / len(gestures), gesture) for gesture in gestures)
     return perform(Role((0.0, 0.0), 0.0, cues), duration_s, np.random.default_rng(seed), WHOLE_BODY)
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.joints import COCO_17, LIMBS
-from pipeline.simulation.motion.performance import Person, joints_at, perform
+from pipeline.simulation.motion.performance import SimulatedPerson, joints_at, perform
 from pipeline.simulation.motion.script import Away, Cue, Gesture, Role, Stay, Turn, Walk
 
 RIGID = (
@@ -22,7 +22,7 @@ WRISTS = COCO_17.indices(("left_wrist", "right_wrist"))
 HIPS = COCO_17.indices(("left_hip", "right_hip"))
 
 
-def act(*cues: Cue, duration_s: float = 5.0, seed: int = 1) -> Person:
+def act(*cues: Cue, duration_s: float = 5.0, seed: int = 1) -> SimulatedPerson:
     return perform(Role((0.0, 0.0), 0.0, cues), duration_s, np.random.default_rng(seed))
 
 

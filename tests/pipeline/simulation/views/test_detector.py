@@ -12,7 +12,7 @@ from pipeline.joints import COCO_17
 from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
-from pipeline.simulation.views.detector import NOBODY, PERFECT, Detector, detect
+from pipeline.simulation.views.detector import NOBODY, PERFECT, DetectorAccuracy, detect
 from pipeline.simulation.views.faults import NO_FAULTS, Faults, neighbours
 from pipeline.simulation.views.noise import heavy_tailed, lasting_events, lasting_noise
 from pipeline.simulation.views.occlusion import hidden_by_bodies
@@ -34,11 +34,11 @@ def crowd(*places: tuple[float, float], num_frames: int = NUM_FRAMES) -> np.ndar
     return np.stack([joints_at(person, np.linspace(1.0, 19.0, num_frames)) for person in people])
 
 
-def run(people_m: np.ndarray, detector: Detector, seed: int = 1) -> tuple[Detections, np.ndarray]:
+def run(people_m: np.ndarray, detector: DetectorAccuracy, seed: int = 1) -> tuple[Detections, np.ndarray]:
     return detect(camera(), 0.04, people_m, (), detector, np.random.default_rng(seed))
 
 
-def with_faults(**rates: float) -> Detector:
+def with_faults(**rates: float) -> DetectorAccuracy:
     return replace(PERFECT, faults=replace(NO_FAULTS, **rates))
 
 
@@ -195,14 +195,14 @@ def test_who_is_absent_or_out_of_the_image_is_not_found() -> None:
 
 
 def test_nobody_at_all() -> None:
-    detections, identity = run(np.full((2, 10, 17, 3), np.nan), Detector(faults=NO_FAULTS))
+    detections, identity = run(np.full((2, 10, 17, 3), np.nan), DetectorAccuracy(faults=NO_FAULTS))
     assert len(identity) == 0
     assert detections.keypoints_px.shape == (0, 17, 2)
     assert detections.box_px.shape == (0, 4)
 
 
 def test_same_seed_same_detections() -> None:
-    detector = Detector(faults=Faults(false_positives=0.2))
+    detector = DetectorAccuracy(faults=Faults(false_positives=0.2))
     first, second, other = (run(CLOSE[:, :200], detector, seed) for seed in (5, 5, 6))
     assert first[0].keypoints_px.tobytes() == second[0].keypoints_px.tobytes()
     assert first[1].tobytes() == second[1].tobytes()

@@ -12,7 +12,7 @@ from pipeline.joints import WHOLE_BODY, finger_joints
 from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
-from pipeline.simulation.views.detector import PERFECT, Detector
+from pipeline.simulation.views.detector import PERFECT, DetectorAccuracy
 from pipeline.simulation.views.extremities import detect_extremities
 from pipeline.simulation.views.faults import NO_FAULTS
 from pipeline.simulation.views.occlusion import Box
@@ -38,11 +38,11 @@ def people() -> np.ndarray:
 PEOPLE_M = people()
 
 
-def run(detector: Detector, boxes: tuple[Box, ...] = ()) -> tuple[Detections, np.ndarray]:
+def run(detector: DetectorAccuracy, boxes: tuple[Box, ...] = ()) -> tuple[Detections, np.ndarray]:
     return detect_extremities(camera(), 0.04, PEOPLE_M, boxes, detector, np.random.default_rng(1), WHOLE_BODY)
 
 
-def with_faults(**rates: float) -> Detector:
+def with_faults(**rates: float) -> DetectorAccuracy:
     return replace(PERFECT, faults=replace(NO_FAULTS, **rates))
 
 

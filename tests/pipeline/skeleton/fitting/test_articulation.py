@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.joints import BODY_25, COCO_17, JointSet
 from pipeline.skeleton.fitting import articulated
-from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of, move, refine, start_from
+from pipeline.skeleton.fitting.articulated import JointPoses, landmarks_of, move, refine, start_from
 from pipeline.skeleton.fitting.articulation import NUM_ROOT, Articulation, articulate, joint_of_landmark
 from pipeline.skeleton.model import INDEX, SKELETON
 
@@ -24,7 +24,7 @@ def skeleton_of(joints: JointSet) -> Articulation:
     return articulate(LENGTHS_M, joints, offsets_m)
 
 
-def anybody(skeleton: Articulation, num_frames: int, seed: int = 0) -> Bodies:
+def anybody(skeleton: Articulation, num_frames: int, seed: int = 0) -> JointPoses:
     rng = np.random.default_rng(seed)
     rotvec = rng.normal(0.0, 0.4, (num_frames, len(SKELETON), 3))
     quat = Rotation.from_rotvec(rotvec.reshape(-1, 3)).as_quat().reshape(num_frames, len(SKELETON), 4)
@@ -48,7 +48,7 @@ def test_the_jacobian_is_what_differences_say(joints: JointSet) -> None:
     for freedom in range(skeleton.num_freedoms):
         step = np.zeros((2, skeleton.num_freedoms))
         step[:, freedom] = STEP
-        moved = Bodies(bodies.root_m.copy(), bodies.local.copy(), bodies.angle_rad.copy())
+        moved = JointPoses(bodies.root_m.copy(), bodies.local.copy(), bodies.angle_rad.copy())
         move(moved, skeleton, step)
         difference = (landmarks_of(moved, skeleton) - posed.landmark_m) / STEP
         for landmark in range(len(skeleton.landmark)):
@@ -68,7 +68,7 @@ def test_the_gradient_of_the_twist_is_what_differences_say() -> None:
         np.testing.assert_allclose(change[clear] / STEP, (gradient @ axis)[clear], atol=1e-4)
 
 
-class Places:
+class ObservedLandmarks:
     """Observed landmarks with a standard deviation of a centimetre."""
 
     def __init__(self, place_m: np.ndarray) -> None:
@@ -85,7 +85,7 @@ def test_a_pose_is_found_again_from_one_near_by() -> None:
     rng = np.random.default_rng(2)
     move(truth, skeleton, rng.normal(0.0, 0.1, (5, skeleton.num_freedoms)))
     before_m = np.linalg.norm(landmarks_of(truth, skeleton) - place_m, axis=-1).mean()
-    refine(truth, skeleton, Places(place_m), np.full(len(skeleton.landmark), np.inf), RATE_HZ, 8)
+    refine(truth, skeleton, ObservedLandmarks(place_m), np.full(len(skeleton.landmark), np.inf), RATE_HZ, 8)
     after_m = np.linalg.norm(landmarks_of(truth, skeleton) - place_m, axis=-1).mean()
     assert before_m > 0.05
     assert after_m < 0.01
@@ -102,7 +102,7 @@ def test_a_hinge_that_is_pulled_backwards_stays_straight(upper: str, lower: str,
     place_m = landmarks_of(bodies, skeleton)
     by_joint = {SKELETON[joint].name: number for number, joint in enumerate(skeleton.landmark_joint) if number >= 5}
     place_m[:, by_joint[end]] += [0.0, -0.15, 0.0] if end == "LeftFoot" else [0.0, 0.15, 0.0]
-    refine(bodies, skeleton, Places(place_m), np.full(len(skeleton.landmark), np.inf), RATE_HZ, 12)
+    refine(bodies, skeleton, ObservedLandmarks(place_m), np.full(len(skeleton.landmark), np.inf), RATE_HZ, 12)
     hinge = next(n for n, freedom in enumerate(skeleton.freedoms, NUM_ROOT) if freedom.joints == (lower,))
     assert (bodies.angle_rad[:, hinge] >= 0.0).all()
     bend = Rotation.from_matrix(bodies.local[:, INDEX[lower]]).as_rotvec() @ skeleton.freedom_axis[hinge]

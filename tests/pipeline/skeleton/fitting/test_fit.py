@@ -13,14 +13,14 @@ from pipeline.evaluation.simulated import score_simulated
 from pipeline.geometry.camera import project
 from pipeline.joints import COCO_17
 from pipeline.simulation.scenes import Simulation, find_scene, record
-from pipeline.simulation.views.detector import PERFECT, Detector
+from pipeline.simulation.views.detector import PERFECT, DetectorAccuracy
 from pipeline.simulation.views.faults import Faults
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.fitting import rays, windows
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 
-HARD = Detector(noise_m=0.0, noise_px=3.0, faults=Faults(miss_joint=0.2, swap=0.05))
+HARD = DetectorAccuracy(noise_m=0.0, noise_px=3.0, faults=Faults(miss_joint=0.2, swap=0.05))
 KNEE = COCO_17.index("left_knee")
 _Found = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
 

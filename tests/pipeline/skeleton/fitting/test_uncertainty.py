@@ -14,7 +14,7 @@ from pipeline.joints import COCO_17
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.fitting import windows
-from pipeline.skeleton.fitting.articulated import Bodies, Posed, start_from
+from pipeline.skeleton.fitting.articulated import JointPoses, Posed, start_from
 from pipeline.skeleton.fitting.articulation import Articulation, articulate
 from pipeline.skeleton.fitting.uncertainty import _FLOOR_M, _INERTIA, _LASTING, _priors, uncertainty_m
 from pipeline.skeleton.model import SKELETON
@@ -97,7 +97,7 @@ def test_windows_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
         assert 0.8 < np.nanquantile(ratio, 0.01) < np.nanquantile(ratio, 0.99) < 1.25
 
 
-def t_pose(num_frames: int) -> tuple[Bodies, Articulation]:
+def t_pose(num_frames: int) -> tuple[JointPoses, Articulation]:
     lengths_m = np.array([1.7 * joint.stature_share for joint in SKELETON])
     skeleton = articulate(lengths_m, COCO_17, {name: np.array([0.02, -0.08, 0.01]) for name in COCO_17.names[:5]})
     quat = np.tile([0.0, 0.0, 0.0, 1.0], (num_frames, len(SKELETON), 1))

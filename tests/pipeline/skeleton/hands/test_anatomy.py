@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.data.animation import Side
 from pipeline.joints import FINGERS, finger_joints
 from pipeline.skeleton.feet.floor import SIDES
-from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of
+from pipeline.skeleton.fitting.articulated import JointPoses, landmarks_of
 from pipeline.skeleton.hands.anatomy import (
     HINGES,
     NUM_HINGES,
@@ -33,7 +33,7 @@ def posed_m(side: Side, angle_rad: np.ndarray) -> np.ndarray:
     rest = np.tile(np.eye(3), (len(angle_rad), 1, 1))
     skeleton = articulate_hand(side, LENGTHS_M)
     local = local_rotations(side, rest, rest, angle_rad)
-    return landmarks_of(Bodies(np.zeros((len(angle_rad), 3)), local, np.zeros((len(angle_rad), 26))), skeleton)
+    return landmarks_of(JointPoses(np.zeros((len(angle_rad), 3)), local, np.zeros((len(angle_rad), 26))), skeleton)
 
 
 @given(st.sampled_from(SIDES), st.lists(st.floats(0.1, 0.9), min_size=NUM_HINGES, max_size=NUM_HINGES))

@@ -15,7 +15,7 @@ from pipeline.simulation.scenes import SCENES, record
 from pipeline.tracking import reference
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.tracking.kernels import tracking_kernels as kernels
-from pipeline.tracking.observations import Bodies, gather, undistorted
+from pipeline.tracking.observations import Detections2D, gather, undistorted
 from pipeline.tracking.parameters import TrackingParameters, derive_parameters
 from pipeline.tracking.tracker import Tracker, make_frames, make_rig
 from tests.pipeline.conftest import body, ring_camera
@@ -40,7 +40,7 @@ def crowd(rng: np.random.Generator, num_people: int, side_m: float, size: float 
 def tracker_of(camera: Camera, seen_px: np.ndarray, score: np.ndarray, parameters: TrackingParameters) -> Tracker:
     """Tracker over one frame of a camera."""
     rows = np.zeros(len(seen_px), int)
-    bodies = Bodies(rows, rows, rows + NOW_S, seen_px, score, no_colours())
+    bodies = Detections2D(rows, rows, rows + NOW_S, seen_px, score, no_colours())
     frames = make_frames([FrameTimes(np.array([NOW_S]))], bodies, undistorted([camera], bodies), parameters.min_score)
     return Tracker([camera], frames, parameters)
 

@@ -8,13 +8,13 @@ import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
-from tests.worker.jobs.conftest import Bench
+from tests.worker.jobs.conftest import StoreBench
 from worker.jobs.database.connection import Database, now, upsert
 from worker.jobs.database.tables import artifacts, metadata
 from worker.jobs.store import JobStore
 
 
-def test_migrations_lead_to_the_tables(jobs: Bench) -> None:
+def test_migrations_lead_to_the_tables(jobs: StoreBench) -> None:
     engine = sa.create_engine(jobs.url)
     with engine.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
@@ -22,7 +22,7 @@ def test_migrations_lead_to_the_tables(jobs: Bench) -> None:
     engine.dispose()
 
 
-def test_migrating_again_keeps_what_is_there(jobs: Bench) -> None:
+def test_migrating_again_keeps_what_is_there(jobs: StoreBench) -> None:
     job = jobs.queue()
     jobs.store.migrate()
     assert jobs.store.jobs.get(job.id) == job
@@ -62,7 +62,7 @@ def test_clock_counts_seconds_in_utc(database_url: str) -> None:
     assert 0.04 < second - first < elapsed + 0.01
 
 
-def test_times_are_read_in_utc(jobs: Bench) -> None:
+def test_times_are_read_in_utc(jobs: StoreBench) -> None:
     created_at = jobs.queue().created_at
     assert created_at.tzinfo is UTC
     assert abs(datetime.now(UTC) - created_at) < timedelta(seconds=5)
@@ -79,7 +79,7 @@ def test_sqlite_is_set_up(tmp_path: Path) -> None:
     assert pragmas == {"journal_mode": "wal", "foreign_keys": 1, "busy_timeout": 30_000}
 
 
-def test_an_error_undoes_the_whole_transaction(jobs: Bench) -> None:
+def test_an_error_undoes_the_whole_transaction(jobs: StoreBench) -> None:
     database = Database(jobs.url)
     row = {"session_id": jobs.session_id, "output_key": "k", "sha256": "0", "num_bytes": 1}
 
@@ -98,7 +98,7 @@ def test_an_error_undoes_the_whole_transaction(jobs: Bench) -> None:
     assert jobs.store.outputs.find(jobs.session_id, "k") == ("1", 1)
 
 
-def test_readers_see_a_state_while_another_writes(jobs: Bench) -> None:
+def test_readers_see_a_state_while_another_writes(jobs: StoreBench) -> None:
     database = Database(jobs.url)
     with database.writing() as connection:
         upsert(connection, artifacts, {"session_id": jobs.session_id, "output_key": "k", "sha256": "0", "num_bytes": 1})

@@ -12,10 +12,10 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from pipeline.problem_codes.model import Code
-from tests.worker.jobs.conftest import Bench, stages
+from tests.worker.jobs.conftest import StoreBench, stages
 from worker.jobs.database.tables import metadata
 from worker.jobs.errors import KeyBusy, NewerDatabase
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.rights import Scope
 from worker.jobs.repositories.idempotency_keys import KeyClaim
 
@@ -25,7 +25,7 @@ REVISIONS = [script.revision for script in ScriptDirectory.from_config(CONFIG).w
 
 
 @pytest.fixture
-def engine(jobs: Bench) -> Iterator[sa.Engine]:
+def engine(jobs: StoreBench) -> Iterator[sa.Engine]:
     engine = sa.create_engine(jobs.url)
     if engine.dialect.name == "sqlite":
         sa.event.listen(engine, "connect", lambda connection, _: connection.execute("PRAGMA foreign_keys = ON"))
@@ -39,25 +39,25 @@ def migrate(engine: sa.Engine, step: str, revision: str) -> None:
         getattr(command, step)(CONFIG, revision)
 
 
-def add_data(jobs: Bench) -> list[str]:
+def add_data(jobs: StoreBench) -> list[str]:
     """A finished job, one that failed and was retried, one that runs, and a key."""
     done = jobs.queue()
     jobs.finish_all()
     failed = jobs.queue()
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     jobs.store.jobs.retry(failed.id, stages())
     jobs.finish(jobs.claim())
     jobs.store.keys.add("studio", "portal", {Scope.READ})
     return [failed.id, done.id]
 
 
-def everything(jobs: Bench, job_id: str) -> object:
+def everything(jobs: StoreBench, job_id: str) -> object:
     timeless = [replace(one, eta_s=None) for one in jobs.store.jobs.page()]
     return jobs.store.sessions.page(), timeless, jobs.store.results.of_job(job_id)
 
 
-def test_down_and_up_again_keeps_sessions_jobs_and_results(jobs: Bench, engine: sa.Engine) -> None:
+def test_down_and_up_again_keeps_sessions_jobs_and_results(jobs: StoreBench, engine: sa.Engine) -> None:
     ids = add_data(jobs)
     before = everything(jobs, ids[1])
     for revision in REVISIONS[1:]:
@@ -74,7 +74,7 @@ def test_down_and_up_again_keeps_sessions_jobs_and_results(jobs: Bench, engine: 
 
 
 @pytest.mark.parametrize("revision", REVISIONS[1:])
-def test_each_step_down_can_be_taken_back_alone(jobs: Bench, engine: sa.Engine, revision: str) -> None:
+def test_each_step_down_can_be_taken_back_alone(jobs: StoreBench, engine: sa.Engine, revision: str) -> None:
     add_data(jobs)
     before = jobs.store.sessions.page(), [one.id for one in jobs.store.jobs.page()]
     migrate(engine, "downgrade", revision)
@@ -82,7 +82,7 @@ def test_each_step_down_can_be_taken_back_alone(jobs: Bench, engine: sa.Engine, 
     assert (jobs.store.sessions.page(), [one.id for one in jobs.store.jobs.page()]) == before
 
 
-def test_answers_of_idempotency_keys_are_kept(jobs: Bench, engine: sa.Engine) -> None:
+def test_answers_of_idempotency_keys_are_kept(jobs: StoreBench, engine: sa.Engine) -> None:
     keys = jobs.store.of("studio").idempotency_keys
     answer = {"status": 202, "headers": {"Location": "/v1/jobs/1"}, "body": "{}"}
     claims = [keys.claim(name, "f" * 64, 60.0) for name in ("answered", "at work")]
@@ -98,7 +98,7 @@ def test_answers_of_idempotency_keys_are_kept(jobs: Bench, engine: sa.Engine) ->
         keys.claim("at work", "f" * 64, 60.0)
 
 
-def test_a_schema_of_a_newer_version_is_refused_and_left_alone(jobs: Bench, engine: sa.Engine) -> None:
+def test_a_schema_of_a_newer_version_is_refused_and_left_alone(jobs: StoreBench, engine: sa.Engine) -> None:
     with engine.begin() as connection:
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '0099'"))
     with pytest.raises(NewerDatabase, match=r"newer version of Multicap \(schema 0099\)"):

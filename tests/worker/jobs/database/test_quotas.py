@@ -6,10 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from pipeline.problem_codes.model import Code
-from tests.worker.jobs.conftest import PREFLIGHT, Bench, result, stages
+from tests.worker.jobs.conftest import PREFLIGHT, StoreBench, result, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import QuotaExceeded
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.rights import Actor, Usage
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.spec import JobSpec
@@ -17,12 +17,12 @@ from worker.jobs.store import JobStore
 from worker.jobs.tenant_records import TenantRecords
 
 
-def add_session(jobs: Bench, records: TenantRecords, num_bytes: int = 100) -> str:
+def add_session(jobs: StoreBench, records: TenantRecords, num_bytes: int = 100) -> str:
     files = [InputFile("cam.mp4", "video", "sessions/x/inputs/0-cam.mp4", num_bytes, "1" * 64)]
     return records.sessions.add("take", files, PREFLIGHT, jobs.store.sessions.reserve_id()).id
 
 
-def test_sessions(jobs: Bench) -> None:
+def test_sessions(jobs: StoreBench) -> None:
     mine, theirs = (jobs.store.of(tenant, Quotas(sessions=2), Actor()) for tenant in ("mine", "theirs"))
     first = add_session(jobs, mine)
     add_session(jobs, mine)
@@ -37,7 +37,7 @@ def test_sessions(jobs: Bench) -> None:
     add_session(jobs, mine)
 
 
-def test_bytes(jobs: Bench) -> None:
+def test_bytes(jobs: StoreBench) -> None:
     mine = jobs.store.of("mine", Quotas(stored_bytes=1000), Actor())
     session_id = add_session(jobs, mine, 900)
     mine.require_room(100)
@@ -60,7 +60,7 @@ def test_bytes(jobs: Bench) -> None:
     add_session(jobs, mine, 86)
 
 
-def test_unfinished_jobs(jobs: Bench) -> None:
+def test_unfinished_jobs(jobs: StoreBench) -> None:
     mine = jobs.store.of("mine", Quotas(unfinished_jobs=2), Actor())
     session_id = add_session(jobs, mine)
     first = mine.jobs.add(session_id, JobSpec(), stages(1))
@@ -68,7 +68,7 @@ def test_unfinished_jobs(jobs: Bench) -> None:
     claim = jobs.claim()
     with pytest.raises(QuotaExceeded, match="At most 2 unfinished jobs"):
         mine.jobs.add(session_id, JobSpec(), stages(1))
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     third = mine.jobs.add(session_id, JobSpec(), stages(1))
     with pytest.raises(QuotaExceeded):
         mine.jobs.retry(first.id, stages(1))
@@ -77,12 +77,12 @@ def test_unfinished_jobs(jobs: Bench) -> None:
     assert {one.id for one in mine.jobs.page() if one.finished_at is None} == {first.id, third.id}
 
 
-def test_a_quota_of_nothing(jobs: Bench) -> None:
+def test_a_quota_of_nothing(jobs: StoreBench) -> None:
     with pytest.raises(QuotaExceeded):
         add_session(jobs, jobs.store.of("mine", Quotas(sessions=0), Actor()))
 
 
-def test_two_at_once_don_t_take_the_last_place_twice(jobs: Bench, new_store: Callable[[], JobStore]) -> None:
+def test_two_at_once_don_t_take_the_last_place_twice(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
     quotas = Quotas(unfinished_jobs=3)
     session_id = add_session(jobs, jobs.store.of("mine", quotas, Actor()))
 

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import pytest
 
 from pipeline.problem_codes.model import Code
-from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, StoreBench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import NotFound
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.rights import Actor, LinkScope
 from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.results import Results
@@ -19,18 +19,18 @@ from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 
 
-def make(jobs: Bench, tenant: str) -> tuple[TenantRecords, str, str]:
+def make(jobs: StoreBench, tenant: str) -> tuple[TenantRecords, str, str]:
     """A tenant's records, with a session and a failed job."""
     records = jobs.store.of(tenant, Quotas(), Actor())
     session_id = records.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     job_id = records.jobs.add(session_id, JobSpec(), stages(1)).id
     claim = jobs.claim()
     assert claim.job_id == job_id
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     return records, session_id, job_id
 
 
-def test_lists_hold_the_tenant_s_own(jobs: Bench) -> None:
+def test_lists_hold_the_tenant_s_own(jobs: StoreBench) -> None:
     (mine, my_session, my_job), (theirs, their_session, their_job) = make(jobs, "mine"), make(jobs, "theirs")
     assert [one.session.id for one in mine.sessions.page()] == [my_session]
     assert [one.session.id for one in theirs.sessions.page()] == [their_session]
@@ -65,7 +65,7 @@ ACTS: dict[str, Act] = {
 
 
 @pytest.mark.parametrize("act", ACTS)
-def test_nothing_can_be_done_with_another_s(jobs: Bench, act: str) -> None:
+def test_nothing_can_be_done_with_another_s(jobs: StoreBench, act: str) -> None:
     theirs, session_id, job_id = make(jobs, "theirs")
     before = theirs.sessions.get(session_id), theirs.jobs.page()
     with pytest.raises(NotFound):
@@ -88,7 +88,7 @@ def test_every_act_is_tried() -> None:
     }
 
 
-def test_a_job_is_of_its_session_s_tenant(jobs: Bench) -> None:
+def test_a_job_is_of_its_session_s_tenant(jobs: StoreBench) -> None:
     session_id = jobs.store.of("theirs").sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     job_id = jobs.store.jobs.add(session_id, JobSpec(), stages(1)).id
     assert [one.id for one in jobs.store.of("theirs").jobs.page()] == [job_id]

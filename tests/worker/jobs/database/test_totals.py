@@ -3,11 +3,11 @@
 import time
 
 from pipeline.problem_codes.model import Code
-from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench
-from worker.jobs.model.jobs import Problem
+from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, StoreBench
+from worker.jobs.model.jobs import JobProblem
 
 
-def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
+def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: StoreBench) -> None:
     job = jobs.queue(num_chunks=2)
     before = jobs.store.figures()
     assert (before.totals, before.jobs, before.chunks) == ({}, {"queued": 1}, {"ready": 2, "waiting": 1})
@@ -36,16 +36,16 @@ def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
     assert (after.totals, after.jobs) == (done.totals, {})
 
 
-def test_lost_leases_and_other_tries(jobs: Bench) -> None:
+def test_lost_leases_and_other_tries(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     jobs.claim(EXPIRED_S)
     jobs.store.leases.reap(LEASE_S)
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("away"), "It is away.", retryable=True))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("away"), "It is away.", retryable=True))
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     # A report that nobody wants any more counts nothing.
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     assert jobs.store.figures().totals == {
         ("leases_lost", "detect"): 1.0,
         ("chunks_retried", "detect"): 2.0,

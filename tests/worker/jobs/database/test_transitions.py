@@ -8,13 +8,13 @@ import sqlalchemy as sa
 
 from pipeline.problem_codes.jobs import INPUT_ERROR
 from pipeline.problem_codes.requests import INTERNAL_ERROR
-from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, Bench, stages
+from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, StoreBench, stages
 from worker.jobs.database import tables
 from worker.jobs.database.connection import Database
 from worker.jobs.database.rows import stage_state
 from worker.jobs.database.transitions import move_job
 from worker.jobs.errors import Conflict
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.states import FINISHED, JOB_TRANSITIONS, ChunkState, JobState
 from worker.jobs.model.work import Claim
 from worker.jobs.spec import JobSpec
@@ -23,11 +23,11 @@ from worker.jobs.store import JobStore
 Q, R, CG = JobState.QUEUED, JobState.RUNNING, JobState.CANCELING
 S, F, C, E = JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED
 
-RETRYABLE = Problem(INTERNAL_ERROR, "It failed.", retryable=True)
-FINAL = Problem(INPUT_ERROR, "It is broken.")
+RETRYABLE = JobProblem(INTERNAL_ERROR, "It failed.", retryable=True)
+FINAL = JobProblem(INPUT_ERROR, "It is broken.")
 
 
-def bring_to(jobs: Bench, state: JobState) -> tuple[str, Claim | None]:
+def bring_to(jobs: StoreBench, state: JobState) -> tuple[str, Claim | None]:
     """A job of one chunk in a state, and the claim of its chunk if a worker holds, or held, one."""
     job_id = jobs.store.jobs.add(jobs.session_id, JobSpec(), stages(1)[:1]).id
     if state == Q:
@@ -84,7 +84,7 @@ CONFLICTS = {(state, "cancel") for state in FINISHED} | {(state, "retry") for st
 
 @pytest.mark.parametrize("action", ACTIONS)
 @pytest.mark.parametrize("state", JobState)
-def test_what_an_action_does_in_a_state(jobs: Bench, state: JobState, action: str) -> None:
+def test_what_an_action_does_in_a_state(jobs: StoreBench, state: JobState, action: str) -> None:
     job_id, claim = bring_to(jobs, state)
     chunk_id, token = (claim.chunk_id, claim.lease_token) if claim else (1, "")
     before = jobs.store.jobs.get(job_id)
@@ -101,7 +101,7 @@ def test_what_an_action_does_in_a_state(jobs: Bench, state: JobState, action: st
 
 
 @pytest.mark.parametrize("state", JobState)
-def test_only_finished_jobs_can_be_deleted(jobs: Bench, state: JobState) -> None:
+def test_only_finished_jobs_can_be_deleted(jobs: StoreBench, state: JobState) -> None:
     job_id, _ = bring_to(jobs, state)
     if state in FINISHED:
         jobs.store.jobs.delete(job_id)
@@ -114,7 +114,7 @@ def test_only_finished_jobs_can_be_deleted(jobs: Bench, state: JobState) -> None
     assert jobs.store.jobs.get(job_id).state == state
 
 
-def test_a_job_moves_where_the_table_says_and_nowhere_else(jobs: Bench) -> None:
+def test_a_job_moves_where_the_table_says_and_nowhere_else(jobs: StoreBench) -> None:
     job_id = jobs.queue().id
     database = Database(jobs.url)
     with database.writing() as connection:

@@ -1,21 +1,21 @@
 from pipeline.problem_codes.model import Code
-from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, StoreBench, stages
 from worker.jobs.database.quotas import Quotas
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.rights import Actor, Scope
 from worker.jobs.spec import JobSpec
 
 ACTOR = Actor("key", "request")
 
 
-def test_what_is_done_is_noted_with_who_did_it(jobs: Bench) -> None:
+def test_what_is_done_is_noted_with_who_did_it(jobs: StoreBench) -> None:
     mine = jobs.store.of("mine", Quotas(), ACTOR)
     session_id = mine.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     for name in ("Handshake", "Handshake"):  # the second time it is no change
         mine.sessions.rename(session_id, name)
     job_id = mine.jobs.add(session_id, JobSpec(), stages(1)).id
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     mine.jobs.retry(job_id, stages(1))
     mine.jobs.cancel(job_id)
     mine.jobs.delete(job_id)
@@ -34,7 +34,7 @@ def test_what_is_done_is_noted_with_who_did_it(jobs: Bench) -> None:
     assert [event.done_at for event in events] == sorted((event.done_at for event in events), reverse=True)
 
 
-def test_a_calibration_that_is_renamed_is_noted(jobs: Bench) -> None:
+def test_a_calibration_that_is_renamed_is_noted(jobs: StoreBench) -> None:
     mine = jobs.store.of("mine", Quotas(), ACTOR)
     made = mine.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id
     for name in ("Studio B", "Studio B"):  # the second time it is no change
@@ -43,7 +43,7 @@ def test_a_calibration_that_is_renamed_is_noted(jobs: Bench) -> None:
     assert acts == ["calibration-renamed", "calibration-created"]
 
 
-def test_what_is_refused_was_not_done(jobs: Bench) -> None:
+def test_what_is_refused_was_not_done(jobs: StoreBench) -> None:
     job = jobs.queue()
     before = jobs.store.audit.events()
     jobs.claim()
@@ -52,7 +52,7 @@ def test_what_is_refused_was_not_done(jobs: Bench) -> None:
     assert [event.act for event in jobs.store.audit.events()][: -len(before)] == ["job-canceled"]
 
 
-def test_keys_are_noted_too(jobs: Bench) -> None:
+def test_keys_are_noted_too(jobs: StoreBench) -> None:
     key, _ = jobs.store.keys.add("studio", "portal", {Scope.READ})
     jobs.store.browser_sessions.open(key, 60.0, "request")
     jobs.store.keys.revoke(key.id)
@@ -65,7 +65,7 @@ def test_keys_are_noted_too(jobs: Bench) -> None:
     ]
 
 
-def test_the_last_ones_come_first(jobs: Bench) -> None:
+def test_the_last_ones_come_first(jobs: StoreBench) -> None:
     for _ in range(5):
         jobs.queue()
     assert len(jobs.store.audit.events(limit=3)) == 3

@@ -3,7 +3,7 @@
 import pytest
 
 from pipeline.job_choices import PROXY_KIND, CalibrationChoices, ProxyChoices
-from tests.worker.jobs.conftest import CODE, PREFLIGHT, UNITS, Bench, stages
+from tests.worker.jobs.conftest import CODE, PREFLIGHT, UNITS, StoreBench, stages
 from worker.jobs.errors import Conflict
 from worker.jobs.model.jobs import NewestJob, Result, kind_of
 from worker.jobs.model.states import JobState
@@ -13,11 +13,11 @@ from worker.jobs.tenant_records import TenantRecords
 
 
 @pytest.fixture
-def records(jobs: Bench) -> TenantRecords:
+def records(jobs: StoreBench) -> TenantRecords:
     return jobs.store.of("studio")
 
 
-def add(jobs: Bench, records: TenantRecords, name: str) -> str:
+def add(jobs: StoreBench, records: TenantRecords, name: str) -> str:
     return records.sessions.add(name, [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
 
 
@@ -40,14 +40,14 @@ def names(records: TenantRecords, name: str) -> list[str]:
         ("nothing", []),
     ],
 )
-def test_search_by_name(jobs: Bench, records: TenantRecords, text: str, found: list[str]) -> None:
+def test_search_by_name(jobs: StoreBench, records: TenantRecords, text: str, found: list[str]) -> None:
     for name in ("Handshake, take 3", "take_2", "STRASSE 5", "École", "100% done"):
         add(jobs, records, name)
     add(jobs, jobs.store.of("other"), "Handshake of others, take 100%_\\ École STRASSE")
     assert names(records, text) == found
 
 
-def test_a_session_with_another_name_is_found_by_that_alone(jobs: Bench, records: TenantRecords) -> None:
+def test_a_session_with_another_name_is_found_by_that_alone(jobs: StoreBench, records: TenantRecords) -> None:
     session_id = add(jobs, records, "Walk")
     job = records.jobs.add(session_id, JobSpec(), stages(1))
     assert records.sessions.rename(session_id, "Gehen ß").session.name == "Gehen ß"
@@ -55,7 +55,7 @@ def test_a_session_with_another_name_is_found_by_that_alone(jobs: Bench, records
     assert records.jobs.get(job.id).session_name == "Gehen ß"
 
 
-def test_captures_have_their_newest_reconstruction(jobs: Bench, records: TenantRecords) -> None:
+def test_captures_have_their_newest_reconstruction(jobs: StoreBench, records: TenantRecords) -> None:
     first, second = add(jobs, records, "first"), add(jobs, records, "second")
     one, two = (records.jobs.add(first, JobSpec(), stages(1)).id for _ in range(2))
     making = records.jobs.add(first, JobSpec(), stages(1), making=CalibrationChoices(None, stature_m=(1.8,)))
@@ -72,7 +72,7 @@ def test_captures_have_their_newest_reconstruction(jobs: Bench, records: TenantR
         records.sessions.delete(first)
 
 
-def test_proxies_are_of_a_session_and_nobody_s_reconstruction(jobs: Bench, records: TenantRecords) -> None:
+def test_proxies_are_of_a_session_and_nobody_s_reconstruction(jobs: StoreBench, records: TenantRecords) -> None:
     session_id = add(jobs, records, "take")
     job = records.jobs.add(session_id, JobSpec(), stages(1))
     making = ProxyChoices(("cam one", "cam two"))
@@ -100,7 +100,7 @@ def test_proxies_are_of_a_session_and_nobody_s_reconstruction(jobs: Bench, recor
     assert jobs.store.of("other").results.proxy(session_id, "proxy-0.mp4") is None
 
 
-def test_unfinished_proxies_do_not_keep_a_session(jobs: Bench, records: TenantRecords) -> None:
+def test_unfinished_proxies_do_not_keep_a_session(jobs: StoreBench, records: TenantRecords) -> None:
     session_id = add(jobs, records, "take")
     plan = (StagePlan("make_proxy", (ChunkPlan(0, {}, UNITS, "proxy-0"),), CODE),)
     records.jobs.add(session_id, JobSpec(), plan, making=ProxyChoices(("cam one",)))
@@ -111,7 +111,7 @@ def test_unfinished_proxies_do_not_keep_a_session(jobs: Bench, records: TenantRe
     assert records.sessions.page() == []
 
 
-def test_pages_of_a_search(jobs: Bench, records: TenantRecords) -> None:
+def test_pages_of_a_search(jobs: StoreBench, records: TenantRecords) -> None:
     ids = [add(jobs, records, f"{kind} {number}") for number in range(3) for kind in ("walk", "run")]
     page = records.sessions.page(limit=2, name="walk")
     assert [one.session.id for one in page] == [ids[4], ids[2]]

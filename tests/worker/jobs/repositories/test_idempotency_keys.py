@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, StoreBench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.database.tables import idempotency_keys
 from worker.jobs.errors import Conflict, KeyBusy, KeyReused
-from worker.jobs.model.jobs import Job
+from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.rights import Actor
 from worker.jobs.repositories.idempotency_keys import KeyClaim
 from worker.jobs.spec import JobSpec
@@ -18,11 +18,11 @@ from worker.jobs.store import JobStore
 from worker.jobs.tenant_records import TenantRecords
 
 
-def of(jobs: Bench, tenant: str = "default") -> TenantRecords:
+def of(jobs: StoreBench, tenant: str = "default") -> TenantRecords:
     return jobs.store.of(tenant, Quotas(), Actor())
 
 
-def answer_of(job: Job) -> dict[str, Any]:
+def answer_of(job: JobRecord) -> dict[str, Any]:
     return {"status": 202, "headers": {"Location": f"/v1/jobs/{job.id}"}, "body": f'{{"id": "{job.id}"}}'}
 
 
@@ -32,14 +32,14 @@ def claim(records: TenantRecords, key: str = "key", fingerprint: str = "f" * 64,
     return claimed
 
 
-def make(jobs: Bench, records: TenantRecords, claimed: KeyClaim) -> Job:
+def make(jobs: StoreBench, records: TenantRecords, claimed: KeyClaim) -> JobRecord:
     with records.transaction() as work:
         job = work.jobs.add(jobs.session_id, JobSpec(), stages(1))
         work.idempotency_keys.answer(claimed, answer_of(job))
     return job
 
 
-def test_the_first_answer_comes_again(jobs: Bench) -> None:
+def test_the_first_answer_comes_again(jobs: StoreBench) -> None:
     records = of(jobs)
     assert not records.idempotency_keys.is_answered("key")
     job = make(jobs, records, claim(records))
@@ -48,7 +48,7 @@ def test_the_first_answer_comes_again(jobs: Bench) -> None:
     assert len(records.jobs.page()) == 1
 
 
-def test_another_request_under_the_key_is_refused(jobs: Bench) -> None:
+def test_another_request_under_the_key_is_refused(jobs: StoreBench) -> None:
     records = of(jobs)
     claimed = claim(records)
     for _ in ("while it runs", "and when it was answered"):
@@ -58,7 +58,7 @@ def test_another_request_under_the_key_is_refused(jobs: Bench) -> None:
             make(jobs, records, claimed)
 
 
-def test_while_it_is_answered_nobody_else_answers(jobs: Bench, new_store: Callable[[], JobStore]) -> None:
+def test_while_it_is_answered_nobody_else_answers(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
     stores = [new_store() for _ in range(8)]
 
     def try_it(store: JobStore) -> object:
@@ -72,7 +72,7 @@ def test_while_it_is_answered_nobody_else_answers(jobs: Bench, new_store: Callab
     assert len(tokens) == 1
 
 
-def test_what_came_to_nothing_may_be_tried_again(jobs: Bench) -> None:
+def test_what_came_to_nothing_may_be_tried_again(jobs: StoreBench) -> None:
     records = of(jobs)
     claimed = claim(records)
     records.idempotency_keys.release(claimed)
@@ -81,7 +81,7 @@ def test_what_came_to_nothing_may_be_tried_again(jobs: Bench) -> None:
     assert records.idempotency_keys.is_answered("key")
 
 
-def test_who_was_thought_dead_does_nothing(jobs: Bench) -> None:
+def test_who_was_thought_dead_does_nothing(jobs: StoreBench) -> None:
     records = of(jobs)
     slow = claim(records, lease_s=-1.0)
     quick = claim(records)
@@ -92,7 +92,7 @@ def test_who_was_thought_dead_does_nothing(jobs: Bench) -> None:
     assert [one.id for one in records.jobs.page()] == [job.id]
 
 
-def test_a_claim_that_is_renewed_stays(jobs: Bench) -> None:
+def test_a_claim_that_is_renewed_stays(jobs: StoreBench) -> None:
     records = of(jobs)
     claimed = claim(records, lease_s=-1.0)
     records.idempotency_keys.renew(claimed, 60.0)
@@ -100,13 +100,13 @@ def test_a_claim_that_is_renewed_stays(jobs: Bench) -> None:
         records.idempotency_keys.claim("key", "f" * 64, 60.0)
 
 
-def test_tenants_have_keys_of_their_own(jobs: Bench) -> None:
+def test_tenants_have_keys_of_their_own(jobs: StoreBench) -> None:
     mine, theirs = of(jobs, "mine"), of(jobs, "theirs")
     assert isinstance(mine.idempotency_keys.claim("key", "f" * 64, 60.0), KeyClaim)
     assert isinstance(theirs.idempotency_keys.claim("key", "e" * 64, 60.0), KeyClaim)
 
 
-def test_after_a_day_it_is_forgotten(jobs: Bench) -> None:
+def test_after_a_day_it_is_forgotten(jobs: StoreBench) -> None:
     records = of(jobs)
     make(jobs, records, claim(records))
     jobs.execute(idempotency_keys.update().values(expires_at=0.0))
@@ -114,12 +114,12 @@ def test_after_a_day_it_is_forgotten(jobs: Bench) -> None:
     assert len(records.jobs.page()) == 2
 
 
-def add_both(jobs: Bench, work: TenantRecords) -> None:
+def add_both(jobs: StoreBench, work: TenantRecords) -> None:
     session = work.sessions.add("take", [], PREFLIGHT, work.sessions.reserve_id())
     work.jobs.add(session.id, JobSpec(), stages(1))
 
 
-Act = Callable[[Bench, TenantRecords], Any]
+Act = Callable[[StoreBench, TenantRecords], Any]
 ACTS: dict[str, Act] = {
     "cancel": lambda jobs, work: work.jobs.cancel(work.jobs.page()[0].id),
     "session": lambda jobs, work: work.sessions.add("take", [], PREFLIGHT, work.sessions.reserve_id()),
@@ -129,7 +129,7 @@ ACTS: dict[str, Act] = {
 
 
 @pytest.mark.parametrize("act", ACTS)
-def test_answer_and_deed_come_together_or_not_at_all(jobs: Bench, act: str) -> None:
+def test_answer_and_deed_come_together_or_not_at_all(jobs: StoreBench, act: str) -> None:
     records = of(jobs)
     jobs.queue()
     claimed = claim(records)
@@ -155,7 +155,7 @@ def test_answer_and_deed_come_together_or_not_at_all(jobs: Bench, act: str) -> N
     assert records.idempotency_keys.is_answered("key")
 
 
-def test_a_key_whose_claim_ran_out_is_free_for_any_request(jobs: Bench) -> None:
+def test_a_key_whose_claim_ran_out_is_free_for_any_request(jobs: StoreBench) -> None:
     """Nothing was done under it."""
     records = of(jobs)
     lost = claim(records, lease_s=-1.0)

@@ -10,10 +10,10 @@ from pipeline.findings import Finding
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
 from pipeline.problem_codes.warnings import FEW_VIEWS
-from tests.worker.jobs.conftest import PREFLIGHT, UNITS, Bench, new_session, result, stages
+from tests.worker.jobs.conftest import PREFLIGHT, UNITS, StoreBench, new_session, result, stages
 from worker.jobs.database import tables
 from worker.jobs.errors import Conflict, NoResults, NotFinished, NotFound
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.spec import JobSpec
@@ -21,10 +21,10 @@ from worker.jobs.store import JobStore
 
 NOBODY = str(uuid_utils.uuid7())
 
-BROKEN = Problem(VIDEO_TRUNCATED, "The video ends early.", stage="detect", camera="cam one", hint="Copy it again.")
+BROKEN = JobProblem(VIDEO_TRUNCATED, "The video ends early.", stage="detect", camera="cam one", hint="Copy it again.")
 
 
-def test_a_session_is_read_as_it_was_written(jobs: Bench) -> None:
+def test_a_session_is_read_as_it_was_written(jobs: StoreBench) -> None:
     session = jobs.store.sessions.get(jobs.session_id)
     assert session.name == "take"
     assert session.files[0] == InputFile(
@@ -34,7 +34,7 @@ def test_a_session_is_read_as_it_was_written(jobs: Bench) -> None:
     assert session.preflight == PREFLIGHT
 
 
-def test_lists_are_paged_from_the_newest(jobs: Bench) -> None:
+def test_lists_are_paged_from_the_newest(jobs: StoreBench) -> None:
     session_ids = [jobs.session_id, *(new_session(jobs.store) for _ in range(4))][::-1]
     job_ids = [jobs.queue(1).id for _ in range(5)][::-1]
 
@@ -52,14 +52,14 @@ def test_lists_are_paged_from_the_newest(jobs: Bench) -> None:
         assert page(third[-1]) == []
 
 
-def test_a_page_goes_on_after_its_last_item_was_deleted(jobs: Bench) -> None:
+def test_a_page_goes_on_after_its_last_item_was_deleted(jobs: StoreBench) -> None:
     oldest, middle, _ = (jobs.queue(1).id for _ in range(3))
     jobs.store.jobs.cancel(middle)
     jobs.store.jobs.delete(middle)
     assert [job.id for job in jobs.store.jobs.page(after=middle)] == [oldest]
 
 
-def test_jobs_by_state(jobs: Bench) -> None:
+def test_jobs_by_state(jobs: StoreBench) -> None:
     canceled, queued = jobs.queue(), jobs.queue()
     jobs.store.jobs.cancel(canceled.id)
     assert [job.id for job in jobs.store.jobs.page(JobState.CANCELED)] == [canceled.id]
@@ -67,7 +67,7 @@ def test_jobs_by_state(jobs: Bench) -> None:
     assert jobs.store.jobs.page(JobState.RUNNING) == []
 
 
-def test_jobs_by_session(jobs: Bench) -> None:
+def test_jobs_by_session(jobs: StoreBench) -> None:
     other = new_session(jobs.store)
     first, second = jobs.queue(), jobs.queue()
     jobs.store.jobs.add(other, JobSpec(), stages())
@@ -98,7 +98,7 @@ def test_jobs_of_a_session_are_found_without_a_look_at_the_tenant_s_others(tmp_p
     assert not any("TEMP B-TREE FOR ORDER BY" in one for one in said)
 
 
-def test_a_new_job_is_queued_with_its_first_stage_ready(jobs: Bench) -> None:
+def test_a_new_job_is_queued_with_its_first_stage_ready(jobs: StoreBench) -> None:
     job = jobs.queue(num_chunks=4)
     assert (job.state, job.attempt, job.progress, job.spec) == (JobState.QUEUED, 1, 0.0, JobSpec())
     assert [(stage.name, stage.state, stage.done, stage.total) for stage in job.stages] == [
@@ -111,20 +111,20 @@ def test_a_new_job_is_queued_with_its_first_stage_ready(jobs: Bench) -> None:
 
 
 @pytest.mark.parametrize("plan", [(), (stages(0))])
-def test_a_job_without_work_is_refused(jobs: Bench, plan: Any) -> None:
+def test_a_job_without_work_is_refused(jobs: StoreBench, plan: Any) -> None:
     with pytest.raises(ValueError, match="chunk"):
         jobs.store.jobs.add(jobs.session_id, JobSpec(), plan)
     assert jobs.store.jobs.page() == []
 
 
-def test_thousands_of_chunks(jobs: Bench) -> None:
+def test_thousands_of_chunks(jobs: StoreBench) -> None:
     job = jobs.queue(2500)
     detect, export = jobs.store.jobs.get(job.id).stages
     assert (detect.total, export.total) == (2500 * UNITS, UNITS)
     assert [one.key for one in jobs.store.outputs.of_stage(job.id, "detect")] == [f"detect-{k}" for k in range(2500)]
 
 
-def test_places_in_the_queue(jobs: Bench) -> None:
+def test_places_in_the_queue(jobs: StoreBench) -> None:
     first, second, third = jobs.queue(), jobs.queue(), jobs.queue()
     assert [jobs.store.jobs.get(job.id).queue_position for job in (first, second, third)] == [1, 2, 3]
     jobs.claim()
@@ -135,7 +135,7 @@ def test_places_in_the_queue(jobs: Bench) -> None:
     assert [job.queue_position for job in jobs.store.jobs.page()] == [1, 2, None]
 
 
-def test_a_job_as_it_goes_on(jobs: Bench) -> None:
+def test_a_job_as_it_goes_on(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     first, second = jobs.claim(), jobs.claim()
     jobs.store.leases.heartbeat(first.chunk_id, first.lease_token, 5, 60)
@@ -156,13 +156,13 @@ def test_a_job_as_it_goes_on(jobs: Bench) -> None:
     assert job.created_at <= job.started_at <= job.finished_at  # type: ignore[operator]
 
 
-def test_a_stage_between_two_workers_is_running(jobs: Bench) -> None:
+def test_a_stage_between_two_workers_is_running(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.finish(jobs.claim())
     assert jobs.store.jobs.get(job_id).stages[0].state == ChunkState.RUNNING
 
 
-def test_a_stage_is_reused_if_all_of_it_was(jobs: Bench) -> None:
+def test_a_stage_is_reused_if_all_of_it_was(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     for reused in (False, True, True):
         claim = jobs.claim()
@@ -170,7 +170,7 @@ def test_a_stage_is_reused_if_all_of_it_was(jobs: Bench) -> None:
     assert [stage.reused for stage in jobs.store.jobs.get(job_id).stages] == [False, True]
 
 
-def test_cancel_of_a_queued_job_is_immediate(jobs: Bench) -> None:
+def test_cancel_of_a_queued_job_is_immediate(jobs: StoreBench) -> None:
     job = jobs.store.jobs.cancel(jobs.queue().id)
     assert job.state == JobState.CANCELED
     assert job.finished_at is not None
@@ -178,7 +178,7 @@ def test_cancel_of_a_queued_job_is_immediate(jobs: Bench) -> None:
     assert jobs.store.leases.claim("worker", 60) is None
 
 
-def test_cancel_of_a_running_job_waits_for_its_workers(jobs: Bench) -> None:
+def test_cancel_of_a_running_job_waits_for_its_workers(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=3).id
     first, second = jobs.claim(), jobs.claim()
     assert jobs.store.jobs.cancel(job_id).state == JobState.CANCELING
@@ -192,7 +192,7 @@ def test_cancel_of_a_running_job_waits_for_its_workers(jobs: Bench) -> None:
     assert jobs.store.outputs.find(jobs.session_id, second.output_key) is not None
 
 
-def test_retry_starts_over_and_keeps_finished_outputs(jobs: Bench) -> None:
+def test_retry_starts_over_and_keeps_finished_outputs(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     done = jobs.claim()
     jobs.finish(done)
@@ -212,7 +212,7 @@ def test_retry_starts_over_and_keeps_finished_outputs(jobs: Bench) -> None:
     assert not jobs.finish(broken)
 
 
-def test_attempts_say_what_became_of_each(jobs: Bench) -> None:
+def test_attempts_say_what_became_of_each(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     claim = jobs.claim()
     jobs.store.leases.fail(claim.chunk_id, claim.lease_token, BROKEN)
@@ -230,20 +230,20 @@ def test_attempts_say_what_became_of_each(jobs: Bench) -> None:
     assert (len(moments), moments) == (6, sorted(moments))
 
 
-def test_retry_goes_to_the_end_of_the_queue(jobs: Bench) -> None:
+def test_retry_goes_to_the_end_of_the_queue(jobs: StoreBench) -> None:
     first, second = jobs.queue(1), jobs.queue(1)
     jobs.store.jobs.cancel(first.id)
     jobs.store.jobs.retry(first.id, stages(1))
     assert [jobs.claim().job_id for _ in range(2)] == [second.id, first.id]
 
 
-def test_outputs_are_in_the_order_of_the_chunks(jobs: Bench) -> None:
+def test_outputs_are_in_the_order_of_the_chunks(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=12).id
     assert [one.key for one in jobs.store.outputs.of_stage(job_id, "detect")] == [f"detect-{k}" for k in range(12)]
     assert [one.key for one in jobs.store.outputs.of_stage(job_id, "export")] == ["export"]
 
 
-def test_results(jobs: Bench) -> None:
+def test_results(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     for act in (lambda: jobs.store.results.of_job(job_id), lambda: jobs.store.results.get(job_id, "person-1.bvh")):
         with pytest.raises(NotFinished):
@@ -258,7 +258,7 @@ def test_results(jobs: Bench) -> None:
         jobs.store.results.get(job_id, "person-2.bvh")
 
 
-def test_downloads_leave_files_of_viewers_out(jobs: Bench) -> None:
+def test_downloads_leave_files_of_viewers_out(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     jobs.finish(jobs.claim())
     claim = jobs.claim()
@@ -269,7 +269,7 @@ def test_downloads_leave_files_of_viewers_out(jobs: Bench) -> None:
     assert jobs.store.results.get(job_id, "motion.bin") == of_viewer
 
 
-def test_a_failed_job_has_no_results(jobs: Bench) -> None:
+def test_a_failed_job_has_no_results(jobs: StoreBench) -> None:
     job_id = jobs.queue().id
     claim = jobs.claim()
     jobs.store.leases.fail(claim.chunk_id, claim.lease_token, BROKEN)
@@ -278,11 +278,11 @@ def test_a_failed_job_has_no_results(jobs: Bench) -> None:
     assert raised.value.reason == f"{BROKEN.code}: {BROKEN.detail}"
 
 
-def due(jobs: Bench) -> list[str]:
+def due(jobs: StoreBench) -> list[str]:
     return [removal.prefix for removal in jobs.store.removals.due()]
 
 
-def test_delete_job_leaves_the_session(jobs: Bench) -> None:
+def test_delete_job_leaves_the_session(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     with pytest.raises(Conflict):
         jobs.store.jobs.delete(job_id)
@@ -296,7 +296,7 @@ def test_delete_job_leaves_the_session(jobs: Bench) -> None:
         jobs.store.jobs.get(job_id)
 
 
-def test_delete_session_takes_its_jobs_along(jobs: Bench) -> None:
+def test_delete_session_takes_its_jobs_along(jobs: StoreBench) -> None:
     done = jobs.queue(num_chunks=1)
     jobs.finish_all()
     canceled = jobs.queue(num_chunks=2)
@@ -318,7 +318,7 @@ def test_delete_session_takes_its_jobs_along(jobs: Bench) -> None:
     assert jobs.store.outputs.find(jobs.session_id, "detect-0") is None
 
 
-def test_what_is_not_there_is_not_found(jobs: Bench) -> None:
+def test_what_is_not_there_is_not_found(jobs: StoreBench) -> None:
     store = jobs.store
     for act in (
         store.sessions.get,
@@ -338,7 +338,7 @@ def test_what_is_not_there_is_not_found(jobs: Bench) -> None:
         store.results.get(NOBODY, "person-1.bvh")
 
 
-def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
+def test_what_a_result_warns_of_comes_with_the_end(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     jobs.finish(jobs.claim())
     claim = jobs.claim()
@@ -351,10 +351,10 @@ def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
     assert job.warnings == ("The clocks drift.", warning.message)
 
 
-def test_a_retry_forgets_what_the_result_before_warned_of(jobs: Bench) -> None:
+def test_a_retry_forgets_what_the_result_before_warned_of(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     claim = jobs.claim()
-    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem(Code("broken"), "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     jobs.execute(sa.update(tables.jobs).values(warnings=[{"code": "few_views", "message": "Few."}]))
     assert jobs.store.jobs.get(job_id).result_warnings
     assert jobs.store.jobs.retry(job_id, stages(1)).result_warnings == ()

@@ -3,7 +3,7 @@
 import pytest
 from uuid_utils import uuid7
 
-from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, StoreBench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.database.tables import uploads
 from worker.jobs.errors import Conflict, NotFound, QuotaExceeded
@@ -15,7 +15,7 @@ from worker.jobs.tenant_records import TenantRecords
 HOUR_S = 3600.0
 
 
-def of(jobs: Bench, tenant: str = "mine", quotas: Quotas | None = None) -> TenantRecords:
+def of(jobs: StoreBench, tenant: str = "mine", quotas: Quotas | None = None) -> TenantRecords:
     return jobs.store.of(tenant, quotas or Quotas(), Actor("key", "request"))
 
 
@@ -25,11 +25,11 @@ def begin(records: TenantRecords, num_bytes: int = 100) -> str:
     ).id
 
 
-def expire(jobs: Bench, upload_id: str) -> None:
+def expire(jobs: StoreBench, upload_id: str) -> None:
     jobs.execute(uploads.update().where(uploads.c.id == upload_id).values(expires_at=0.0))
 
 
-def test_what_was_said_comes_back(jobs: Bench) -> None:
+def test_what_was_said_comes_back(jobs: StoreBench) -> None:
     mine = of(jobs)
     upload = mine.uploads.add(
         str(uuid7()), "cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S, "host:/uploads"
@@ -40,7 +40,7 @@ def test_what_was_said_comes_back(jobs: Bench) -> None:
 
 
 @pytest.mark.parametrize("act", ["get", "delete", "renew"])
-def test_another_tenant_s_is_not_there(jobs: Bench, act: str) -> None:
+def test_another_tenant_s_is_not_there(jobs: StoreBench, act: str) -> None:
     upload_id = begin(of(jobs, "theirs"))
     arguments = [HOUR_S] if act == "renew" else []
     for records in (of(jobs, "mine"), of(jobs, "nobody")):
@@ -50,7 +50,7 @@ def test_another_tenant_s_is_not_there(jobs: Bench, act: str) -> None:
     assert of(jobs, "theirs").uploads.get(upload_id).id == upload_id
 
 
-def test_one_that_was_deleted_is_gone(jobs: Bench) -> None:
+def test_one_that_was_deleted_is_gone(jobs: StoreBench) -> None:
     mine = of(jobs)
     upload_id = begin(mine)
     mine.uploads.delete(upload_id)
@@ -60,7 +60,7 @@ def test_one_that_was_deleted_is_gone(jobs: Bench) -> None:
     assert [event.act for event in jobs.store.audit.events("mine")] == ["upload-deleted", "upload-created"]
 
 
-def test_one_whose_time_is_over_is_gone(jobs: Bench) -> None:
+def test_one_whose_time_is_over_is_gone(jobs: StoreBench) -> None:
     mine = of(jobs)
     old, new = begin(mine), begin(mine)
     expire(jobs, old)
@@ -74,7 +74,7 @@ def test_one_whose_time_is_over_is_gone(jobs: Bench) -> None:
     assert jobs.store.uploads.known([old, new]) == {new}
 
 
-def test_a_session_uses_uploads_up_or_does_not_come_to_be(jobs: Bench) -> None:
+def test_a_session_uses_uploads_up_or_does_not_come_to_be(jobs: StoreBench) -> None:
     mine, theirs = of(jobs), of(jobs, "theirs")
     first, second, other = begin(mine), begin(mine), begin(theirs)
 
@@ -96,7 +96,7 @@ def test_a_session_uses_uploads_up_or_does_not_come_to_be(jobs: Bench) -> None:
     assert theirs.uploads.get(other).id == other
 
 
-def test_session_and_job_come_together_or_not_at_all(jobs: Bench) -> None:
+def test_session_and_job_come_together_or_not_at_all(jobs: StoreBench) -> None:
     mine = of(jobs, quotas=Quotas(unfinished_jobs=1))
     upload_id = begin(mine)
 
@@ -117,7 +117,7 @@ def test_session_and_job_come_together_or_not_at_all(jobs: Bench) -> None:
     make(upload_id)
 
 
-def test_quotas(jobs: Bench) -> None:
+def test_quotas(jobs: StoreBench) -> None:
     mine = of(jobs, quotas=Quotas(uploads=2, stored_bytes=1000))
     first = begin(mine, 100)
     with pytest.raises(QuotaExceeded, match="stored bytes"):
@@ -131,7 +131,7 @@ def test_quotas(jobs: Bench) -> None:
     assert (mine.usage().uploads, mine.usage().stored_bytes) == (2, 1000)
 
 
-def test_no_byte_counts_twice_when_an_upload_becomes_a_session_s(jobs: Bench) -> None:
+def test_no_byte_counts_twice_when_an_upload_becomes_a_session_s(jobs: StoreBench) -> None:
     mine = of(jobs, quotas=Quotas(uploads=1, stored_bytes=100))
     upload_id = begin(mine, 100)
     session_id = jobs.store.sessions.reserve_id()

@@ -26,7 +26,7 @@ from worker.jobs.database.transitions import (
     settle_canceling,
 )
 from worker.jobs.model.calibrations import MadeCalibration
-from worker.jobs.model.jobs import Problem, Result
+from worker.jobs.model.jobs import JobProblem, Result
 from worker.jobs.model.states import AT_WORK, ChunkState, JobState
 from worker.jobs.model.work import Claim, KeptPiece
 from worker.jobs.repositories.attempts import note_failure
@@ -168,7 +168,7 @@ class Leases:
                 return False
             return advance(connection, job.id, chunk.stage_index)
 
-    def fail(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
+    def fail(self, chunk_id: int, lease_token: str, problem: JobProblem) -> bool:
         """Record a failed try, which the chunk repeats or which ends the job; return whether the chunk became ready."""
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
@@ -178,14 +178,14 @@ class Leases:
         """Give a chunk back unfinished: its job is canceled or its worker stops. Return whether it became ready."""
         return self._give_back(chunk_id, lease_token, None)
 
-    def give_back(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
+    def give_back(self, chunk_id: int, lease_token: str, problem: JobProblem) -> bool:
         """Give a chunk back because of an outage: it costs no try, and the job waits for ``problem``.
 
         Returns whether the chunk became ready.
         """
         return self._give_back(chunk_id, lease_token, problem)
 
-    def _give_back(self, chunk_id: int, lease_token: str, outage: Problem | None) -> bool:
+    def _give_back(self, chunk_id: int, lease_token: str, outage: JobProblem | None) -> bool:
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
@@ -278,7 +278,7 @@ def _lock_held(
     return None if job is None or chunk is None else (job, chunk)
 
 
-def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem, **values: Any) -> bool:
+def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: JobProblem, **values: Any) -> bool:
     """Make a chunk ready for its next try, or end its job; return whether it became ready. ``values`` are columns."""
     if job.state == JobState.CANCELING:
         _cancel(connection, job, chunk)
@@ -309,8 +309,8 @@ def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:
     count(connection, Total.CHUNK_UNITS, chunk.stage, chunk.unit_count)
 
 
-def _worker_lost(stage: str) -> Problem:
-    return Problem(
+def _worker_lost(stage: str) -> JobProblem:
+    return JobProblem(
         WORKER_LOST,
         f"A worker of the stage {stage} fell silent.",
         stage=stage,
@@ -319,8 +319,8 @@ def _worker_lost(stage: str) -> Problem:
     )
 
 
-def _output_damaged(chunk: Row[Any]) -> Problem:
-    return Problem(
+def _output_damaged(chunk: Row[Any]) -> JobProblem:
+    return JobProblem(
         OUTPUT_DAMAGED,
         f"The stored output of chunk {chunk.chunk_index} of the stage {chunk.stage} was damaged.",
         stage=chunk.stage,

@@ -8,7 +8,7 @@ from pipeline.problem_codes.jobs import WORKER_LOST
 from worker.jobs.database.tables import chunks, failures, jobs
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job, set_waiting
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.states import AT_WORK, ChunkState
 from worker.jobs.model.work import Claim
 from worker.jobs.outages import Outage
@@ -20,7 +20,7 @@ class Waits:
     def __init__(self, transactions: Transactions) -> None:
         self._transactions = transactions
 
-    def begin_broker_outage(self, problem: Problem) -> None:
+    def begin_broker_outage(self, problem: JobProblem) -> None:
         """Let jobs with ready chunks wait for the broker, unless they wait for something already."""
         ready = select(chunks.c.job_id).where(chunks.c.state == ChunkState.READY)
         waiting = select(jobs.c.id).where(jobs.c.id.in_(ready), jobs.c.state.in_(AT_WORK), jobs.c.waiting_for.is_(None))

@@ -3,7 +3,7 @@
 import pytest
 import sqlalchemy as sa
 
-from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, StoreBench, stages
 from worker.jobs.database import tables
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import Conflict, NotFound
@@ -13,17 +13,17 @@ from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 
 
-def make_job(jobs: Bench, tenant: str, key_id: str | None = None) -> tuple[TenantRecords, str]:
+def make_job(jobs: StoreBench, tenant: str, key_id: str | None = None) -> tuple[TenantRecords, str]:
     records = jobs.store.of(tenant, Quotas(), Actor(key_id, "request"))
     session_id = records.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     return records, records.jobs.add(session_id, JobSpec(), stages(1)).id
 
 
-def find(jobs: Bench, secret: str) -> Link | None:
+def find(jobs: StoreBench, secret: str) -> Link | None:
     return jobs.store.link_secrets.find(secret)
 
 
-def test_a_link_is_found_by_its_secret_alone(jobs: Bench) -> None:
+def test_a_link_is_found_by_its_secret_alone(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     link, secret = records.links.add(job_id, LinkScope.FILE, "person-1.bvh", 60.0)
     assert (link.tenant, link.job_id, link.scope, link.name) == ("mine", job_id, "file", "person-1.bvh")
@@ -35,7 +35,7 @@ def test_a_link_is_found_by_its_secret_alone(jobs: Bench) -> None:
     assert len(secret) >= len("mcl_") + 43  # 256 bits
 
 
-def test_the_secret_is_not_stored(jobs: Bench) -> None:
+def test_the_secret_is_not_stored(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     _, secret = records.links.add(job_id, LinkScope.JOB, None, 60.0)
     engine = sa.create_engine(jobs.url)
@@ -50,7 +50,7 @@ def test_the_secret_is_not_stored(jobs: Bench) -> None:
     assert not any(secret.removeprefix("mcl_") in row for row in rows)
 
 
-def test_a_link_ends_by_itself(jobs: Bench) -> None:
+def test_a_link_ends_by_itself(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     link, secret = records.links.add(job_id, LinkScope.EVENTS, None, -1.0)
     assert find(jobs, secret) is None
@@ -60,7 +60,7 @@ def test_a_link_ends_by_itself(jobs: Bench) -> None:
         records.links.revoke(link.id)
 
 
-def test_a_link_is_revoked_by_its_tenant_alone(jobs: Bench) -> None:
+def test_a_link_is_revoked_by_its_tenant_alone(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     others, _ = make_job(jobs, "others")
     link, secret = records.links.add(job_id, LinkScope.JOB, None, 60.0)
@@ -77,7 +77,7 @@ def test_a_link_is_revoked_by_its_tenant_alone(jobs: Bench) -> None:
     assert acts[:3] == [("link-revoked", link.id), ("link-created", kept.id), ("link-created", link.id)]
 
 
-def test_a_link_ends_with_its_job(jobs: Bench) -> None:
+def test_a_link_ends_with_its_job(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     _, secret = records.links.add(job_id, LinkScope.JOB, None, 60.0)
     records.jobs.cancel(job_id)
@@ -86,7 +86,7 @@ def test_a_link_ends_with_its_job(jobs: Bench) -> None:
     assert find(jobs, secret) is None
 
 
-def test_a_link_ends_with_its_key(jobs: Bench) -> None:
+def test_a_link_ends_with_its_key(jobs: StoreBench) -> None:
     key, _ = jobs.store.keys.add("mine", "portal", {Scope.WRITE})
     other, _ = jobs.store.keys.add("mine", "script", {Scope.WRITE})
     records, job_id = make_job(jobs, "mine", key.id)
@@ -98,7 +98,7 @@ def test_a_link_ends_with_its_key(jobs: Bench) -> None:
     assert jobs.store.link_secrets.valid({link.id}) == set()
 
 
-def test_a_link_without_a_key_ends_with_the_first_key(jobs: Bench) -> None:
+def test_a_link_without_a_key_ends_with_the_first_key(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "default")
     _, secret = records.links.add(job_id, LinkScope.JOB, None, 60.0)
     assert find(jobs, secret) is not None
@@ -106,7 +106,7 @@ def test_a_link_without_a_key_ends_with_the_first_key(jobs: Bench) -> None:
     assert find(jobs, secret) is None
 
 
-def test_links_of_a_job_are_limited(jobs: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_links_of_a_job_are_limited(jobs: StoreBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(links, "MAX_LINKS", 2)
     records, job_id = make_job(jobs, "mine")
     records.links.add(job_id, LinkScope.JOB, None, -1.0)

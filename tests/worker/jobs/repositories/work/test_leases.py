@@ -7,9 +7,9 @@ import pytest
 
 from pipeline.problem_codes.jobs import INPUT_ERROR
 from pipeline.problem_codes.requests import INTERNAL_ERROR
-from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, Bench, result, stages
+from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, StoreBench, result, stages
 from worker.jobs.database.quotas import NO_QUOTAS
-from worker.jobs.model.jobs import Problem
+from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.rights import Actor, Scope
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.model.work import ChunkOutput, Claim
@@ -17,11 +17,11 @@ from worker.jobs.spec import JobSpec
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
-PROBLEM = Problem(INTERNAL_ERROR, "The stage detect failed inside the service.", stage="detect", retryable=True)
+PROBLEM = JobProblem(INTERNAL_ERROR, "The stage detect failed inside the service.", stage="detect", retryable=True)
 FINAL = replace(PROBLEM, code=INPUT_ERROR, retryable=False)
 
 
-def test_a_claim_says_all_that_a_worker_needs(jobs: Bench) -> None:
+def test_a_claim_says_all_that_a_worker_needs(jobs: StoreBench) -> None:
     job = jobs.queue()
     claim = jobs.claim()
     assert claim == Claim(
@@ -41,7 +41,7 @@ def test_a_claim_says_all_that_a_worker_needs(jobs: Bench) -> None:
     )
 
 
-def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: Bench) -> None:
+def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: StoreBench) -> None:
     old, new = jobs.queue(2).id, jobs.queue(2).id
     claims = [jobs.claim() for _ in range(4)]
     assert [(claim.job_id, claim.index) for claim in claims] == [(old, 0), (old, 1), (new, 0), (new, 1)]
@@ -49,14 +49,14 @@ def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: Bench) -> 
     assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
-def queue_of_other(jobs: Bench, num_chunks: int) -> str:
+def queue_of_other(jobs: StoreBench, num_chunks: int) -> str:
     """Queue a job of another tenant; returns its id."""
     other = jobs.store.of("other", NO_QUOTAS, Actor())
     session_id = other.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     return other.jobs.add(session_id, JobSpec(), stages(num_chunks)).id
 
 
-def test_a_long_queue_of_one_tenant_delays_nobody_else(jobs: Bench) -> None:
+def test_a_long_queue_of_one_tenant_delays_nobody_else(jobs: StoreBench) -> None:
     """Tenants have equal shares of the chunks at work, however many jobs each has and whoever was first."""
     first = [jobs.queue(4).id for _ in range(3)]
     held = [jobs.claim() for _ in range(2)]
@@ -69,7 +69,7 @@ def test_a_long_queue_of_one_tenant_delays_nobody_else(jobs: Bench) -> None:
     assert sum(1 for _ in iter(lambda: jobs.store.leases.claim("worker", LEASE_S), None)) == 12 + 6 - 10
 
 
-def test_tenants_take_turns_on_one_worker(jobs: Bench) -> None:
+def test_tenants_take_turns_on_one_worker(jobs: StoreBench) -> None:
     for _ in range(20):
         jobs.queue(4)
     late = queue_of_other(jobs, 1)
@@ -82,12 +82,12 @@ def test_tenants_take_turns_on_one_worker(jobs: Bench) -> None:
     assert late in [finish_one() for _ in range(40)]  # by chance not, once in a million millions
 
 
-def list_workers(jobs: Bench, num_workers: int) -> None:
+def list_workers(jobs: StoreBench, num_workers: int) -> None:
     for number in range(num_workers):
         jobs.store.workers.report(WorkerStatus(f"host:{number}", WorkerState.READY, "works"))
 
 
-def test_one_worker_stays_free_for_the_other_tenants(jobs: Bench) -> None:
+def test_one_worker_stays_free_for_the_other_tenants(jobs: StoreBench) -> None:
     """However long a tenant's chunks take, and although the others have nothing to do when they begin."""
     for tenant in ("default", "other"):
         jobs.store.keys.add(tenant, "portal", {Scope.READ, Scope.WRITE})
@@ -110,7 +110,7 @@ def test_one_worker_stays_free_for_the_other_tenants(jobs: Bench) -> None:
     ],
 )
 def test_all_workers_are_one_tenants_where_no_other_could_use_them(
-    jobs: Bench, keys: Mapping[str, Scope], num_workers: int
+    jobs: StoreBench, keys: Mapping[str, Scope], num_workers: int
 ) -> None:
     for tenant, scope in keys.items():
         jobs.store.keys.add(tenant, "key", {scope})
@@ -120,7 +120,7 @@ def test_all_workers_are_one_tenants_where_no_other_could_use_them(
         jobs.claim()
 
 
-def test_a_revoked_key_reserves_no_worker(jobs: Bench) -> None:
+def test_a_revoked_key_reserves_no_worker(jobs: StoreBench) -> None:
     jobs.store.keys.add("default", "portal", {Scope.WRITE})
     revoked, _ = jobs.store.keys.add("other", "portal", {Scope.WRITE})
     jobs.store.keys.add("expired", "portal", {Scope.WRITE}, lifetime_s=-1.0)
@@ -132,7 +132,7 @@ def test_a_revoked_key_reserves_no_worker(jobs: Bench) -> None:
     jobs.claim()
 
 
-def test_the_only_worker_serves_everybody(jobs: Bench) -> None:
+def test_the_only_worker_serves_everybody(jobs: StoreBench) -> None:
     for tenant in ("default", "other"):
         jobs.store.keys.add(tenant, "portal", {Scope.WRITE})
     list_workers(jobs, 1)
@@ -140,11 +140,11 @@ def test_the_only_worker_serves_everybody(jobs: Bench) -> None:
     jobs.finish_all()
 
 
-def test_without_jobs_there_is_nothing_to_claim(jobs: Bench) -> None:
+def test_without_jobs_there_is_nothing_to_claim(jobs: StoreBench) -> None:
     assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
-def test_a_reduce_is_ready_when_the_whole_map_is_done(jobs: Bench) -> None:
+def test_a_reduce_is_ready_when_the_whole_map_is_done(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=3)
     claims = [jobs.claim() for _ in range(3)]
     assert [jobs.finish(claim) for claim in (claims[2], claims[0])] == [False, False]
@@ -153,7 +153,7 @@ def test_a_reduce_is_ready_when_the_whole_map_is_done(jobs: Bench) -> None:
     assert jobs.claim().stage == "export"
 
 
-def test_each_stage_follows_the_one_before(jobs: Bench) -> None:
+def test_each_stage_follows_the_one_before(jobs: StoreBench) -> None:
     detect, export = stages(2)
     job = jobs.store.jobs.add(jobs.session_id, JobSpec(), (detect, replace(export, name="fit"), export))
     order = []
@@ -177,7 +177,7 @@ REPORTS: dict[str, Report] = {
 
 
 @pytest.mark.parametrize("report", REPORTS.values(), ids=REPORTS.keys())
-def test_only_the_holder_is_heard(jobs: Bench, report: Report) -> None:
+def test_only_the_holder_is_heard(jobs: StoreBench, report: Report) -> None:
     job_id = jobs.queue(num_chunks=1).id
     lost = jobs.claim(EXPIRED_S)
     jobs.store.leases.reap(LEASE_S)
@@ -196,7 +196,7 @@ def test_only_the_holder_is_heard(jobs: Bench, report: Report) -> None:
     assert [file.name for file in jobs.store.results.of_job(job_id)] == ["person-1.bvh"]
 
 
-def test_a_heartbeat_keeps_the_lease(jobs: Bench) -> None:
+def test_a_heartbeat_keeps_the_lease(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim(EXPIRED_S)
     assert jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
@@ -204,7 +204,7 @@ def test_a_heartbeat_keeps_the_lease(jobs: Bench) -> None:
     assert jobs.finish(claim)
 
 
-def test_a_lease_ends_by_the_clock(jobs: Bench) -> None:
+def test_a_lease_ends_by_the_clock(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim(lease_s=0.3)
     assert not jobs.store.leases.reap(LEASE_S)
@@ -213,7 +213,7 @@ def test_a_lease_ends_by_the_clock(jobs: Bench) -> None:
     assert not jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
 
 
-def test_a_clock_that_was_put_back_keeps_no_lease_alive(jobs: Bench) -> None:
+def test_a_clock_that_was_put_back_keeps_no_lease_alive(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=2)
     lost, held = jobs.claim(lease_s=3600.0), jobs.claim(lease_s=3600.0)  # as if it had been an hour later
     assert not jobs.store.leases.reap(0.2)
@@ -224,12 +224,12 @@ def test_a_clock_that_was_put_back_keeps_no_lease_alive(jobs: Bench) -> None:
     assert jobs.store.leases.heartbeat(held.chunk_id, held.lease_token, 1, LEASE_S)
 
 
-def test_a_late_finish_counts_while_nobody_has_taken_the_chunk_back(jobs: Bench) -> None:
+def test_a_late_finish_counts_while_nobody_has_taken_the_chunk_back(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     assert jobs.finish(jobs.claim(EXPIRED_S))
 
 
-def test_progress_never_goes_back(jobs: Bench) -> None:
+def test_progress_never_goes_back(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     total = 2 * UNITS
     claim = jobs.claim()
@@ -244,7 +244,7 @@ def test_progress_never_goes_back(jobs: Bench) -> None:
     assert jobs.store.jobs.get(job_id).progress == 10 / total
 
 
-def test_a_failure_worth_another_try_gets_it(jobs: Bench) -> None:
+def test_a_failure_worth_another_try_gets_it(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     for attempt in range(1, MAX_ATTEMPTS):
         claim = jobs.claim()
@@ -263,7 +263,7 @@ def test_a_failure_worth_another_try_gets_it(jobs: Bench) -> None:
     assert {one.problem for one in whole.failures} == {PROBLEM}
 
 
-def test_another_failure_ends_the_job_and_stops_its_workers(jobs: Bench) -> None:
+def test_another_failure_ends_the_job_and_stops_its_workers(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=4).id
     done, broken, other = jobs.claim(), jobs.claim(), jobs.claim()
     jobs.finish(done)
@@ -278,7 +278,7 @@ def test_another_failure_ends_the_job_and_stops_its_workers(jobs: Bench) -> None
     assert not jobs.store.leases.reap(LEASE_S)
 
 
-def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: Bench) -> None:
+def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     for _ in range(2 * MAX_ATTEMPTS):
         claim = jobs.claim()
@@ -287,7 +287,7 @@ def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: Bench) -> None:
     assert jobs.store.jobs.get(job_id).state == JobState.RUNNING
 
 
-def test_reap_says_whether_anything_is_ready(jobs: Bench) -> None:
+def test_reap_says_whether_anything_is_ready(jobs: StoreBench) -> None:
     assert not jobs.store.leases.reap(LEASE_S)
     jobs.queue(num_chunks=1)
     canceled = jobs.queue(num_chunks=2)
@@ -301,7 +301,7 @@ def test_reap_says_whether_anything_is_ready(jobs: Bench) -> None:
     assert jobs.store.leases.reap(LEASE_S)
 
 
-def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: Bench) -> None:
+def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     for attempt in range(1, MAX_ATTEMPTS + 1):
         assert jobs.store.jobs.get(job_id).state in {JobState.QUEUED, JobState.RUNNING}
@@ -314,7 +314,7 @@ def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: Bench) -> None
     assert not jobs.store.leases.reap(LEASE_S)
 
 
-def test_reap_ends_a_canceled_job_whose_workers_are_gone(jobs: Bench) -> None:
+def test_reap_ends_a_canceled_job_whose_workers_are_gone(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.claim(EXPIRED_S)
     jobs.claim(EXPIRED_S)
@@ -323,7 +323,7 @@ def test_reap_ends_a_canceled_job_whose_workers_are_gone(jobs: Bench) -> None:
     assert jobs.store.jobs.get(job_id).state == JobState.CANCELED
 
 
-def test_outputs_are_recorded_by_session(jobs: Bench) -> None:
+def test_outputs_are_recorded_by_session(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim()
     assert jobs.store.outputs.find(jobs.session_id, claim.output_key) is None
@@ -332,7 +332,7 @@ def test_outputs_are_recorded_by_session(jobs: Bench) -> None:
     assert jobs.store.outputs.find("another", claim.output_key) is None
 
 
-def test_the_last_record_of_an_output_counts(jobs: Bench) -> None:
+def test_the_last_record_of_an_output_counts(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     jobs.queue(num_chunks=1)
     for sha256 in ("a" * 64, "b" * 64):
@@ -341,7 +341,7 @@ def test_the_last_record_of_an_output_counts(jobs: Bench) -> None:
     assert jobs.store.outputs.find(jobs.session_id, "detect-0") == ("b" * 64, 1)
 
 
-def start_reduce(jobs: Bench, num_chunks: int = 3) -> tuple[str, Claim]:
+def start_reduce(jobs: StoreBench, num_chunks: int = 3) -> tuple[str, Claim]:
     """A job whose map is done and whose reduce runs."""
     job_id = jobs.queue(num_chunks).id
     for _ in range(num_chunks):
@@ -351,7 +351,7 @@ def start_reduce(jobs: Bench, num_chunks: int = 3) -> tuple[str, Claim]:
     return job_id, claim
 
 
-def test_damaged_outputs_are_computed_again_before_the_chunk_that_reads_them(jobs: Bench) -> None:
+def test_damaged_outputs_are_computed_again_before_the_chunk_that_reads_them(jobs: StoreBench) -> None:
     job_id, reduce = start_reduce(jobs)
     before = jobs.store.jobs.get(job_id)
     assert jobs.store.leases.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {0, 2})
@@ -373,7 +373,7 @@ def test_damaged_outputs_are_computed_again_before_the_chunk_that_reads_them(job
     ]
 
 
-def test_a_second_finder_waits_for_the_first_one(jobs: Bench) -> None:
+def test_a_second_finder_waits_for_the_first_one(jobs: StoreBench) -> None:
     detect, export = stages(2)
     (chunk,) = export.chunks
     chunks = tuple(replace(chunk, index=index, output_key=f"export-{index}") for index in range(3))
@@ -392,7 +392,7 @@ def test_a_second_finder_waits_for_the_first_one(jobs: Bench) -> None:
     assert jobs.store.jobs.get(job_id).state == JobState.RUNNING
 
 
-def test_outputs_that_stay_damaged_end_the_job(jobs: Bench) -> None:
+def test_outputs_that_stay_damaged_end_the_job(jobs: StoreBench) -> None:
     job_id, reduce = start_reduce(jobs)
     for _ in range(MAX_ATTEMPTS - 1):
         assert jobs.store.leases.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {1})
@@ -408,7 +408,7 @@ def test_outputs_that_stay_damaged_end_the_job(jobs: Bench) -> None:
     assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
-def test_outputs_bear_the_digests_that_they_were_finished_with(jobs: Bench) -> None:
+def test_outputs_bear_the_digests_that_they_were_finished_with(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.finish(jobs.claim())
     outputs = jobs.store.outputs.of_stage(job_id, "detect")

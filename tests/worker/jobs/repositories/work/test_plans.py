@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from tests.worker.jobs.conftest import CODE, LEASE_S, Bench, stages
+from tests.worker.jobs.conftest import CODE, LEASE_S, StoreBench, stages
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.model.work import StagePlan
 from worker.jobs.worker_status import WorkerState, WorkerStatus
@@ -12,7 +12,7 @@ from worker.jobs.worker_status import WorkerState, WorkerStatus
 OTHER = "d" * 64
 
 
-def list_worker(jobs: Bench, *codes: str, state: WorkerState = WorkerState.READY) -> None:
+def list_worker(jobs: StoreBench, *codes: str, state: WorkerState = WorkerState.READY) -> None:
     jobs.store.workers.report(WorkerStatus("host:1", state, "works", codes=codes))
 
 
@@ -20,14 +20,14 @@ def of_other_code(num_chunks: int) -> tuple[StagePlan, ...]:
     return tuple(StagePlan(stage.name, stage.chunks, OTHER) for stage in stages(num_chunks))
 
 
-def test_a_worker_takes_chunks_of_its_own_code_only(jobs: Bench) -> None:
+def test_a_worker_takes_chunks_of_its_own_code_only(jobs: StoreBench) -> None:
     jobs.queue(2)
     assert jobs.store.leases.claim("worker", LEASE_S, {OTHER}) is None
     claim = jobs.store.leases.claim("worker", LEASE_S, {OTHER, CODE})
     assert claim is not None
 
 
-def test_two_versions_work_side_by_side(jobs: Bench) -> None:
+def test_two_versions_work_side_by_side(jobs: StoreBench) -> None:
     old = jobs.queue(1).id
     new = jobs.store.jobs.add(jobs.session_id, jobs.store.jobs.get(old).spec, of_other_code(1)).id
     for code, job_id in ((OTHER, new), (CODE, old)):
@@ -39,7 +39,7 @@ def test_two_versions_work_side_by_side(jobs: Bench) -> None:
         assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
-def test_a_job_that_no_worker_can_run_is_found(jobs: Bench) -> None:
+def test_a_job_that_no_worker_can_run_is_found(jobs: StoreBench) -> None:
     job_id = jobs.queue(2).id
     assert jobs.store.plans.unclaimable() == [job_id]
     assert not jobs.store.plans.is_run([OTHER])
@@ -53,7 +53,7 @@ def test_a_job_that_no_worker_can_run_is_found(jobs: Bench) -> None:
     assert not jobs.store.plans.is_run([OTHER])
 
 
-def test_a_job_waits_for_its_running_chunks_before_it_is_planned_again(jobs: Bench) -> None:
+def test_a_job_waits_for_its_running_chunks_before_it_is_planned_again(jobs: StoreBench) -> None:
     job_id = jobs.queue(2).id
     list_worker(jobs, OTHER)
     held = jobs.claim()
@@ -69,7 +69,7 @@ def test_a_job_waits_for_its_running_chunks_before_it_is_planned_again(jobs: Ben
 
 
 @pytest.mark.parametrize("end", ["succeeded", "canceled"])
-def test_a_job_that_has_ended_is_not_planned_again(jobs: Bench, end: str) -> None:
+def test_a_job_that_has_ended_is_not_planned_again(jobs: StoreBench, end: str) -> None:
     job_id = jobs.queue(1).id
     if end == "succeeded":
         jobs.finish_all()
@@ -80,7 +80,7 @@ def test_a_job_that_has_ended_is_not_planned_again(jobs: Bench, end: str) -> Non
     assert jobs.store.jobs.get(job_id).state == end
 
 
-def test_a_canceled_job_ends_although_no_worker_runs_its_code(jobs: Bench) -> None:
+def test_a_canceled_job_ends_although_no_worker_runs_its_code(jobs: StoreBench) -> None:
     job_id = jobs.queue(1).id
     list_worker(jobs, OTHER)
     jobs.claim(lease_s=-1.0)

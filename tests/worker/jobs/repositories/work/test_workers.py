@@ -1,7 +1,7 @@
 import pytest
 import sqlalchemy as sa
 
-from tests.worker.jobs.conftest import Bench
+from tests.worker.jobs.conftest import StoreBench
 from worker.jobs.database.tables import workers
 from worker.jobs.errors import NewerDatabase
 from worker.jobs.repositories.work.workers import installed_detectors
@@ -11,11 +11,11 @@ STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 
 READY = WorkerStatus("host:2", WorkerState.READY, "A worker works", detectors=("movenet-multipose", "other"))
 
 
-def seen_ago(jobs: Bench, seconds: float) -> None:
+def seen_ago(jobs: StoreBench, seconds: float) -> None:
     jobs.execute(sa.update(workers).values(seen_at=workers.c.seen_at - seconds))
 
 
-def test_workers_are_listed_as_they_last_reported(jobs: Bench) -> None:
+def test_workers_are_listed_as_they_last_reported(jobs: StoreBench) -> None:
     jobs.store.workers.report(READY)
     jobs.store.workers.report(STARTING)
     assert jobs.store.workers.all() == [STARTING, READY]
@@ -27,7 +27,7 @@ def test_workers_are_listed_as_they_last_reported(jobs: Bench) -> None:
 
 
 @pytest.mark.parametrize("seconds", [11.0, -11.0])
-def test_a_silent_worker_is_not_there_also_where_the_clock_was_put_back(jobs: Bench, seconds: float) -> None:
+def test_a_silent_worker_is_not_there_also_where_the_clock_was_put_back(jobs: StoreBench, seconds: float) -> None:
     jobs.store.workers.report(READY)
     seen_ago(jobs, seconds)
     assert jobs.store.workers.all() == []
@@ -39,7 +39,7 @@ def test_a_silent_worker_is_not_there_also_where_the_clock_was_put_back(jobs: Be
     engine.dispose()
 
 
-def test_only_workers_that_are_ready_know_their_detectors(jobs: Bench) -> None:
+def test_only_workers_that_are_ready_know_their_detectors(jobs: StoreBench) -> None:
     assert installed_detectors([]) is None
     assert installed_detectors([STARTING]) is None
     assert installed_detectors([STARTING, READY]) == frozenset({"movenet-multipose", "other"})
@@ -51,7 +51,7 @@ def test_a_detector_is_installed_where_every_worker_has_it() -> None:
     assert installed_detectors([READY, other]) == frozenset({"movenet-multipose"})
 
 
-def test_a_worker_refuses_a_database_of_a_newer_version(jobs: Bench) -> None:
+def test_a_worker_refuses_a_database_of_a_newer_version(jobs: StoreBench) -> None:
     jobs.store.require_known_schema()
     jobs.execute(sa.text("UPDATE alembic_version SET version_num = '0099'"))
     with pytest.raises(NewerDatabase, match="0099"):
