@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from pipeline.problem_codes.model import Code
+
 
 @dataclass(frozen=True, slots=True)
 class Value:
@@ -28,13 +30,21 @@ class Network(Value):
 
 
 @dataclass(frozen=True, slots=True)
+class FrameLimit:
+    """Largest number of frames of a file, and the code of a longer take."""
+
+    max_frames: int
+    code: Code
+
+
+@dataclass(frozen=True, slots=True)
 class FileFormat(Value):
     """A format of a person's file; ``pipeline.export.formats`` writes and reads it."""
 
     media_type: str  # RFC 6838, as the service sends it
     # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints
     holds: Literal["motion", "joints"]
-    max_frames: int | None = None  # Largest number of frames of a file; ``None``: no limit
+    limit: FrameLimit | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, cast, get_args
 
-from pipeline.choices import About, FileFormat, Network, OtherNames, Value, choices_of, values_of
+from pipeline.choices import About, FileFormat, FrameLimit, Network, OtherNames, Value, choices_of, values_of
 from pipeline.edits import PeopleEdit
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
+from pipeline.problem_codes.specs import TOO_LONG_FOR_C3D
 
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
@@ -102,7 +103,9 @@ Export = (
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
     | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
     # The header counts frames in 16 bits, and readers take no longer files.
-    | Annotated[Literal["c3d"], FileFormat("C3D, joints", _BYTES, "joints", max_frames=2**16 - 1)]
+    | Annotated[
+        Literal["c3d"], FileFormat("C3D, joints", _BYTES, "joints", limit=FrameLimit(2**16 - 1, TOO_LONG_FOR_C3D))
+    ]
     | Annotated[Literal["csv"], FileFormat("CSV, joints in a table", _CSV, "joints")]
 )
 Preset = (
@@ -393,13 +396,3 @@ def install_command(*names: str) -> str:
         if publisher is not None:
             return f"Get it from {publisher}, then run: multicap models add {name} --from FOLDER or URL"
     return f"Run: multicap models install {' '.join(names)}"
-
-
-def unlimited_alternatives(export: Export) -> tuple[Export, ...]:
-    """Formats that hold the same as another one, with any number of frames."""
-    holds = FILE_FORMATS[export].holds
-    return tuple(
-        name
-        for name, file_format in FILE_FORMATS.items()
-        if file_format.holds == holds and file_format.max_frames is None
-    )

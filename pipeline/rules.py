@@ -17,13 +17,12 @@ from pipeline.config import (
     JobChoices,
     ReconstructionConfig,
     Smoothing,
-    unlimited_alternatives,
 )
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import UNKNOWN_PARAMETER
 from pipeline.problem_codes.fields import EXPORT_REPEATED
 from pipeline.problem_codes.sessions import TOO_MANY_FRAMES
-from pipeline.problem_codes.specs import CUTOFF_RANGE, FRAME_RANGE, TOO_LONG_FOR
+from pipeline.problem_codes.specs import CUTOFF_RANGE, FRAME_RANGE
 from pipeline.requirements import Steps, faults, path_text, requirement
 
 CONFIG_CHOICES = {choice.name: choice for choice in choices_of(ReconstructionConfig)}
@@ -124,10 +123,11 @@ def file_problems(
         hint = "Ask for a lower rate, or for fewer frames by frame_range."
         yield Problem(TOO_MANY_FRAMES, message, field="output_rate_hz", hint=hint)
     for export, form in FILE_FORMATS.items():
-        if export in exports and form.max_frames is not None and num_frames > form.max_frames:
-            message = f"A {export.upper()} file holds {form.max_frames} frames at most; these are {num_frames}."
-            hint = f"Use {' or '.join(unlimited_alternatives(export))}, which have no such limit."
-            yield Problem(TOO_LONG_FOR[export], message, field="exports", hint=hint)
+        if export in exports and form.limit is not None and num_frames > form.limit.max_frames:
+            message = f"A {export.upper()} file holds {form.limit.max_frames} frames at most; these are {num_frames}."
+            others = [name for name, other in FILE_FORMATS.items() if other.holds == form.holds and not other.limit]
+            hint = f"Use {' or '.join(others)}, which have no such limit."
+            yield Problem(form.limit.code, message, field="exports", hint=hint)
 
 
 def num_resampled(num_frames: int, frame_rate_hz: float, new_rate_hz: float) -> int:

@@ -17,10 +17,10 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
+from pipeline.data.rigid import Rigid3
 from pipeline.errors import ModelError
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity
-from pipeline.geometry.rigid import Rigid3
 from pipeline.hands.attach import attach_hands, has_hands, without_fingers
 from pipeline.joints import BODY_25, COCO_17, SIDES, WHOLE_BODY, JointSet, finger_joints
 from pipeline.runtime.kernel_cache import cache_folder, is_complete, note_complete

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 
 Units = Literal["m", "cm", "mm"]
 

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world
-from pipeline.geometry.rigid import Rigid3
 
 # Scales of the robust loss: a camera that differs by much more does not move the world.
 _TURN_RAD, _SHIFT_M = np.radians(0.3), 0.02

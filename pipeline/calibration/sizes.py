@@ -7,8 +7,8 @@ import numpy as np
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import twelve_coefficients
-from pipeline.geometry.rigid import Rigid3
 
 _MAX_OFF_CENTRE = 0.25
 # Codecs store whole blocks: 1080 rows become 1088 rows.

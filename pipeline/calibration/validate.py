@@ -9,9 +9,9 @@ import numpy as np
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, LensModel
+from pipeline.data.rigid import Rigid3
 from pipeline.errors import Problem
 from pipeline.geometry.fisheye import NUM_COEFFICIENTS
-from pipeline.geometry.rigid import Rigid3
 from pipeline.parsing import (
     DISTORTION,
     FOCAL_LENGTH_PX,

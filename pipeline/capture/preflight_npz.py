@@ -16,8 +16,8 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
+from pipeline.data.rigid import Rigid3
 from pipeline.findings import Finding
-from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet
 from pipeline.problem_codes.findings import SESSION_WARNING
 from pipeline.runtime.npz import decode_arrays, encode_arrays

@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.data.rigid import Rigid3
 from pipeline.errors import Problem
-from pipeline.geometry.rigid import Rigid3
 
 LensModel = Literal["standard", "fisheye"]
 """OpenCV's distortion models: that of ``calib3d``, and that of its module ``fisheye`` (Kannala and Brandt)."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from pipeline.detect.decoders.fields import FieldGrid
-from pipeline.detect.own.description import OwnNetwork
+from pipeline.detect.own_network import OwnNetwork
 from pipeline.joints import JointOffsets, JointSet
 from pipeline.runtime.packages.index import PinnedFile
 

@@ -11,7 +11,7 @@ from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, FrameTimes
 from pipeline.data.detections import Detections
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from pipeline.joints import JointSet
 from pipeline.simulation.scenes import Simulation
 

@@ -1,9 +1,6 @@
 """Problem codes of specs of jobs."""
 
-from collections.abc import Mapping
-
-from pipeline.config import FILE_FORMATS, unlimited_alternatives
-from pipeline.problem_codes.model import Code, CodeGroup
+from pipeline.problem_codes.model import CodeGroup
 
 _SPEC = ("422", "command")
 
@@ -13,17 +10,9 @@ FRAME_RANGE = SPECS.code(
     "frame_range", _SPEC, "The session does not have these output frames.", "Use frames of the session."
 )
 CUTOFF_RANGE = SPECS.code("cutoff_range", _SPEC, "The cutoff is not below half of the frame rate.", "Use 6 Hz.")
-TOO_LONG_FOR: Mapping[str, Code] = {
-    name: SPECS.code(
-        f"too_long_for_{name}",
-        _SPEC,
-        f"A {name.upper()} file holds at most {file_format.max_frames:,} frames.",
-        f"Use {' or '.join(f'`{other}`' for other in unlimited_alternatives(name))}.",
-    )
-    for name, file_format in FILE_FORMATS.items()
-    if file_format.max_frames is not None
-}
-"""Codes of files that can't hold so many frames, by their formats."""
+TOO_LONG_FOR_C3D = SPECS.code(
+    "too_long_for_c3d", _SPEC, "A C3D file holds at most 65,535 frames.", "Use `trc` or `csv`."
+)
 DETECTOR_NOT_INSTALLED = SPECS.code(
     "detector_not_installed",
     ("422",),

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, FrameTimes, LensModel
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 
 
 class Layout(Enum):

@@ -13,8 +13,8 @@ LOOKED_AT_FRAMES = 12
 
 def look(task: Task, context: Context) -> Output:
     """Look at the people in some frames of a camera's whole video, and choose the size of its images."""
+    from pipeline.detect.look import look_at_people
     from pipeline.detect.profiles.detection import load_detector
-    from pipeline.detect.profiles.look import look_at_people
     from pipeline.detect.profiles.sizes import RULES
     from pipeline.stages.codec import encode
 

@@ -12,7 +12,7 @@ import pytest
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode
 from pipeline.data.cameras import Camera
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from pipeline.runtime.packages.samples import Sample
 from tests.e2e.browsing import opened
 from tests.e2e.captures import video_capture

@@ -9,8 +9,8 @@ import numpy as np
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 

@@ -5,8 +5,8 @@ import pytest
 
 from pipeline.data.cameras import Camera
 from pipeline.data.detections import Detections
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import project
-from pipeline.geometry.rigid import Rigid3
 
 
 def ring_camera(name: str, angle_rad: float, radius_m: float = 4.0, height_m: float = 2.0) -> Camera:

@@ -11,8 +11,8 @@ import typer
 from api.cli.console import JsonOption, console, emit, reporting, show_list
 from pipeline.config import NETWORKS_OF_PROFILES
 from pipeline.detect import models
-from pipeline.detect.own.description import HEADS, Channels, usual_network
 from pipeline.detect.own.files import add_own
+from pipeline.detect.own_network import HEADS, Channels, usual_network
 from pipeline.errors import ModelError
 from pipeline.layouts import LAYOUTS
 

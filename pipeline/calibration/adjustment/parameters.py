@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world, twelve_coefficients
-from pipeline.geometry.rigid import Rigid3
 
 ROTATION, POSITION, EXTRINSICS = slice(0, 3), slice(3, 6), slice(0, 6)
 FOCAL, ASPECT, PRINCIPAL, DISTORTION = slice(6, 7), slice(7, 8), slice(8, 10), slice(10, 22)

@@ -22,8 +22,8 @@ from pipeline.calibration.adjustment.structure import RigidBodies
 from pipeline.calibration.board.spec import Board
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import project
-from pipeline.geometry.rigid import Rigid3
 
 # A board whose best pose leaves a larger median error than this share of the picture's diagonal was mistaken.
 _MAX_ERROR_SHARE = 0.02

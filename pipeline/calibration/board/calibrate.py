@@ -34,9 +34,9 @@ from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration.similarity import move_world
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
-from pipeline.geometry.rigid import Rigid3
 from pipeline.job_choices import KnownPoint
 from pipeline.problem_codes.sessions import KNOWN_POINTS_INVALID
 from pipeline.progress import OnShare, ignore

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from pipeline.calibration.board.spec import Board
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px
 
 # The second solution counts while its error is below this multiple of the first one's, and below this one in pixels.

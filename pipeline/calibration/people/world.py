@@ -13,8 +13,8 @@ from pipeline.calibration.vertical import turn_upright, upright_direction
 from pipeline.data.animation import Floor
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world
-from pipeline.geometry.rigid import Rigid3
 from pipeline.skeleton.feet.floor import estimate_floor
 
 # Feet that reach less far than this along some direction don't determine the slope of the floor.

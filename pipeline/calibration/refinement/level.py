@@ -16,7 +16,7 @@ from pipeline.data.animation import Floor
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
 from pipeline.data.people import Poses3D
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.tracks import triangulate_instants
 from pipeline.joints import JointSet
 from pipeline.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG, fit_floor

@@ -11,7 +11,7 @@ from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.decoders.heatmaps import decode_heatmaps
 from pipeline.detect.decoders.own_heads import decode_rtmo, decode_simcc
-from pipeline.detect.own.description import OwnNetwork
+from pipeline.detect.own_network import OwnNetwork
 from pipeline.detect.session import Network
 from pipeline.joints import JointSet
 from pipeline.layouts import LAYOUTS

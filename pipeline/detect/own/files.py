@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.detect.own.description import OwnNetwork, decode_description, encode_description
+from pipeline.detect.own_network import OwnNetwork, decode_description, encode_description
 from pipeline.detect.registry import LooseWeights, NetworkEntry, NetworkHead, NetworkInput
 from pipeline.errors import ModelError
 from pipeline.layouts import LAYOUTS

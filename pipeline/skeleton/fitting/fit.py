@@ -18,6 +18,7 @@ from pipeline.skeleton.fitting.articulated import JointPoses, landmarks_of, refi
 from pipeline.skeleton.fitting.articulation import FREEDOMS, articulate
 from pipeline.skeleton.fitting.positions import SCALES_M, fit_positions, usual_step_m
 from pipeline.skeleton.fitting.rays import Rays
+from pipeline.skeleton.fitting.solve import solve_pose
 from pipeline.skeleton.fitting.uncertainty import uncertainty_m
 from pipeline.skeleton.fitting.windows import Blend, windows
 from pipeline.skeleton.gaps import gaps_up_to
@@ -32,7 +33,6 @@ from pipeline.skeleton.marks import (
 from pipeline.skeleton.model import INDEX, SKELETON
 from pipeline.skeleton.rigid_parts import landmark_offsets_m
 from pipeline.skeleton.rotations import continuous_quat_xyzw
-from pipeline.skeleton.solve import solve_pose
 
 MAX_GAP_S = 1.0
 """Longest gap between two measurements of a joint that is filled."""

@@ -12,9 +12,9 @@ from pipeline.calibration.contents import UNKNOWN_SIZE, Units
 from pipeline.calibration.registry import MAX_BYTES, read_calibration
 from pipeline.calibration.write import encode
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.runtime.packages import samples
 from pipeline.tracking.parameters import viewed_point_m

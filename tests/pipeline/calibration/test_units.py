@@ -8,7 +8,7 @@ import pytest
 from pipeline.calibration.contents import Units, scaled
 from pipeline.calibration.units import possible_units, question
 from pipeline.data.cameras import Camera
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 
 RING = build_cameras(Rig(Layout.RING, 4, (4.0, 3.0), 2.2), np.random.default_rng(1))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import ENCODERS, FORMATS
 from pipeline.data.cameras import Camera
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye
 
 

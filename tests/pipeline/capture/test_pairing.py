@@ -3,7 +3,7 @@ import pytest
 
 from pipeline.capture.pairing import pair
 from pipeline.data.cameras import Camera
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 
 
 def camera(name: str, section: str = "") -> Camera:

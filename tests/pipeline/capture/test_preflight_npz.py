@@ -6,8 +6,8 @@ import numpy as np
 from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession
 from pipeline.data.cameras import Camera, FrameTimes
+from pipeline.data.rigid import Rigid3
 from pipeline.findings import Finding
-from pipeline.geometry.rigid import Rigid3
 from pipeline.problem_codes.findings import CALIBRATION_NOTE
 from pipeline.video.info import VideoInfo
 

@@ -7,8 +7,8 @@ import pytest
 
 from pipeline.calibration.similarity import shift_m, turn_deg
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
-from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.scenes import find_scene, record
 
 

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 
 from pipeline.data.cameras import Camera, Timebase
+from pipeline.data.rigid import Rigid3
 from pipeline.export.colors import color_rgb
 from pipeline.export.overlay import draw_skeletons, encode_png, people_at
 from pipeline.geometry.camera import project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17, JointSet
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker, without
 

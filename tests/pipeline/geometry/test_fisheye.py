@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import project
 from pipeline.geometry.fisheye import (
     MAX_ANGLE_RAD,
@@ -18,7 +19,6 @@ from pipeline.geometry.fisheye import (
     fisheye_by_ideal,
     undistort_fisheye,
 )
-from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.tracks import reproject
 from pipeline.geometry.undistortion import undistort_px
 

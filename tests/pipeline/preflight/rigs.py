@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.data.cameras import Camera
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from pipeline.preflight.sightings import SimultaneousPeople, choose_instants, frames_at, sightings_of
 from pipeline.simulation.scenes import Simulation
 

@@ -8,8 +8,8 @@ from pipeline.data.animation import Animation, FootContact, FootPart
 from pipeline.data.cameras import Camera, Timebase
 from pipeline.data.people import Doubt, Observations, Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, finger_joints
 from pipeline.quality.report import acceleration_m_s2, bone_length_std_cm, encode, estimate_stature_m, quality_report
 from pipeline.skeleton.feet.floor import estimate_floor

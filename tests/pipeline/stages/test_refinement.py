@@ -16,9 +16,9 @@ from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
 from pipeline.data.detections import PafFields
+from pipeline.data.rigid import Rigid3
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.export.results import write_results
-from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_18
 from pipeline.progress import Progress
 from pipeline.quality.report import quality_report

@@ -18,8 +18,8 @@ from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.calibration.vertical import turn_upright
 from pipeline.data.arrays import read_only
+from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError, Problem
-from pipeline.geometry.rigid import Rigid3
 from pipeline.parsing import UnreadableError, read_numbers
 from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
 

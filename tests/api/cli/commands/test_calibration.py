@@ -16,7 +16,7 @@ from pipeline.calibration.contents import scaled
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encode, encode_opencv
 from pipeline.data.cameras import Camera
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig
 from tests.pipeline.simulations import write_simulation

@@ -11,9 +11,9 @@ import pytest
 
 from pipeline.data.cameras import Camera, LensModel
 from pipeline.data.people import Doubt
+from pipeline.data.rigid import Rigid3
 from pipeline.export.viewer.description import ViewerMotion
 from pipeline.geometry.camera import project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.quality.report import quality_report
 from pipeline.quality.views import views_of
 from pipeline.skeleton.model import forward_kinematics

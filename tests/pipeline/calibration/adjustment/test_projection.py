@@ -12,8 +12,8 @@ from pipeline.calibration.adjustment.projection import linearise
 from pipeline.calibration.adjustment.structure import FreePoints, RigidBodies, Structure
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.rigs import look_at
 
 # All of OpenCV's twelve coefficients, of the size that lenses have.

@@ -8,8 +8,8 @@ from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 
 

@@ -12,9 +12,9 @@ from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.calibration.board.views import BoardViews, choose_views
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.job_choices import KnownPoint
 from pipeline.stages.codec import decode, encode
 from tests.pipeline.calibration.board.conftest import ring, views_of

@@ -11,8 +11,8 @@ from pipeline.calibration.checks.check import check_cameras
 from pipeline.calibration.checks.lenses import growing_radius, picture_radii
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world
-from pipeline.geometry.rigid import Rigid3
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, look_at
 from tests.pipeline.calibration.readers.rigs import RIG, fisheye
 

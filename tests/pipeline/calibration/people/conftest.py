@@ -8,7 +8,7 @@ import pytest
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
 from pipeline.data.detections import Detections
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, Simulation, record

@@ -11,8 +11,8 @@ from pipeline.calibration.refinement.level import Level, find_level
 from pipeline.calibration.similarity import move_world
 from pipeline.data.cameras import Camera
 from pipeline.data.people import Poses3D
+from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import project
-from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet
 from tests.pipeline.calibration.refinement.people import ring
 

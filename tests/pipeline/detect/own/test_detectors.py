@@ -7,8 +7,8 @@ import pytest
 
 from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import BodyDetector, ImageBodies
-from pipeline.detect.own.description import usual_network
 from pipeline.detect.own.detectors import as_input, crop_matrix, open_own
+from pipeline.detect.own_network import usual_network
 from pipeline.detect.session import open_network
 from pipeline.joints import COCO_17
 from tests.pipeline.detect.own.networks import heatmaps, rtmo, simcc, write

@@ -15,8 +15,8 @@ from pipeline.detect import models
 from pipeline.detect.detector import open_detector
 from pipeline.detect.entries import entry_of
 from pipeline.detect.own import files
-from pipeline.detect.own.description import decode_description, encode_description, usual_network
 from pipeline.detect.own.files import add_own, own_names
+from pipeline.detect.own_network import decode_description, encode_description, usual_network
 from pipeline.detect.profiles import detection
 from pipeline.detect.profiles.detection import joints_of, open_detection
 from pipeline.errors import ModelError
@@ -103,7 +103,7 @@ def test_the_check_ends_with_its_command(tmp_path: Path) -> None:
     path = write(endless(), tmp_path / "loop.onnx")
     program = (
         "import sys; from pathlib import Path; from pipeline.detect.own.files import add_own; "
-        "from pipeline.detect.own.description import usual_network; "
+        "from pipeline.detect.own_network import usual_network; "
         "add_own(Path(sys.argv[1]), usual_network('simcc', 'coco-17'))"
     )
     command = subprocess.Popen(python_command("-c", program, str(path)), env=os.environ | {"PYTHONPATH": str(ROOT)})

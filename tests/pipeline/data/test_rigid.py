@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data.rigid import Rigid3
 
 vectors = arrays(np.float64, 3, elements=st.floats(-3.0, 3.0))
 transforms = st.builds(lambda turn, shift: Rigid3(Rotation.from_rotvec(turn).as_matrix(), shift), vectors, vectors)

@@ -9,7 +9,7 @@ import pytest
 from pipeline.calibration.write import encode
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.detect.bodies import ImageBodies
-from pipeline.detect.profiles.look import frames_to_look_at, look_at_people
+from pipeline.detect.look import frames_to_look_at, look_at_people
 from pipeline.detect.profiles.sizes import CameraSizes, SizeRule
 from pipeline.joints import COCO_17, JointSet
 from tests.pipeline.conftest import ring_camera
