@@ -307,7 +307,6 @@ def test_findings_of_the_check_stand_beside_their_camera(page: Page, served: Ser
 
 
 @pytest.mark.benchmark
-@pytest.mark.benchmark
 def test_the_first_view_is_there_within_a_second(served: Served) -> None:
     """From the request to the drawn list of captures, with an empty cache, on loopback."""
     with opened("about:blank") as page:

@@ -1,14 +1,20 @@
 """Problem codes are declared once, each with sentences and places; the type checker compares them with the raisers."""
 
+import ast
+import importlib
+import pkgutil
 import re
+from pathlib import Path
 
 import pytest
 
+import pipeline.problem_codes
 from api.contract.problem_codes.page import GROUPS, PAGE, document, main
 from api.errors import _CODES
 from pipeline.problem_codes.model import ProblemCode, status_of
 
 CODES = [code for group in GROUPS for code in group.codes]
+ROOT = Path(__file__).parents[3]
 PLACES = {"job", "waiting", "attempt", "readyz", "command", "warning", "finding"}
 
 
@@ -26,6 +32,23 @@ def test_entries_are_sentences_and_places(code: ProblemCode) -> None:
     assert "|" not in code.meaning + code.remedy
     assert code.where
     assert all(place in PLACES or re.fullmatch(r"4\d\d|5\d\d", place) for place in code.where)
+
+
+def test_every_code_has_a_use() -> None:
+    """A code is dead that no module imports and names; examples of the contract raise nothing."""
+    dead = set()
+    for module in pkgutil.iter_modules(pipeline.problem_codes.__path__, "pipeline.problem_codes."):
+        constants = vars(importlib.import_module(module.name)).items()
+        dead |= {(module.name, name) for name, value in constants if name.isupper() and isinstance(value, str)}
+    assert len(dead) == len(CODES)
+    for package in ("api", "multicap", "pipeline", "worker"):
+        for path in {*(ROOT / package).rglob("*.py")} - {ROOT / "api" / "contract" / "examples.py"}:
+            nodes = [*ast.walk(ast.parse(path.read_bytes()))]
+            named = {node.id for node in nodes if isinstance(node, ast.Name)}
+            for node in nodes:
+                if isinstance(node, ast.ImportFrom):
+                    dead -= {(node.module, known.name) for known in node.names if (known.asname or known.name) in named}
+    assert not dead
 
 
 def test_errors_of_the_framework_have_their_statuses() -> None:
