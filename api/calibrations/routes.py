@@ -1,11 +1,10 @@
 """Calibrations: send a file, make one from a board or from people, list, read, download, rename, delete."""
 
-from collections.abc import Collection, Sequence
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated
 from urllib.parse import quote
 
-from fastapi import APIRouter, Body, Query, Request, Response, status
-from starlette.concurrency import run_in_threadpool
+from fastapi import APIRouter, Body, Query, Response, status
 
 from api.auth import RecordsDep
 from api.calibrations import examples
@@ -18,19 +17,17 @@ from api.calibrations.schemas import (
     CalibrationPage,
     Format,
 )
-from api.contract.bodies import body_of
 from api.contract.description import RETRY_AFTER, answer, file_content, location, problems
 from api.contract.examples import CALIBRATION_ID, JOB_ID
 from api.contract.resource import Resource
 from api.dependencies import POLL_AFTER_S, CalibrationId, Cursor, Limit, Services, ServicesDep
 from api.errors import ApiError
-from api.http.bodies.form_kinds import EITHER_TYPE, FORM_TYPE, JSON_TYPE
 from api.http.bodies.reading import SmallBodyRoute
 from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
-from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
+from api.http.idempotency import Answer, IdempotentRequest
 from api.jobs.schemas import JobOut
+from api.sessions.creation import Creation, Texts, add_creation
 from api.sessions.intake import stored
-from api.sessions.receiving import received
 from pipeline.problem_codes.requests import NOT_FINISHED, NOT_FOUND
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model.sessions import Session
@@ -45,82 +42,103 @@ router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
 small = APIRouter(prefix="/v1/calibrations", tags=["calibrations"], route_class=SmallBodyRoute)
 
 _ONE = answer("Calibration")
-_LOCATION = {"headers": {"Location": location("calibration", f"/v1/calibrations/{CALIBRATION_ID}")}}
 # JSON comes last: generators of clients read what is declared first.
 _FILE = file_content(("application/toml", "application/yaml", "application/json"), "(the file)")
 
 
-def _creates_calibration(types: Collection[str]) -> dict[str, Any]:
-    """Declare an operation that creates a calibration."""
-    job = {
-        "description": "Job that makes the calibration, which has the same id.",
-        "model": JobOut,
-        "headers": {"Location": location("job", f"/v1/jobs/{JOB_ID}"), **RETRY_AFTER},
-    }
-    return {
-        "status_code": status.HTTP_201_CREATED,
-        "response_model": CalibrationOut,
-        "responses": {
-            201: _ONE | _LOCATION,
-            202: answer("CalibrationJob") | job,
-            **problems(400, 404, 408, 409, 413, 415, 422, 507),
-        },
-        "openapi_extra": body_of(CALIBRATION_FORM, types),
-    }
+def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCalibration) -> Answer:
+    """Store a calibration file, or begin the job that makes the calibration."""
+    content = checked.content
+    if isinstance(content, ReadFile):
+        return _add_file(services, idempotent, checked, content)
+    making = checked.choices()
+    if isinstance(content, Session):
+        services.disk.require_room()
+        stages = plan_job(content, JobSpec(), services.settings.chunk_frames, making=making)
+        with idempotent.records.transaction() as work:
+            answer = _begin(services, idempotent, work, checked, content.id, stages)
+        services.queue.publish()
+        return answer
+    with stored(services, content) as new:
+        stages = plan_job(new, JobSpec(), services.settings.chunk_frames, making=making)
+        with idempotent.records.transaction() as work:
+            work.uploads.use(new.upload_ids)
+            work.sessions.add(
+                new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256, "calibration"
+            )
+            answer = _begin(services, idempotent, work, checked, new.id, stages)
+    # When the broker is away, the reaper publishes later.
+    services.queue.publish()
+    return answer
 
 
-@router.post(
+def _add_file(services: Services, idempotent: IdempotentRequest, checked: CheckedCalibration, sent: ReadFile) -> Answer:
+    source = {"file": sent.file.name, **sent.contents.model_dump(mode="json", exclude={"files"})}
+    with idempotent.records.transaction() as work:
+        work.uploads.use(checked.upload_ids)
+        calibration = work.calibrations.add(checked.name, source, sent.contents.files)
+        headers = {"Location": f"/v1/calibrations/{calibration.id}"}
+        answer = idempotent.store(work, Answer(201, headers, CalibrationOut.of(calibration).model_dump_json()))
+    for upload_id in checked.upload_ids:
+        services.uploads.remove(upload_id)
+    return answer
+
+
+def _begin(
+    services: Services,
+    idempotent: IdempotentRequest,
+    work: TenantRecords,
+    checked: CheckedCalibration,
+    session_id: str,
+    stages: Sequence[StagePlan],
+) -> Answer:
+    """Queue the job of a calibration in an open transaction, which records both."""
+    making = checked.choices()
+    job = work.jobs.add(session_id, JobSpec(), stages, services.settings.retention_s, tracing.current(), making)
+    work.calibrations.begin(job, checked.name)
+    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
+    return idempotent.store(work, Answer(202, headers, JobOut.of(job).model_dump_json()))
+
+
+_CREATE = """\
+Send a calibration file, or have a calibration made from videos of a board, or from people who walk about.
+
+A file is checked and stored at once. Otherwise the answer is a job, whose id is that of the calibration. Generated
+clients use `createCalibrationFromFiles` and `createCalibrationFromUploads`, which do the same with one kind of body
+each.
+"""
+add_creation(
+    router,
     "",
-    operation_id="createCalibration",
-    summary="Send or make a calibration",
-    **_creates_calibration(EITHER_TYPE),
+    "createCalibration",
+    Creation(CALIBRATION_FORM, check_calibration, _add),
+    (
+        Texts(
+            "Send or make a calibration",
+            _CREATE,
+        ),
+        Texts(
+            "Send or make a calibration from files",
+            "Send or make a calibration by a form with files; otherwise as `createCalibration`.",
+        ),
+        Texts(
+            "Send or make a calibration from uploads",
+            "Send or make a calibration by JSON that names uploads, or a session; otherwise as `createCalibration`.",
+        ),
+    ),
+    status_code=status.HTTP_201_CREATED,
+    response_model=CalibrationOut,
+    responses={
+        201: _ONE | {"headers": {"Location": location("calibration", f"/v1/calibrations/{CALIBRATION_ID}")}},
+        202: answer("CalibrationJob")
+        | {
+            "description": "Job that makes the calibration, which has the same id.",
+            "model": JobOut,
+            "headers": {"Location": location("job", f"/v1/jobs/{JOB_ID}"), **RETRY_AFTER},
+        },
+        **problems(400, 404, 408, 409, 413, 415, 422, 507),
+    },
 )
-async def create_calibration(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Send a calibration file, or have a calibration made from videos of a board, or from people who walk about.
-
-    A file is checked and stored at once. Otherwise the answer is a job, whose id is that of the calibration. Generated
-    clients use `createCalibrationFromFiles` and `createCalibrationFromUploads`, which do the same with one kind of body
-    each.
-    """
-    return await _create_calibration(request, services, idempotent, EITHER_TYPE)
-
-
-@router.post(
-    "/from-files",
-    operation_id="createCalibrationFromFiles",
-    summary="Send or make a calibration from files",
-    **_creates_calibration({FORM_TYPE}),
-)
-async def create_calibration_from_files(
-    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
-) -> Response:
-    """Send or make a calibration by a form with files; otherwise as `createCalibration`."""
-    return await _create_calibration(request, services, idempotent, {FORM_TYPE})
-
-
-@router.post(
-    "/from-uploads",
-    operation_id="createCalibrationFromUploads",
-    summary="Send or make a calibration from uploads",
-    **_creates_calibration({JSON_TYPE}),
-)
-async def create_calibration_from_uploads(
-    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
-) -> Response:
-    """Send or make a calibration by JSON that names uploads, or a session; otherwise as `createCalibration`."""
-    return await _create_calibration(request, services, idempotent, {JSON_TYPE})
-
-
-async def _create_calibration(
-    request: Request, services: Services, idempotent: IdempotentRequest, types: Collection[str]
-) -> Response:
-    async with received(request, services, idempotent, CALIBRATION_FORM, types) as sent:
-        if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
-            return earlier
-        async with idempotent.held():
-            checked = await check_calibration(request, services, idempotent.records, sent)
-            answer = await run_in_threadpool(_add, services, idempotent, checked)
-    return answer.response()
 
 
 @router.get(
@@ -216,60 +234,6 @@ def delete_calibration(calibration_id: CalibrationId, services: ServicesDep, rec
     """
     services.disk.using_reserve(lambda: records.calibrations.delete(calibration_id))
     services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
-
-
-def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCalibration) -> Answer:
-    """Store a calibration file, or begin the job that makes the calibration."""
-    content = checked.content
-    if isinstance(content, ReadFile):
-        return _add_file(services, idempotent, checked, content)
-    making = checked.choices()
-    if isinstance(content, Session):
-        services.disk.require_room()
-        stages = plan_job(content, JobSpec(), services.settings.chunk_frames, making=making)
-        with idempotent.records.transaction() as work:
-            answer = _begin(services, idempotent, work, checked, content.id, stages)
-        services.queue.publish()
-        return answer
-    with stored(services, content) as new:
-        stages = plan_job(new, JobSpec(), services.settings.chunk_frames, making=making)
-        with idempotent.records.transaction() as work:
-            work.uploads.use(new.upload_ids)
-            work.sessions.add(
-                new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256, "calibration"
-            )
-            answer = _begin(services, idempotent, work, checked, new.id, stages)
-    # When the broker is away, the reaper publishes later.
-    services.queue.publish()
-    return answer
-
-
-def _add_file(services: Services, idempotent: IdempotentRequest, checked: CheckedCalibration, sent: ReadFile) -> Answer:
-    source = {"file": sent.file.name, **sent.contents.model_dump(mode="json", exclude={"files"})}
-    with idempotent.records.transaction() as work:
-        work.uploads.use(checked.upload_ids)
-        calibration = work.calibrations.add(checked.name, source, sent.contents.files)
-        headers = {"Location": f"/v1/calibrations/{calibration.id}"}
-        answer = idempotent.store(work, Answer(201, headers, CalibrationOut.of(calibration).model_dump_json()))
-    for upload_id in checked.upload_ids:
-        services.uploads.remove(upload_id)
-    return answer
-
-
-def _begin(
-    services: Services,
-    idempotent: IdempotentRequest,
-    work: TenantRecords,
-    checked: CheckedCalibration,
-    session_id: str,
-    stages: Sequence[StagePlan],
-) -> Answer:
-    """Queue the job of a calibration in an open transaction, which records both."""
-    making = checked.choices()
-    job = work.jobs.add(session_id, JobSpec(), stages, services.settings.retention_s, tracing.current(), making)
-    work.calibrations.begin(job, checked.name)
-    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
-    return idempotent.store(work, Answer(202, headers, JobOut.of(job).model_dump_json()))
 
 
 CREATION = Resource(router=router, forms=(CALIBRATION_FORM,))

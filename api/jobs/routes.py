@@ -1,21 +1,17 @@
 """Jobs: reconstruct a session, follow it, cancel, retry, delete."""
 
 import uuid
-from collections.abc import Collection
-from typing import Annotated, Any
+from typing import Annotated
 
 import structlog
-from fastapi import APIRouter, Body, Query, Request, Response, status
-from starlette.concurrency import run_in_threadpool
+from fastapi import APIRouter, Body, Query, Response, status
 
 from api.auth import JobViewDep, RecordsDep, ViewerDep
-from api.contract.bodies import body_of
 from api.contract.description import RETRY_AFTER, Responses, answer, location, problems
 from api.contract.examples import JOB_ID
 from api.contract.resource import Resource
 from api.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.errors import ApiError, unprocessable
-from api.http.bodies.form_kinds import EITHER_TYPE, FORM_TYPE, JSON_TYPE
 from api.http.bodies.reading import SmallBodyRoute
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
@@ -23,9 +19,9 @@ from api.jobs import examples
 from api.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from api.jobs.spec_checks import callback_errors, for_session, network_errors, spec_errors
 from api.jobs.webhooks import job_ended_callbacks
+from api.sessions.creation import Creation, Texts, add_creation
 from api.sessions.form import CAPTURE_FORM
 from api.sessions.intake import CheckedSession, NewSession, check, stored
-from api.sessions.receiving import received
 from pipeline.job_choices import ProxyChoices
 from pipeline.problem_codes.requests import CONFLICT
 from worker.jobs.files.removals import remove_files
@@ -89,70 +85,6 @@ def create_job(
     return answer.response()
 
 
-def _creates_session_and_job(types: Collection[str], callback: str) -> dict[str, Any]:
-    """Declare an operation that creates a session with a job; ``callback`` is the id of its webhook."""
-    return {
-        "status_code": status.HTTP_202_ACCEPTED,
-        "response_model": JobOut,
-        "responses": {**_ACCEPTED, **problems(400, 408, 409, 413, 415, 422, 507)},
-        "openapi_extra": body_of(CAPTURE_FORM, types),
-        "callbacks": job_ended_callbacks(callback, "/spec/callback_url"),
-    }
-
-
-@router.post(
-    "/jobs",
-    operation_id="createSessionAndJob",
-    summary="Send and reconstruct a session",
-    **_creates_session_and_job(EITHER_TYPE, "jobEndedOfSession"),
-)
-async def create_session_and_job(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads.
-
-    The choices of the job, its `callback_url` too, are in `spec`. Generated clients use `createSessionAndJobFromFiles`
-    and `createSessionAndJobFromUploads`, which do the same with one kind of body each.
-    """
-    return await _create_session_and_job(request, services, idempotent, EITHER_TYPE)
-
-
-@router.post(
-    "/jobs/from-files",
-    operation_id="createSessionAndJobFromFiles",
-    summary="Reconstruct a session's files",
-    **_creates_session_and_job({FORM_TYPE}, "jobEndedOfFiles"),
-)
-async def create_session_and_job_from_files(
-    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
-) -> Response:
-    """Send a session as a form with its files, and reconstruct it; otherwise as `createSessionAndJob`."""
-    return await _create_session_and_job(request, services, idempotent, {FORM_TYPE})
-
-
-@router.post(
-    "/jobs/from-uploads",
-    operation_id="createSessionAndJobFromUploads",
-    summary="Reconstruct a session's uploads",
-    **_creates_session_and_job({JSON_TYPE}, "jobEndedOfUploads"),
-)
-async def create_session_and_job_from_uploads(
-    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
-) -> Response:
-    """Send a session as JSON that names finished uploads, and reconstruct it; otherwise as `createSessionAndJob`."""
-    return await _create_session_and_job(request, services, idempotent, {JSON_TYPE})
-
-
-async def _create_session_and_job(
-    request: Request, services: Services, idempotent: IdempotentRequest, types: Collection[str]
-) -> Response:
-    async with received(request, services, idempotent, CAPTURE_FORM, types) as sent:
-        if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
-            return earlier
-        async with idempotent.held():
-            checked = await check(request, services, idempotent.records, sent)
-            answer = await run_in_threadpool(_add_session_and_job, services, idempotent, checked)
-    return answer.response()
-
-
 def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session, and record both or neither."""
     settings, spec = services.settings, checked.spec
@@ -166,6 +98,41 @@ def _add_session_and_job(services: Services, idempotent: IdempotentRequest, chec
             answer = idempotent.store(work, _accepted(job))
     _announce(services, job)
     return answer
+
+
+_CREATE = """\
+Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads.
+
+The choices of the job, its `callback_url` too, are in `spec`. Generated clients use `createSessionAndJobFromFiles`
+and `createSessionAndJobFromUploads`, which do the same with one kind of body each.
+"""
+add_creation(
+    router,
+    "/jobs",
+    "createSessionAndJob",
+    Creation(CAPTURE_FORM, check, _add_session_and_job),
+    (
+        Texts(
+            "Send and reconstruct a session",
+            _CREATE,
+            job_ended_callbacks("jobEndedOfSession", "/spec/callback_url"),
+        ),
+        Texts(
+            "Reconstruct a session's files",
+            "Send a session as a form with its files, and reconstruct it; otherwise as `createSessionAndJob`.",
+            job_ended_callbacks("jobEndedOfFiles", "/spec/callback_url"),
+        ),
+        Texts(
+            "Reconstruct a session's uploads",
+            "Send a session as JSON that names finished uploads, and reconstruct it; "
+            "otherwise as `createSessionAndJob`.",
+            job_ended_callbacks("jobEndedOfUploads", "/spec/callback_url"),
+        ),
+    ),
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 408, 409, 413, 415, 422, 507)},
+)
 
 
 @small.get("/jobs", operation_id="listJobs", summary="List jobs", responses={200: _PAGE, **problems(422)})

@@ -1,25 +1,21 @@
 """Capture sessions: send, list, search, read, rename, delete."""
 
-from collections.abc import Collection
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Body, Query, Request, Response, status
-from starlette.concurrency import run_in_threadpool
+from fastapi import APIRouter, Body, Query, Response, status
 
 from api.auth import JobViewDep, RecordsDep, ViewerDep
-from api.contract.bodies import body_of
 from api.contract.description import answer, location, problems
 from api.contract.examples import SESSION_ID
 from api.contract.resource import Resource
 from api.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
-from api.http.bodies.form_kinds import EITHER_TYPE, FORM_TYPE, JSON_TYPE
 from api.http.bodies.reading import SmallBodyRoute
 from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
-from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
+from api.http.idempotency import Answer, IdempotentRequest
 from api.sessions import examples
+from api.sessions.creation import Creation, Texts, add_creation
 from api.sessions.form import SESSION_FORM
 from api.sessions.intake import CheckedSession, check, stored
-from api.sessions.receiving import received
 from api.sessions.schemas import SessionChanges, SessionOut, SessionPage
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model.sessions import Capture
@@ -35,66 +31,6 @@ Name = Annotated[
     Query(min_length=1, max_length=200, description="Only sessions whose names contain this text; case is ignored."),
 ]
 State = Annotated[JobState | None, Query(description="Only sessions whose newest job is in this state.")]
-_LOCATION = {"headers": {"Location": location("session", f"/v1/sessions/{SESSION_ID}")}}
-
-
-def _creates_session(types: Collection[str]) -> dict[str, Any]:
-    """Declare an operation that creates a session."""
-    return {
-        "status_code": status.HTTP_201_CREATED,
-        "response_model": SessionOut,
-        "responses": {201: _ONE | _LOCATION, **problems(400, 408, 409, 413, 415, 422, 507)},
-        "openapi_extra": body_of(SESSION_FORM, types),
-    }
-
-
-@router.post("", operation_id="createSession", summary="Send a session", **_creates_session(EITHER_TYPE))
-async def create_session(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Send a session: its videos, or what another program found in them, and the cameras' calibration.
-
-    As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
-    found, or all that is wrong. Generated clients use `createSessionFromFiles` and `createSessionFromUploads`, which do
-    the same with one kind of body each.
-    """
-    return await _create_session(request, services, idempotent, EITHER_TYPE)
-
-
-@router.post(
-    "/from-files",
-    operation_id="createSessionFromFiles",
-    summary="Send a session's files",
-    **_creates_session({FORM_TYPE}),
-)
-async def create_session_from_files(
-    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
-) -> Response:
-    """Send a session as a form with its files; otherwise as `createSession`."""
-    return await _create_session(request, services, idempotent, {FORM_TYPE})
-
-
-@router.post(
-    "/from-uploads",
-    operation_id="createSessionFromUploads",
-    summary="Send a session's uploads",
-    **_creates_session({JSON_TYPE}),
-)
-async def create_session_from_uploads(
-    request: Request, services: ServicesDep, idempotent: IdempotentRequestDep
-) -> Response:
-    """Send a session as JSON that names finished uploads; otherwise as `createSession`."""
-    return await _create_session(request, services, idempotent, {JSON_TYPE})
-
-
-async def _create_session(
-    request: Request, services: Services, idempotent: IdempotentRequest, types: Collection[str]
-) -> Response:
-    async with received(request, services, idempotent, SESSION_FORM, types) as sent:
-        if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
-            return earlier
-        async with idempotent.held():
-            checked = await check(request, services, idempotent.records, sent)
-            answer = await run_in_threadpool(_add_session, services, idempotent, checked)
-    return answer.response()
 
 
 def _add_session(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
@@ -103,6 +39,38 @@ def _add_session(services: Services, idempotent: IdempotentRequest, checked: Che
         work.uploads.use(new.upload_ids)
         session = work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
         return idempotent.store(work, _created(Capture(session)))
+
+
+_CREATE = """\
+Send a session: its videos, or what another program found in them, and the cameras' calibration.
+
+As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
+found, or all that is wrong. Generated clients use `createSessionFromFiles` and `createSessionFromUploads`, which do
+the same with one kind of body each.
+"""
+add_creation(
+    router,
+    "",
+    "createSession",
+    Creation(SESSION_FORM, check, _add_session),
+    (
+        Texts(
+            "Send a session",
+            _CREATE,
+        ),
+        Texts("Send a session's files", "Send a session as a form with its files; otherwise as `createSession`."),
+        Texts(
+            "Send a session's uploads",
+            "Send a session as JSON that names finished uploads; otherwise as `createSession`.",
+        ),
+    ),
+    status_code=status.HTTP_201_CREATED,
+    response_model=SessionOut,
+    responses={
+        201: _ONE | {"headers": {"Location": location("session", f"/v1/sessions/{SESSION_ID}")}},
+        **problems(400, 408, 409, 413, 415, 422, 507),
+    },
+)
 
 
 @router.get(
