@@ -14,6 +14,7 @@ from typing import Any, BinaryIO, Literal, Self, TypedDict, cast
 import httpx2
 
 from pipeline.errors import PipelineError
+from pipeline.paths import StrPath
 from pipeline.problem_codes.commands import SERVICE_ERROR
 from pipeline.runtime.pauses import Pauses
 
@@ -148,7 +149,7 @@ class Client:
         return str(self.http.base_url)
 
     def submit(
-        self, name: str, videos: Sequence[Path], calibration: Path, spec: Mapping[str, Any] | None = None
+        self, name: str, videos: Sequence[StrPath], calibration: StrPath, spec: Mapping[str, Any] | None = None
     ) -> Job:
         """Send a session of videos and have it reconstructed.
 
@@ -175,7 +176,7 @@ class Client:
         texts = {"manifest": {"name": name}, **({} if spec is None else {"spec": spec})}
         described = [(part, (None, json.dumps(text), "application/json")) for part, text in texts.items()]
         with contextlib.ExitStack() as opened:
-            parts = [("videos", path) for path in videos] + [("calibration", calibration)]
+            parts = [*(("videos", Path(path)) for path in videos), ("calibration", Path(calibration))]
             files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
             return _job(self._call("POST", "/v1/jobs", files=[*described, *files]))
 
@@ -239,7 +240,7 @@ class Client:
             raise ServiceError(f"The job {_ENDS[now['state']]}. {_sentences(now['error'] or {})}".strip())
         return now
 
-    def download(self, job: Json, folder: Path) -> list[Path]:
+    def download(self, job: Json, folder: StrPath) -> list[Path]:
         """Download all result files of a job to a folder, which is created if it is missing.
 
         Raises
@@ -247,6 +248,7 @@ class Client:
         ServiceError
             If a file is damaged, or its download breaks off again and again; else it continues where it broke.
         """
+        folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         return [self._save(result, folder) for result in self._get_patiently(job["links"]["results"])["results"]]
 

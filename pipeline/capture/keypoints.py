@@ -26,6 +26,7 @@ from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.joints import JointSet
+from pipeline.paths import StrPath
 from pipeline.problem_codes.findings import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
 from pipeline.problem_codes.requests import SESSION_TOO_LARGE
 from pipeline.problem_codes.sessions import INVALID_SIZE, KEYPOINTS_EMPTY, KEYPOINTS_MIXED, TWO_CLOCKS
@@ -117,9 +118,9 @@ class KeypointSession:
 
 
 def open_keypoints(
-    folder: Path,
-    calibration: Path,
-    timestamps: Path | None = None,
+    folder: StrPath,
+    calibration: StrPath,
+    timestamps: StrPath | None = None,
     frame_rate_hz: float | None = None,
     units: Units | None = None,
     max_joints: int | None = None,
@@ -153,6 +154,8 @@ def open_keypoints(
     InputError
         With all problems of all files.
     """
+    folder, calibration = Path(folder), Path(calibration)
+    timestamps = None if timestamps is None else Path(timestamps)
     problems: list[Problem] = []
     findings: list[Finding] = []
     cameras: tuple[Camera, ...] = ()

@@ -1,5 +1,6 @@
 """Open a capture session of videos and a calibration; all problems are reported at once."""
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
+from pipeline.paths import StrPath
 from pipeline.problem_codes.findings import CALIBRATION_ADAPTED, CALIBRATION_NOTE, FILE_IGNORED, FRAMES_REPEATED
 from pipeline.problem_codes.sessions import (
     DUPLICATE_RECORDING,
@@ -145,8 +147,8 @@ class Recording:
 
 
 def open_session(
-    videos: Path | Sequence[Path],
-    calibration: Path | None,
+    videos: StrPath | Sequence[StrPath],
+    calibration: StrPath | None,
     recordings: Sequence[Recording] = (),
     units: Units | None = None,
     clock: Clock = "declared",
@@ -186,11 +188,12 @@ def open_session(
     InputError
         With all problems of all files.
     """
-    paths, findings, problems = _find_videos(videos, 1 if calibration is None else MIN_CAMERAS)
+    given = Path(videos) if isinstance(videos, str | os.PathLike) else [Path(video) for video in videos]
+    paths, findings, problems = _find_videos(given, 1 if calibration is None else MIN_CAMERAS)
     cameras: tuple[Camera, ...] = ()
     if calibration is not None:
         try:
-            contents = read_contents(calibration, units) if keeps_poses else read_intrinsics(calibration)
+            contents = read_contents(Path(calibration), units) if keeps_poses else read_intrinsics(Path(calibration))
             cameras = contents.cameras
             findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
         except InputError as error:

@@ -25,6 +25,7 @@ from pipeline.export.person_files import (
 )
 from pipeline.export.resample import resample
 from pipeline.export.writers import skeletons_json
+from pipeline.paths import StrPath
 from pipeline.progress import OnShare, ignore, part_of, split
 from pipeline.quality.report import encode as encode_metrics
 from pipeline.quality.report import quality_report
@@ -64,7 +65,7 @@ class WrittenResults:
 
 def write_results(
     reconstruction: Reconstruction,
-    folder: Path,
+    folder: StrPath,
     exports: Collection[Export] = DEFAULT_EXPORTS,
     preset: Preset = "default",
     frame_rate_hz: float | None = None,
@@ -80,6 +81,7 @@ def write_results(
     PipelineError
         If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
+    folder = Path(folder)
     try:
         return list(write_files(reconstruction, folder, exports, preset, frame_rate_hz).paths)
     except OSError as error:

@@ -19,6 +19,7 @@ from pipeline.detect.chunk import concatenate
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import ChildError, PipelineError
 from pipeline.export.results import OnFile, WrittenResults, no_file, not_written
+from pipeline.paths import StrPath
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.rules import config_problems, require
 from pipeline.runtime.child_processes import ProcessPool
@@ -41,7 +42,7 @@ def reconstruct(
     session: Session,
     config: ReconstructionConfig = _DEFAULTS,
     on_progress: OnProgress = silent,
-    cache: Path | None = None,
+    cache: StrPath | None = None,
 ) -> Reconstruction:
     """Reconstruct everybody in a capture session; write no file.
 
@@ -70,6 +71,7 @@ def reconstruct(
         If the folder for intermediate outputs can't be written.
     """
     _check(session, config)
+    cache = None if cache is None else Path(cache)
     facts = session_facts(session, () if cache is None else _inputs(session))
     with _planned(session, config, facts, _STAGES_OF_RECORDS, cache) as job:
         for stage in job.stages:
@@ -86,12 +88,12 @@ def reconstruct(
 
 def reconstruct_to_files(
     session: Session,
-    folder: Path,
+    folder: StrPath,
     config: ReconstructionConfig = _DEFAULTS,
     on_progress: OnProgress = silent,
-    cache: Path | None = None,
+    cache: StrPath | None = None,
     name: str = "",
-    sources: Sequence[Path] = (),
+    sources: Sequence[StrPath] = (),
     on_file: OnFile = no_file,
 ) -> WrittenResults:
     """Reconstruct everybody in a capture session, and write the result files as the service does, by its stages.
@@ -119,8 +121,9 @@ def reconstruct_to_files(
         If a folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
     _check(session, config)
+    folder, cache = Path(folder), None if cache is None else Path(cache)
     facts = session_facts(session, () if cache is None else _inputs(session))
-    files = _Destination(folder, name or folder.resolve().name or "take", tuple(sources))
+    files = _Destination(folder, name or folder.resolve().name or "take", tuple(map(Path, sources)))
     paths: list[Path] = []
     with _planned(session, config, facts, STAGE_BY_NAME.keys(), cache, files) as job:
         for stage in job.stages:

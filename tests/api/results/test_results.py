@@ -384,6 +384,16 @@ def test_results_of_a_damaged_bucket(
             assert list(tmp_path.iterdir()) == []
 
 
+def test_our_own_client_takes_paths_as_texts(live: Live, tmp_path: Path) -> None:
+    for _, (name, content) in form():
+        (tmp_path / name).write_bytes(content)
+    client = Client(live.client)
+    videos, calibration = [str(tmp_path / f"cam_{index}.mp4") for index in range(2)], str(tmp_path / "calibration.toml")
+    job = client.submit("Take", videos, calibration)
+    live.finish(job["id"])
+    assert client.download(client.follow(job), str(tmp_path / "new")) == [tmp_path / "new" / "person-1.bvh"]
+
+
 @DAMAGES
 def test_our_own_client_continues_a_download_that_broke_off_and_says_that_the_file_is_damaged(
     live: Live, tmp_path: Path, damage: Callable[[Path], None]

@@ -10,6 +10,7 @@ import pytest
 
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.capture.preflight_npz import encode_record
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.joints import BODY_25, COCO_17, COCO_18
@@ -66,6 +67,14 @@ def test_what_was_simulated_comes_back(scene: Path, simulation: Simulation) -> N
         np.testing.assert_array_equal(theirs.frame, ours.frame)
         np.testing.assert_array_equal(theirs.keypoints_px, ours.keypoints_px)
         np.testing.assert_array_equal(theirs.score, ours.score)
+
+
+def test_paths_may_be_texts(scene: Path) -> None:
+    folder, calibration, timestamps = map(
+        str, (scene / "keypoints", scene / "calibration.json", scene / "timestamps.csv")
+    )
+    session = open_keypoints(folder, calibration, timestamps)
+    assert encode_record(session) == encode_record(opened(scene))
 
 
 def test_without_timestamps_frame_k_is_file_k(scene: Path) -> None:

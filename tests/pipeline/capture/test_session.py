@@ -138,6 +138,17 @@ def test_videos_match_cameras_by_name_in_the_calibrations_order(folder: Path, tm
     assert session.warnings == ()
 
 
+def test_paths_may_be_texts(folder: Path, tmp_path: Path) -> None:
+    cameras = str(calibration(tmp_path / "c.json", ["a", "b"]))
+    videos = [folder / "a.mp4", folder / "b.mp4"]
+    for texts in (str(folder), [str(video) for video in videos]):
+        assert [video.path for video in open_session(texts, cameras).videos] == videos
+    assert problems_of(str(folder / "a.mp4"), Path(cameras)) == {
+        ("too_few_videos", None),
+        ("camera_without_video", "b"),
+    }
+
+
 def test_order_decides_only_if_it_is_asked_for_and_is_said(folder: Path, tmp_path: Path) -> None:
     cameras = calibration(tmp_path / "c.json", ["right", "left"])
     assert problems_of(folder, cameras) == {("pairing_unknown", None)}

@@ -14,7 +14,7 @@ from pipeline.errors import InputError
 from pipeline.export.results import write_results
 from pipeline.progress import Progress
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
+from pipeline.stages.local import reconstruct, reconstruct_to_files
 from pipeline.stages.plan import STAGE_BY_NAME
 from pipeline.stages.stage import ASSOCIATE, CHECK, FIT, IDENTIFY, LENGTHS, POSES
 from tests.pipeline.simulations import write_simulation
@@ -61,6 +61,16 @@ def test_another_smoothing_reuses_the_tracks(session: KeypointSession, tmp_path:
     assert of_other[FIT][0] == 0
     fresh, _ = run(session, smoothed, None)
     assert written(other, tmp_path / "other") == written(fresh, tmp_path / "fresh")
+
+
+def test_paths_may_be_texts(session: KeypointSession, tmp_path: Path) -> None:
+    cache, steps = str(tmp_path / "cache"), list[Progress]()
+    first = reconstruct(session, TRACKING, cache=cache)
+    made = reconstruct_to_files(session, str(tmp_path / "made"), TRACKING, steps.append, cache, sources=[__file__])
+    assert reused(steps)[FIT][0] > 0
+    assert {path.parent for path in made.paths} == {tmp_path / "made"}
+    written_later = write_results(first, str(tmp_path / "written"), TRACKING.exports)
+    assert {path.parent for path in written_later} == {tmp_path / "written"}
 
 
 def test_a_parameter_of_a_method_counts(session: KeypointSession, tmp_path: Path) -> None:
