@@ -1,9 +1,12 @@
 """Session in a real store, and small stages with known results."""
 
 import hashlib
+import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -183,3 +186,29 @@ def bench(tmp_path: Path) -> Iterator[RunnerBench]:
     bench = open_bench(tmp_path)
     yield bench
     bench.store.close()
+
+
+def fail_with(error: Exception) -> Any:
+    def stage(work: Work) -> Output:
+        raise error
+
+    return stage
+
+
+def slow_detect(work: Work) -> Output:
+    time.sleep(0.05)
+    return detect(work)
+
+
+def in_thread(bench: RunnerBench, **choices: Any) -> threading.Thread:
+    thread = threading.Thread(target=bench.runner(**choices).work, args=[60.0])
+    thread.start()
+    return thread
+
+
+def run_side_by_side(bench: RunnerBench, num_workers: int) -> None:
+    """Run all work in threads, and what they have left in this one."""
+    threads = [in_thread(bench) for _ in range(num_workers)]
+    for thread in threads:
+        thread.join()
+    bench.runner().work(60.0)
