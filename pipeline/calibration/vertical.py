@@ -1,8 +1,22 @@
-"""The vertical of people: the direction in which they stand upright, and rotations that turn it to Z."""
+"""The vertical: the direction in which people stand upright, that of cameras, and rotations that turn it to Z."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
+
+AXES: Mapping[str, Float[np.ndarray, " 3"]] = {
+    f"{sign}{name}": side * unit
+    for sign, side in (("", 1.0), ("-", -1.0))
+    for name, unit in zip("xyz", np.eye(3), strict=True)
+}
+"""Axes of a world and their opposites, by name, such as ``-y``."""
 
 # Distance from ankles to shoulders, as a share of its largest values, at which somebody stands upright.
 _UPRIGHT, _LARGEST = 0.97, 95
@@ -41,3 +55,28 @@ def turn_upright(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     if length < 1e-12:
         return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
     return Rotation.from_rotvec(np.arctan2(length, up[2]) * axis / length).as_matrix()
+
+
+def turned_upright(cameras: Sequence[Camera], up: Float[np.ndarray, " 3"]) -> tuple[Camera, ...]:
+    """Cameras in a world that is turned so that a direction of theirs becomes Z."""
+    world_from_upright = turn_upright(up).T
+    return tuple(
+        replace(
+            camera,
+            cam_from_world=Rigid3(
+                read_only(camera.cam_from_world.rotation @ world_from_upright), camera.cam_from_world.translation_m
+            ),
+        )
+        for camera in cameras
+    )
+
+
+def up_of_cameras(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"]:
+    """Mean of the cameras' up directions; its length is 1 if all stand alike, and near 0 if they cancel out."""
+    mean: np.ndarray = np.mean([-camera.cam_from_world.rotation[1] for camera in cameras], axis=0)
+    return mean
+
+
+def nearest_axis(direction: Float[np.ndarray, " 3"]) -> str:
+    """Name of the axis that is nearest to a direction."""
+    return max(AXES, key=lambda name: float(AXES[name] @ direction))

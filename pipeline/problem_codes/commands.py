@@ -20,6 +20,7 @@ UNKNOWN_CLOCK = COMMANDS.code(
     "unknown_clock", _COMMAND, "There is no such clock of videos.", "Use a name that `hint` lists."
 )
 UNKNOWN_UNITS = COMMANDS.code("unknown_units", _COMMAND, "There is no such unit.", "Use a name that `hint` lists.")
+UNKNOWN_AXIS = COMMANDS.code("unknown_axis", _COMMAND, "There is no such axis.", "Use a name that `hint` lists.")
 UNKNOWN_SCENE = COMMANDS.code(
     "unknown_scene", _COMMAND, "There is no such simulated scene.", "Use a name that `hint` lists."
 )

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.contents import UNITS_M
+from pipeline.calibration.vertical import AXES, nearest_axis, up_of_cameras
 from pipeline.data.cameras import Camera
 from pipeline.findings import Finding
 from pipeline.geometry.camera import center_in_world
@@ -23,6 +24,7 @@ _MAX_DEPTH_M = 0.15
 # Least length of the mean of the cameras' up directions, and largest angle from Z, at which Z counts as up. Cameras
 # that look straight down, or are turned by a quarter, have up directions that cancel out.
 _MIN_MEAN_UP, _MAX_ANGLE_DEG = 0.6, 45.0
+_TURN = "Z must point up: turn the file by `multicap calibration convert FILE TARGET --up={}`."
 
 
 def check_places(cameras: Sequence[Camera]) -> list[Finding]:
@@ -93,21 +95,25 @@ def _hint_of_unit(extent_m: float) -> str:
 
 def _up_axis(cameras: Sequence[Camera]) -> Iterator[Finding]:
     """Compare the mean of the cameras' up directions with Z: most cameras stand upright."""
-    up = np.mean([-camera.cam_from_world.rotation[1] for camera in cameras], axis=0)
+    up = up_of_cameras(cameras)
     length = float(np.linalg.norm(up))
     if length < _MIN_MEAN_UP:
         return
     angle_deg = float(np.degrees(np.arccos(np.clip(up[2] / length, -1.0, 1.0))))
     if angle_deg > 180.0 - _MAX_ANGLE_DEG:
         message = "The cameras are upside down: the calibration's Z axis points down."
-        hint = "Turn the calibration: Z must point up."
-        yield Finding(UPSIDE_DOWN, message, None, "error", hint, {"angle_deg": angle_deg})
-    elif angle_deg > _MAX_ANGLE_DEG:
-        message = (
-            f"The cameras' up direction is {angle_deg:.0f} degrees from Z: the calibration's up axis may not be Z."
+        yield Finding(
+            UPSIDE_DOWN, message, None, "error", _TURN.format("-z"), {"angle_deg": angle_deg, "up_axis": "-z"}
         )
-        hint = "Check that the calibration's up axis is Z, and not the axes of a camera."
-        yield Finding(NOT_UPRIGHT, message, None, "warning", hint, {"angle_deg": angle_deg})
+    elif angle_deg > _MAX_ANGLE_DEG:
+        axis = nearest_axis(up)
+        near_deg = float(np.degrees(np.arccos(np.clip(AXES[axis] @ up / length, -1.0, 1.0))))
+        message = (
+            f"The cameras' up direction is {angle_deg:.0f} degrees from Z and {near_deg:.0f} degrees from "
+            f"{axis.upper()}: the calibration's up axis may be {axis.upper()}."
+        )
+        evidence = {"angle_deg": angle_deg, "up_axis": axis}
+        yield Finding(NOT_UPRIGHT, message, None, "warning", _TURN.format(axis), evidence)
 
 
 def _below_floor(cameras: Sequence[Camera], centers_m: Float[np.ndarray, "cameras 3"]) -> list[Finding]:

@@ -16,19 +16,15 @@ from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.readers.pickled.interpreter import read_values
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.calibration.vertical import turn_upright
-from pipeline.data.arrays import read_only
-from pipeline.data.rigid import Rigid3
+from pipeline.calibration.vertical import AXES, nearest_axis, turned_upright, up_of_cameras
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, read_numbers
 from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
 
 _OPENCAP = frozenset({"intrinsicMat", "distortion", "imageSize"})
 _MVPOSE = frozenset({"K", "RT"})
-# Down in the world of an upright board.
-_Y_DOWN = np.array([0.0, 1.0, 0.0])
-# Least length of the mean of the cameras' down directions that tells the vertical.
-_MIN_MEAN_DOWN = 0.5
+# Least length of the mean of the cameras' up directions that tells the vertical.
+_MIN_MEAN_UP = 0.5
 _BOARD_NOTE = "the cameras don't tell the vertical; OpenCap's board is taken to have stood upright"
 
 
@@ -96,21 +92,14 @@ def _turned_upright(contents: CameraFile, file: str) -> CameraFile:
     """Turn the world of the board so that Z points up."""
     if not contents.cameras:
         return contents
-    down = np.mean([camera.cam_from_world.rotation[1] for camera in contents.cameras], axis=0)
-    notes = contents.notes
-    if float(np.linalg.norm(down)) < _MIN_MEAN_DOWN:
-        down, notes = _Y_DOWN, (*notes, f"{file}: {_BOARD_NOTE}.")
-    axis = int(np.argmax(np.abs(down)))
-    side = float(np.sign(down[axis]))
-    board_from_upright = turn_upright(-side * np.eye(3)[axis]).T
-    cameras = tuple(
-        replace(camera, cam_from_world=Rigid3(read_only(pose.rotation @ board_from_upright), pose.translation_m))
-        for camera in contents.cameras
-        for pose in [camera.cam_from_world]
-    )
+    up, notes = up_of_cameras(contents.cameras), contents.notes
+    if float(np.linalg.norm(up)) < _MIN_MEAN_UP:
+        up, notes = AXES["-y"], (*notes, f"{file}: {_BOARD_NOTE}.")
+    axis = nearest_axis(up)
+    side = "down" if axis.startswith("-") else "up"
     return replace(
         contents,
-        cameras=cameras,
-        axes=f"{'xyz'[axis]} {'down' if side > 0 else 'up'}, turned to Z up",
+        cameras=turned_upright(contents.cameras, AXES[axis]),
+        axes=f"{axis[-1]} {side}, turned to Z up",
         notes=notes,
     )

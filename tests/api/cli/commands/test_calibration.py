@@ -14,9 +14,12 @@ from api.cli.main import app
 from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.contents import scaled
 from pipeline.calibration.registry import read_contents
+from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.calibration.write import encode, encode_opencv
 from pipeline.data.cameras import Camera
 from pipeline.data.rigid import Rigid3
+from pipeline.geometry.camera import center_in_world
+from pipeline.simulation.rigs import Layout, Rig, build_cameras
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig
 from tests.pipeline.simulations import write_simulation
@@ -55,6 +58,27 @@ def test_convert(rig: Path, ending: str) -> None:
     assert_rig(read_contents(target), num_digits=9)
 
 
+@pytest.mark.parametrize("up", ["y", "-y", "-z", "x"])
+def test_convert_turns_the_world_upright(tmp_path: Path, up: str) -> None:
+    """Cameras above a floor whose axis is another one; the check names this axis."""
+    rig = build_cameras(Rig(Layout.RING, 4, (4.0, 3.0), 2.2), np.random.default_rng(1))
+    other_from_upright = turn_upright(AXES[up]).T
+    source, target = tmp_path / "other.json", tmp_path / "upright.json"
+    source.write_bytes(encode([in_world(camera, other_from_upright) for camera in rig]))
+    finding = check(str(source))[1]["findings"][0]
+    assert (finding["evidence"]["up_axis"], finding["code"]) == (up, "upside_down" if up == "-z" else "not_upright")
+    assert f"--up={up}" in finding["hint"]
+    assert runner.invoke(app, ["calibration", "convert", str(source), str(target), f"--up={up}"]).exit_code == 0
+    for found, camera in zip(read_contents(target).cameras, rig, strict=True):
+        np.testing.assert_allclose(center_in_world(found), center_in_world(camera), atol=1e-9)
+        np.testing.assert_allclose(found.cam_from_world.rotation, camera.cam_from_world.rotation, atol=1e-9)
+
+
+def in_world(camera: Camera, other_from_world: np.ndarray) -> Camera:
+    pose = camera.cam_from_world
+    return replace(camera, cam_from_world=Rigid3(pose.rotation @ other_from_world.T, pose.translation_m))
+
+
 def test_what_cannot_be_converted(tmp_path: Path, rig: Path) -> None:
     def problems(*words: str) -> list[str]:
         result = runner.invoke(app, ["calibration", *words, "--json"])
@@ -64,6 +88,7 @@ def test_what_cannot_be_converted(tmp_path: Path, rig: Path) -> None:
     assert problems("show", str(tmp_path / "none.json")) == ["calibration_missing"]
     assert problems("show", str(rig), "--units=feet") == ["unknown_units"]
     assert problems("convert", str(rig), str(tmp_path / "rig.doc")) == ["calibration_format"]
+    assert problems("convert", str(rig), str(tmp_path / "rig.json"), "--up=w") == ["unknown_axis"]
     assert problems("convert", str(rig), str(tmp_path / "nowhere" / "rig.json")) == ["pipeline_error"]
     unsized = tmp_path / "unsized.yml"
     unsized.write_text("\n".join(line for line in rig.read_text().splitlines() if "image_" not in line))
