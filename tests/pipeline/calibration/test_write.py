@@ -55,7 +55,7 @@ def test_every_camera_survives(
     )
     path = tmp_path_factory.mktemp("rig") / f"rig{ending}"
     path.write_bytes(ENCODERS[ending]([written]))
-    (read,) = read_contents(path).cameras
+    (read,) = read_contents(path, "m").cameras
     assert (read.name, read.size_px, read.lens) == (written.name, written.size_px, written.lens)
     np.testing.assert_array_equal(read.matrix, written.matrix)
     np.testing.assert_array_equal(read.distortion, written.distortion)
