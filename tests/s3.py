@@ -52,7 +52,7 @@ def running_s3() -> Iterator[S3]:
                 assert process.poll() is None
                 assert time.monotonic() < deadline_s
                 with contextlib.suppress(httpx2.TransportError):
-                    httpx2.put(f"{server.endpoint}/{server.bucket}", timeout=30, trust_env=False).raise_for_status()
+                    httpx2.put(f"{server.endpoint}/{server.bucket}", timeout=180, trust_env=False).raise_for_status()
                     break
                 time.sleep(0.05)
             yield server

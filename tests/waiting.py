@@ -6,7 +6,7 @@ from collections.abc import Callable
 import psutil
 
 
-def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+def wait_for(condition: Callable[[], bool], timeout_s: float = 180.0) -> None:
     """Wait until a condition holds; fail after the timeout."""
     deadline_s = time.monotonic() + timeout_s
     while not condition():

@@ -30,6 +30,7 @@ class PersonContent:
     joints: JointSet
     timebase: Timebase
     file_name: str  # Name of the file
+    origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
     preset: Preset  # Convention of BVH files
 
 
@@ -43,6 +44,8 @@ class Format:
     read_xyz_m: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ joints 3"]]]
     # Whether the file holds the person's name. Other files stay as they are when the person is renamed.
     holds_name: bool = False
+    # Whether numbers have single precision, and positions are relative to the origin of ``PersonContent``
+    has_origin: bool = False
 
 
 FORMATS: Mapping[Export, Format] = MappingProxyType(
@@ -51,14 +54,20 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
             lambda person: bvh.encode(person.motion, PRESETS[person.preset]),
             lambda path, preset: bvh.read_xyz_m(path, PRESETS[preset]),
         ),
-        "glb": Format(lambda person: glb.encode(person.motion), lambda path, _: glb.read_xyz_m(path), holds_name=True),
+        "glb": Format(
+            lambda person: glb.encode(person.motion, person.origin_m),
+            lambda path, _: glb.read_xyz_m(path),
+            holds_name=True,
+            has_origin=True,
+        ),
         "trc": Format(
             lambda person: trc.encode(person.track, person.joints, person.timebase, person.file_name),
             lambda path, _: trc.read_xyz_m(path),
         ),
         "c3d": Format(
-            lambda person: c3d_file.encode(person.track, person.joints, person.timebase),
+            lambda person: c3d_file.encode(person.track, person.joints, person.timebase, person.origin_m),
             lambda path, _: c3d_file.read_xyz_m(path),
+            has_origin=True,
         ),
         "csv": Format(
             lambda person: csv_table.encode(person.track, person.joints, person.timebase),

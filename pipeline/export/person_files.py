@@ -16,6 +16,7 @@ from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.formats import FORMATS, PersonContent
+from pipeline.export.origin import file_origin_m
 from pipeline.export.writers import skeletons_json
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, part_of, split
@@ -37,12 +38,14 @@ class PersonOfTake:
     # Joints of the track, and clock of its frames
     joints: JointSet
     timebase: Timebase
+    origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
 
 
 def people_of(take: Reconstruction) -> Iterator[PersonOfTake]:
     """People of a take, in its order."""
+    origin_m = file_origin_m(take.cameras)
     for track, motion in zip(take.tracks, take.motions, strict=True):
-        yield PersonOfTake(track, motion, take.joints, take.timebase)
+        yield PersonOfTake(track, motion, take.joints, take.timebase, origin_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +114,7 @@ def _written(
         with replacing(path, skeletons_json.encode_track(track)) as part:
             return _furthest_mm(path, track.xyz_m, [skeletons_json.read_track_m(part)], on_read)
     export: Export = next(export for export in FILE_FORMATS if export == name)
-    content = PersonContent(track, person.motion, person.joints, person.timebase, path.name, preset)
+    content = PersonContent(track, person.motion, person.joints, person.timebase, path.name, person.origin_m, preset)
     expected_m = skeleton_m() if FILE_FORMATS[export].holds == "motion" else track.xyz_m
     with replacing(path, FORMATS[export].encode(content)) as part:
         return _furthest_mm(path, expected_m, FORMATS[export].read_xyz_m(part, preset), on_read)

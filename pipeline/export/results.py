@@ -14,6 +14,8 @@ from pipeline.config import (
 )
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.errors import PipelineError
+from pipeline.export.formats import FORMATS
+from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import (
     SKELETONS,
     KeptFiles,
@@ -108,7 +110,8 @@ def write_files(
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
     ``calibration.json`` is written if the calibration was refined. ``metrics.json`` is the last file. It contains the
-    largest distance, for each format, between joints read back and their true positions.
+    largest distance, for each format, between joints read back and their true positions, and the origin of files of
+    single precision, if it is not the world's.
 
     Parameters
     ----------
@@ -160,7 +163,13 @@ def write_files(
             _require_equal(part, path, skeletons_json.join(shown, tracks))
     on_share(0.95)
     complete(path)
-    check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
+    check: dict[str, dict[str, Any]] = {
+        export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()
+    }
+    origin_m = file_origin_m(shown.cameras)
+    for export in exports:
+        if FORMATS[export].has_origin and origin_m.any():
+            check[export]["origin_m"] = origin_m.tolist()
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         path = folder / CALIBRATION
         with replacing(path, [encode_calibration(reconstruction.cameras)]):

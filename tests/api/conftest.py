@@ -252,7 +252,7 @@ def live(service: Live) -> Iterator[Live]:
 
 def raw(address: tuple[str, int], request: bytes) -> bytes:
     """Send raw bytes, and read the whole response."""
-    with socket.create_connection(address[:2], timeout=10) as connection:
+    with socket.create_connection(address[:2], timeout=180) as connection:
         connection.sendall(request)
         connection.shutdown(socket.SHUT_WR)
         answer = b""

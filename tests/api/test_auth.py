@@ -213,7 +213,7 @@ def test_an_upload_without_a_key_is_refused_before_it_is_sent(guarded: Guarded) 
         b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=x\r\n"
         b"Content-Length: 100000\r\nConnection: close\r\n\r\n"
     )
-    with socket.create_connection(guarded.live.address[:2], timeout=10) as connection:
+    with socket.create_connection(guarded.live.address[:2], timeout=180) as connection:
         connection.sendall(head)
         assert connection.recv(65536).split(b"\r\n")[0].split()[1] == b"401"
 

@@ -59,7 +59,7 @@ def test_messages_state_allowed_values_of_variables(
 def test_the_command_line_says_it_too() -> None:
     wrong = os.environ | {"MULTICAP_ALLOWED_HOSTS": "a,b"}
     command = [sys.executable, "-m", "api.cli.main", "keys", "list"]
-    done = subprocess.run(command, env=wrong, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, env=wrong, capture_output=True, text=True, timeout=180, check=False)
     assert (done.returncode, "Traceback" in done.stderr) == (2, False)
     assert "MULTICAP_ALLOWED_HOSTS=a,b: must be JSON" in done.stderr
 
@@ -71,7 +71,7 @@ def test_the_command_line_says_it_too() -> None:
 def test_wrong_variables_are_named(tmp_path: Path, program: list[str], status: int) -> None:
     wrong = {"MULTICAP_ARTIFACTS_URL": "gs://bucket", "MULTICAP_DATA_DIR": str(tmp_path)}
     command = [sys.executable, "-m", *program]
-    done = subprocess.run(command, env=os.environ | wrong, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, env=os.environ | wrong, capture_output=True, text=True, timeout=180, check=False)
     assert done.returncode == status
     assert "MULTICAP_ARTIFACTS_URL" in done.stderr
     assert "Traceback" not in done.stderr

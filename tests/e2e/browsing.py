@@ -76,7 +76,7 @@ def _checked(page: Page, allowed: tuple[str, ...]) -> Iterator[None]:
 
 def choose_option(field: Locator, text: str) -> None:
     """Choose the first option of a field that begins with a text."""
-    expect(field.locator("option").filter(has_text=text).first).to_be_attached(timeout=60_000)
+    expect(field.locator("option").filter(has_text=text).first).to_be_attached(timeout=180_000)
     labels = field.locator("option").all_inner_texts()
     field.select_option(label=next(label for label in labels if label.startswith(text)))
 

@@ -43,8 +43,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """Running service; after the tests Ctrl-C must end all of its processes."""
     if sys.platform != "linux":
         pytest.skip("only Linux ties children to their parents")
-    # Machines of tests are busy: the check of the files may take long.
-    with serving(tmp_path_factory.mktemp("data"), MULTICAP_PREFLIGHT_TIMEOUT_S="240") as running:
+    with serving(tmp_path_factory.mktemp("data")) as running:
         yield running
         tree = running.tree()
     assert running.process.returncode == 0

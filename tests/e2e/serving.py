@@ -68,24 +68,28 @@ class Served:
         return found
 
     def wait_for_end(self, job_id: str) -> dict[str, Any]:
-        wait_for(lambda: self.job(job_id)["state"] in {"succeeded", "failed", "canceled"}, timeout_s=240)
+        wait_for(lambda: self.job(job_id)["state"] in {"succeeded", "failed", "canceled"}, timeout_s=600)
         return self.job(job_id)
+
+
+# Machines of tests are busy: the check of the files may take long.
+_PATIENT = {"MULTICAP_NICE": "0", "MULTICAP_PREFLIGHT_TIMEOUT_S": "240"}
 
 
 @contextmanager
 def serving(data_dir: Path, **environment: str) -> Iterator[Served]:
     """Run a service on a folder during the block."""
     command = tied_to_parent([*COMMAND, "--port", "0", "--data", str(data_dir)])
-    with Popen(command, stdout=PIPE, text=True, env=os.environ | {"MULTICAP_NICE": "0"} | environment) as process:
+    with Popen(command, stdout=PIPE, text=True, env=os.environ | _PATIENT | environment) as process:
         try:
             assert process.stdout is not None
             line = process.stdout.readline()
             assert line.startswith(READY)
-            with httpx2.Client(base_url=line.removeprefix(READY).strip(), timeout=60.0, trust_env=False) as client:
+            with httpx2.Client(base_url=line.removeprefix(READY).strip(), timeout=180, trust_env=False) as client:
                 yield Served(process, data_dir, client)
         finally:
             process.send_signal(signal.SIGINT)
-            process.wait(60)
+            process.wait(180)
 
 
 def digests(folder: Path) -> dict[str, str]:

@@ -27,7 +27,7 @@ SPEC = {"profile": "fast", "frame_range": [0, 12], "exports": ["bvh"]}
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """Service that has time for all pictures, also on a busy machine."""
-    with serving(tmp_path_factory.mktemp("data"), MULTICAP_PREFLIGHT_TIMEOUT_S="120") as running:
+    with serving(tmp_path_factory.mktemp("data")) as running:
         yield running
 
 

@@ -137,7 +137,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
         python = [sys.executable, "-m"]
         stack.enter_context(started(broker, folder / "broker", {}))
         api = stack.enter_context(started([*python, "api"], folder / "api", environment))
-        client = stack.enter_context(httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=60, trust_env=False))
+        client = stack.enter_context(httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=180, trust_env=False))
         deadline_s = time.monotonic() + 120
         while True:
             with contextlib.suppress(httpx2.TransportError):

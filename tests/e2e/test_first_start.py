@@ -39,7 +39,7 @@ def starting(folder: Path, home: Path) -> Iterator[tuple[httpx2.Client, subproce
             subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment)
         )
         address = f"http://127.0.0.1:{port}"
-        client = stack.enter_context(httpx2.Client(base_url=address, timeout=60, trust_env=False))
+        client = stack.enter_context(httpx2.Client(base_url=address, timeout=180, trust_env=False))
         try:
             yield client, process
         finally:

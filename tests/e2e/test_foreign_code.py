@@ -90,7 +90,7 @@ def test_serve_and_a_job(foreign: Path, tmp_path: Path) -> None:
             if not line and process.wait(10) == 1:
                 pytest.skip("the default detector is not installed")
             url = line.removeprefix(READY).strip()
-            with httpx2.Client(base_url=url, timeout=60.0, trust_env=False) as client:
+            with httpx2.Client(base_url=url, timeout=180, trust_env=False) as client:
                 service = Served(process, tmp_path / "data", client)
                 answer = client.post("/v1/jobs", files=files(tmp_path / "capture"))
                 assert answer.status_code == 202, answer.text

@@ -68,7 +68,7 @@ def test_a_full_disk_is_emptied_through_the_api_and_jobs_go_on(served: Served, c
 
         # The service can be started again on the full disk.
         served.part("api").kill()
-        assert httpx2.get(client.base_url.join("/healthz"), timeout=60.0, trust_env=False).is_success
+        assert httpx2.get(client.base_url.join("/healthz"), timeout=180, trust_env=False).is_success
         assert client.delete(upload, headers=TUS).status_code == 204
         assert client.delete(f"/v1/jobs/{ended['id']}").status_code == 204
         fill(served.data_dir / "filler")

@@ -90,7 +90,7 @@ def test_children_end_and_it_is_said(
             os.killpg(process.pid, number)  # as a terminal does: to all processes of the group
         else:
             process.send_signal(number)
-        said, errors = process.communicate(timeout=30)
+        said, errors = process.communicate(timeout=180)
         assert time.monotonic() - asked_s < 15
     assert process.returncode == 128 + number
     assert "Traceback" not in errors
@@ -136,7 +136,7 @@ main()
 @pytest.mark.parametrize("options", [[], ["--json"]])
 def test_while_the_libraries_are_loaded(options: list[str]) -> None:
     command = [sys.executable, "-c", WHILE_LOADING, "reconstruct", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
     assert done.returncode == 130
     assert "Traceback" not in done.stderr
     said = json.loads(done.stdout)["problems"][0]["message"] if options else done.stderr

@@ -49,7 +49,7 @@ FILES = {"calibration": "calibration.json", "timestamps": "timestamps.csv"}
 def page(served: Served, job: dict[str, Any]) -> Iterator[Page]:
     assert job["state"] == "succeeded"
     with opened(f"{served.client.base_url}#/captures", allowed=ALLOWED) as page:
-        expect(page.get_by_role("heading", name="Offline", exact=True, level=2).first).to_be_visible(timeout=60_000)
+        expect(page.get_by_role("heading", name="Offline", exact=True, level=2).first).to_be_visible(timeout=180_000)
         yield page
 
 

@@ -125,13 +125,13 @@ def expect_in_one_screen(page: Page) -> None:
 def sign_in(page: Page, portal: ServedPeople) -> None:
     page.get_by_label("Key").fill(portal.key)
     page.get_by_role("button", name="Sign in").click()
-    expect(page.get_by_role("heading", name="Captures", level=1)).to_be_visible(timeout=30_000)
+    expect(page.get_by_role("heading", name="Captures", level=1)).to_be_visible(timeout=180_000)
     look_at(page, portal)
 
 
 def look_at(page: Page, portal: ServedPeople) -> None:
     page.goto(f"/#/jobs/{portal.job_id}")
-    expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=60_000)
+    expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
     expect(panel(page)).to_be_visible()
 
 
@@ -163,13 +163,13 @@ def rename(page: Page, person: str, name: str) -> None:
 def made(page: Page, revision: int) -> None:
     """Wait until the files of a revision are there and the viewer shows them."""
     expect(panel(page).get_by_text(f"Revision {revision}", exact=True)).to_be_visible(timeout=MAKING_MS)
-    expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=60_000)
+    expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
 
 
 def expect_in_view(page: Page, *names: str) -> None:
     """Wait until the viewer's table has these people."""
     rows = page.get_by_role("table", name="People").get_by_role("rowheader")
-    expect(rows).to_have_text(names, timeout=30_000)
+    expect(rows).to_have_text(names, timeout=180_000)
 
 
 def frames_of_both(portal: ServedPeople, one: int, other: int) -> int:
@@ -409,7 +409,7 @@ def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
     # A change that nothing was done against shows as well.
     portal.edit()
     expect(panel(page).get_by_text("Somebody else has changed the edits. These are theirs.")).to_be_visible(
-        timeout=30_000
+        timeout=180_000
     )
     expect(panel(page).get_by_text("No edits.")).to_be_visible()
 
@@ -428,7 +428,7 @@ def test_another_job_is_compared_on_the_same_clock(page: Page, portal: ServedPeo
         ["no other job", "Smoothing: None, joints as they were located"]
     )
     page.get_by_label("Compare with").select_option(answer["id"])
-    expect(page.locator(".look-viewer[data-ready=true]")).to_have_count(2, timeout=60_000)
+    expect(page.locator(".look-viewer[data-ready=true]")).to_have_count(2, timeout=180_000)
     expect(page.get_by_role("region", name="Smoothing: None, joints as they were located")).to_be_visible()
     expect_in_one_screen(page)
     choose(page, "person-1", 60)
@@ -451,7 +451,7 @@ def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: Ser
     assert page.evaluate("navigator.clipboard.readText()") == address
 
     with opened_by_a_stranger(page, address, allowed=("401 (Unauthorized",)) as guest:
-        expect(guest.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=60_000)
+        expect(guest.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
         expect(guest.get_by_role("heading", name="Room, take 1", level=1)).to_be_visible()
         expect(guest.get_by_role("region", name="Put right who is who")).to_have_count(0)
         expect(guest.get_by_role("region", name="Public link")).to_have_count(0)
@@ -470,7 +470,7 @@ def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: Ser
         expect(sharing.get_by_role("list", name="Links")).to_have_count(0)
         expect(sharing.get_by_role("heading", name="Public link")).to_be_focused()
         guest.reload()
-        expect(guest.get_by_role("heading", name="This link has ended or was revoked")).to_be_visible(timeout=30_000)
+        expect(guest.get_by_role("heading", name="This link has ended or was revoked")).to_be_visible(timeout=180_000)
         expect(guest.get_by_text("Ask the person who sent you the link")).to_be_visible()
 
 

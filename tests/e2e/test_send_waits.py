@@ -91,7 +91,7 @@ class Run:
         self.page.evaluate("localStorage.clear()")
         self.page.route("**/v1/**", self._handle)
         self.page.goto("/#/new")
-        expect(self._send()).to_be_visible(timeout=60_000)
+        expect(self._send()).to_be_visible(timeout=180_000)
 
     def _handle(self, route: Route) -> None:
         kind = kind_of(route.request)

@@ -69,7 +69,7 @@ def test_a_second_service_on_the_folder_is_refused(served: Served) -> None:
         [*COMMAND, "--port", "0", "--data", str(served.data_dir)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=180,
         check=False,
     )
     assert second.returncode == 2
@@ -81,7 +81,7 @@ def test_a_second_service_on_the_folder_is_refused(served: Served) -> None:
 def test_a_port_that_is_taken_is_refused(served: Served, tmp_path: Path) -> None:
     port = str(served.client.base_url.port)
     command = [*COMMAND, "--port", port, "--data", str(tmp_path)]
-    refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    refused = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
     assert refused.returncode == 2
     assert f"Port {port} can't be used on" in refused.stderr
 
@@ -89,7 +89,7 @@ def test_a_port_that_is_taken_is_refused(served: Served, tmp_path: Path) -> None
 def test_a_killed_api_comes_back_on_its_port(served: Served) -> None:
     served.part("api").kill()
     # A new connection waits at the socket until the new process accepts it.
-    assert httpx2.get(served.client.base_url.join("/healthz"), timeout=30.0, trust_env=False).is_success
+    assert httpx2.get(served.client.base_url.join("/healthz"), timeout=180, trust_env=False).is_success
     wait_for(lambda: len(served.tree()) == NUM_PROCESSES)
 
 

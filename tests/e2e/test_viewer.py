@@ -84,7 +84,7 @@ class Shown:
             self.page.route(f"**{address}", lambda route: send_part(route, video.read_bytes()))
         jobs = self.job_ids[:count]
         self.page.evaluate(MOUNT, {"jobs": jobs, "clock": clock, "video": address, "clocks": clocks})
-        expect(self.page.locator(".look-viewer[data-ready=true]").first).to_be_visible(timeout=30_000)
+        expect(self.page.locator(".look-viewer[data-ready=true]").first).to_be_visible(timeout=180_000)
 
     @property
     def frame(self) -> int:
@@ -204,7 +204,7 @@ def test_a_take_without_people_draws_none(shown: Shown) -> None:
         }""",
         shown.job_ids[0],
     )
-    expect(shown.page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=30_000)
+    expect(shown.page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
     expect(shown.page.get_by_text("There is nobody in this take.")).to_be_visible()
     triangles = shown.page.evaluate(
         """() => {
@@ -346,7 +346,7 @@ def test_video_and_skeleton_are_in_step(shown: Shown, kind: str, request: pytest
         settled = (
             f"() => {{ const found = ({PICTURE})(); return found.picture === {frame} && found.overlay === {frame}; }}"
         )
-        page.wait_for_function(settled, timeout=10_000)
+        page.wait_for_function(settled, timeout=180_000)
     page.evaluate("() => { globalThis.viewer.player.seek(0); globalThis.viewer.player.play(); }")
     page.wait_for_function("() => globalThis.viewer.player.frame > 15")
     found = page.evaluate(
@@ -375,7 +375,7 @@ def test_no_picture_is_decoded_twice(shown: Shown, numbered_video: Path) -> None
     page = shown.page
     # At rest the pictures ahead are decoded, each once.
     decoded = "globalThis.viewer.wall.tiles[0].numDecoded"
-    page.wait_for_function(f"() => {decoded} >= {NUM_FRAMES}", timeout=60_000)
+    page.wait_for_function(f"() => {decoded} >= {NUM_FRAMES}", timeout=180_000)
     page.get_by_role("button", name="Play (Space)").click()
     page.wait_for_function("() => globalThis.viewer.player.frame > 60")
     page.wait_for_function("() => globalThis.viewer.player.frame < 30")

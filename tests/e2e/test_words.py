@@ -44,25 +44,25 @@ def test_equal_calibrations_are_listed_once_dated_and_renamed(page: Page, served
     first, again = store(served, "Studio", 0.43), store(served, "Studio, again", 0.43)
     page.reload()
     studio = card(page, "Studio, again")
-    expect(studio.get_by_text("stored 2 times")).to_be_visible(timeout=60_000)
+    expect(studio.get_by_text("stored 2 times")).to_be_visible(timeout=180_000)
     expect(studio.get_by_text(re.compile("^today, "))).to_be_visible()
     expect(card(page, "Studio")).to_have_count(0)
     page.get_by_role("button", name="Rename Studio, again").click()
     expect(page.get_by_label("New name of Studio, again")).to_be_focused()
     page.keyboard.type("Studio <i>B</i>")
     page.keyboard.press("Enter")
-    expect(page.get_by_role("button", name="Rename Studio <i>B</i>")).to_be_focused(timeout=60_000)
+    expect(page.get_by_role("button", name="Rename Studio <i>B</i>")).to_be_focused(timeout=180_000)
     assert served.client.get(f"/v1/calibrations/{again}").json()["name"] == "Studio <i>B</i>"
     page.get_by_role("link", name="New capture").click()
     options = page.get_by_label("Stored calibration")
-    expect(options).to_contain_text("Studio <i>B</i> (", timeout=60_000)
+    expect(options).to_contain_text("Studio <i>B</i> (", timeout=180_000)
     named = [text for text in options.locator("option").all_inner_texts() if text.startswith(("Studio", "Hall"))]
     assert [re.sub(r" \(.*20\d\d.*\)$", "", text) for text in named] == ["Studio <i>B</i>", "Hall"]
     page.get_by_role("link", name="Calibrations", exact=True).click()
     page.get_by_role("button", name="Delete Studio <i>B</i>").click()
     expect(page.get_by_role("dialog")).to_contain_text("It is stored 2 times; all of them are deleted.")
     page.get_by_role("dialog").get_by_role("button", name="Delete the calibration").click()
-    expect(card(page, "Studio <i>B</i>")).to_have_count(0, timeout=60_000)
+    expect(card(page, "Studio <i>B</i>")).to_have_count(0, timeout=180_000)
     assert [served.client.get(f"/v1/calibrations/{each}").status_code for each in (first, again, other)] == [
         *(404, 404, 200)
     ]
@@ -169,7 +169,7 @@ def test_captures_have_a_picture(page: Page, served: Served, tmp_path: Path) -> 
     served.client.post("/v1/sessions", files=[*files, manifest]).raise_for_status()
     page.goto("/#/captures")
     picture = card(page, "Pictured").get_by_role("img", name="Pictured, seen by left")
-    picture.scroll_into_view_if_needed(timeout=60_000)
+    picture.scroll_into_view_if_needed(timeout=180_000)
     for _ in range(600):
         if picture.evaluate("(image) => image.complete && image.naturalWidth > 0"):
             break
@@ -190,7 +190,9 @@ def test_a_wrong_key_says_what_a_key_looks_like(locked: Served, typed: str, answ
     with opened(str(locked.client.base_url), allowed=("401 (Unauthorized",)) as page:
         page.get_by_label("Key").fill(typed)
         page.get_by_role("button", name="Sign in").click()
-        expect(page.get_by_role("alert")).to_contain_text("A key is mc_ and 43 letters, digits, - or _", timeout=60_000)
+        expect(page.get_by_role("alert")).to_contain_text(
+            "A key is mc_ and 43 letters, digits, - or _", timeout=180_000
+        )
         expect(page.get_by_role("alert")).to_contain_text(answer)
 
 

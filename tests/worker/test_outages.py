@@ -96,7 +96,7 @@ def test_a_waiting_job_can_be_canceled(on_s3: RunnerBench, proxy: UnreliableProx
     thread = begin_work(on_s3)
     wait_for(lambda: on_s3.store.jobs.get(job.id).waiting_for is not None, timeout_s=120)
     on_s3.store.jobs.cancel(job.id)
-    wait_for(lambda: on_s3.store.jobs.get(job.id).state is JobState.CANCELED, timeout_s=60)
+    wait_for(lambda: on_s3.store.jobs.get(job.id).state is JobState.CANCELED, timeout_s=180)
     assert on_s3.store.jobs.get(job.id).waiting_for is None
     on_s3.stopping = True
     thread.join(60)

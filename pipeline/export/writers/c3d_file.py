@@ -1,7 +1,8 @@
 """C3D files: positions of a person's joints as points, in millimetres and world axes (Z up).
 
 A joint that is unknown in a frame is invalid there (residual -1). The file begins at the person's first frame. Numbers
-have single precision.
+have single precision: if the world's origin is far away, the parameter ``WORLD:ORIGIN_M`` has the world position in
+metres that positions are relative to.
 """
 
 import tempfile
@@ -19,19 +20,23 @@ from pipeline.joints import JointSet
 
 _MM_PER_M = 1000.0
 _PIECE_BYTES = 2**18
+# Group and name of the parameter with the world position of the file's origin, in metres.
+_ORIGIN = ("WORLD", "ORIGIN_M")
 
 
-def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[bytes]:
-    """Write a track's positions as C3D, piece by piece."""
+def encode(track: Track3D, joints: JointSet, timebase: Timebase, origin_m: Float[np.ndarray, " 3"]) -> Iterator[bytes]:
+    """Write a track's positions as C3D, piece by piece; ``origin_m`` is the world position of the file's origin."""
     content = ezc3d.c3d()
     point = content["parameters"]["POINT"]
     point["RATE"]["value"] = [timebase.frame_rate_hz]
     point["LABELS"]["value"] = list(joints.names)
     point["UNITS"]["value"] = ["mm"]
-    position_mm = np.moveaxis(track.xyz_m, 0, -1).swapaxes(0, 1) * _MM_PER_M
+    position_mm = np.moveaxis(track.xyz_m - origin_m, 0, -1).swapaxes(0, 1) * _MM_PER_M
     content["data"]["points"] = np.concatenate([position_mm, np.ones((1, *position_mm.shape[1:]))])
     unknown = np.isnan(position_mm).any(0, keepdims=True)
     content["data"]["meta_points"]["residuals"] = np.where(unknown, -1.0, 0.0)
+    if origin_m.any():
+        content.add_parameter(*_ORIGIN, origin_m.tolist())
     # ezc3d can only write to a path.
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         path = Path(folder) / "person.c3d"
@@ -42,5 +47,7 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[byt
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     """Read world positions (metres) of the joints from a file of ``encode``; NaN where unknown."""
-    points = ezc3d.c3d(str(path))["data"]["points"][:3]
-    yield np.transpose(points, (2, 1, 0)) / _MM_PER_M
+    content = ezc3d.c3d(str(path))
+    group, name = _ORIGIN
+    origin_m = content["parameters"].get(group, {}).get(name, {"value": np.zeros(3)})["value"]
+    yield np.transpose(content["data"]["points"][:3], (2, 1, 0)) / _MM_PER_M + np.array(origin_m)

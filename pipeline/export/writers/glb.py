@@ -2,7 +2,8 @@
 
 Axes and unit are those of glTF: Y up, facing +Z, metres. The rest pose is a T-pose that stands on the floor at the
 origin. Joints have the skeleton's names, ends of bones included. The animation begins at 0 s with the person's first
-frame; its ``extras`` contain the number of that output frame. Numbers have single precision.
+frame; its ``extras`` contain the number of that output frame. Numbers have single precision: if the world's origin is
+far away, ``extras`` also contain the world position in metres, ``origin_m``, that positions are relative to.
 """
 
 from collections.abc import Iterator
@@ -32,6 +33,8 @@ _ROOT = 0
 # Number of the first joint's node; the node before it is the parent of the skeleton.
 _FIRST_JOINT = 1
 _GAMMA = 2.2
+# Name in the extras of the world position of the file's origin, in metres.
+_ORIGIN = "origin_m"
 
 
 class _Buffer:
@@ -69,8 +72,8 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def encode(motion: SkeletonMotion) -> Iterator[bytes]:
-    """Write a motion as GLB, piece by piece.
+def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"]) -> Iterator[bytes]:
+    """Write a motion as GLB, piece by piece; ``origin_m`` is the world position of the file's origin.
 
     Equal motions give equal bytes.
     """
@@ -94,7 +97,7 @@ def encode(motion: SkeletonMotion) -> Iterator[bytes]:
         meshes=[gltf.Mesh(name="body", primitives=[_primitive(body_mesh(offsets_m, rest_m), buffer)])],
         materials=[_material(motion.track_id)],
         skins=[_skin(rest_m, buffer)],
-        animations=[_animation(motion, buffer)],
+        animations=[_animation(motion, origin_m, buffer)],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
         buffers=[gltf.Buffer(byteLength=len(buffer.content))],
@@ -149,10 +152,10 @@ def _skin(rest_m: Float[np.ndarray, "joints 3"], buffer: _Buffer) -> gltf.Skin:
     return gltf.Skin(inverseBindMatrices=matrices, joints=nodes, skeleton=0)
 
 
-def _animation(motion: SkeletonMotion, buffer: _Buffer) -> gltf.Animation:
+def _animation(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"], buffer: _Buffer) -> gltf.Animation:
     """Animation with a key for each frame: position of the root, and rotation of each joint with children."""
     times = buffer.add(np.arange(len(motion.root_m)) / motion.frame_rate_hz, gltf.SCALAR)
-    paths = [(_ROOT, gltf.TRANSLATION, buffer.add(GLTF.file_from_xyz_m(motion.root_m), gltf.VEC3))]
+    paths = [(_ROOT, gltf.TRANSLATION, buffer.add(GLTF.file_from_xyz_m(motion.root_m - origin_m), gltf.VEC3))]
     quat_xyzw = GLTF.parent_from_joint(motion.parent_from_joint)
     children = children_of(len(motion.bone_length_m))
     paths += [
@@ -169,7 +172,11 @@ def _animation(motion: SkeletonMotion, buffer: _Buffer) -> gltf.Animation:
             )
             for number, (index, path, _) in enumerate(paths)
         ],
-        extras={"start_frame": motion.start_frame, "frame_rate_hz": motion.frame_rate_hz},
+        extras={
+            "start_frame": motion.start_frame,
+            "frame_rate_hz": motion.frame_rate_hz,
+            **({_ORIGIN: origin_m.tolist()} if origin_m.any() else {}),
+        },
     )
 
 
@@ -203,4 +210,5 @@ def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
             offsets_m = positions_m[parent] + file_from_node[parent].apply(offsets_m)
             turn = file_from_node[parent] * turn
         positions_m[number], file_from_node[number] = offsets_m, turn
-    yield GLTF.xyz_m_from_file(np.stack(list(positions_m.values()), axis=1))
+    origin_m = np.array((animation.extras or {}).get(_ORIGIN, (0.0, 0.0, 0.0)))
+    yield GLTF.xyz_m_from_file(np.stack(list(positions_m.values()), axis=1)) + origin_m

@@ -431,7 +431,7 @@ def test_a_database_of_a_newer_version_is_a_sentence(tmp_path: Path, command: li
         database.execute("UPDATE alembic_version SET version_num = '0099'")
     line = [sys.executable, "-m", *command, *([str(tmp_path)] if command[-1] == "--data" else [])]
     environment = os.environ | {"MULTICAP_DATA_DIR": str(tmp_path), "MULTICAP_PORT": "0"}
-    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=180, check=False)
     if "multicap models install" in done.stderr:
         pytest.skip("the default detector is not installed")
     assert done.returncode == status

@@ -56,7 +56,7 @@ def live(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 
 def client_of(live: Live, tenant: str) -> httpx2.Client:
     _, secret = live.services.store.keys.add(tenant, "key", frozenset(Scope))
-    return httpx2.Client(base_url=live.client.base_url, headers={"Authorization": f"Bearer {secret}"}, timeout=60)
+    return httpx2.Client(base_url=live.client.base_url, headers={"Authorization": f"Bearer {secret}"}, timeout=180)
 
 
 def test_a_tenant_at_work_leaves_threads_to_others(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:

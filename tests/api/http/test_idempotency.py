@@ -134,7 +134,7 @@ def test_while_the_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Sessions, "get", slow)
 
     def send() -> httpx2.Response:
-        with httpx2.Client(base_url=live.client.base_url, timeout=30) as client:
+        with httpx2.Client(base_url=live.client.base_url, timeout=180) as client:
             return client.post(f"/v1/sessions/{session_id}/jobs", json={}, headers=KEY)
 
     with ThreadPoolExecutor(1) as pool:

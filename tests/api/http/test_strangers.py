@@ -45,7 +45,7 @@ def live(make_settings: Callable[..., Settings]) -> Iterator[Live]:
     ],
 )
 def test_odd_requests_are_answered_or_closed(live: Live, request_: bytes) -> None:
-    with socket.create_connection(live.address[:2], timeout=20) as connection:
+    with socket.create_connection(live.address[:2], timeout=180) as connection:
         connection.sendall(request_)
         with contextlib.suppress(ConnectionResetError):
             answer = connection.recv(65536)
@@ -56,7 +56,7 @@ def test_odd_requests_are_answered_or_closed(live: Live, request_: bytes) -> Non
 
 def test_a_connection_that_asked_for_websockets_is_usable_or_closed(live: Live) -> None:
     upgrade = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n"
-    with socket.create_connection(live.address[:2], timeout=20) as connection:
+    with socket.create_connection(live.address[:2], timeout=180) as connection:
         for _ in range(2):
             connection.sendall(upgrade)
             answer = connection.recv(65536)
@@ -98,7 +98,7 @@ def test_a_tenant_has_some_event_streams_and_others_have_theirs(make_settings: C
         path = f"/v1/jobs/{live.job_id()}/events"
         request = f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
         for _ in range(3):
-            stream = stack.enter_context(socket.create_connection(live.address[:2], timeout=20))
+            stream = stack.enter_context(socket.create_connection(live.address[:2], timeout=180))
             stream.sendall(request)
             received = b""
             while b"event: job" not in received:
@@ -106,7 +106,7 @@ def test_a_tenant_has_some_event_streams_and_others_have_theirs(make_settings: C
         answer = live.client.get(path)
         assert problem_of(answer, 429, "too_many_streams")["retryable"]
         assert int(answer.headers["retry-after"]) > 0
-        with socket.create_connection(live.address[:2], timeout=20, source_address=("127.0.0.2", 0)) as other:
+        with socket.create_connection(live.address[:2], timeout=180, source_address=("127.0.0.2", 0)) as other:
             other.sendall(request)
             assert other.recv(65536).startswith(b"HTTP/1.1 200 ")
 

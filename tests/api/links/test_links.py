@@ -177,7 +177,7 @@ def test_a_stream_ends_with_its_link(studio: Studio) -> None:
     session_id = studio.ask("POST", "/v1/sessions", files=form()).json()["id"]
     job_id = studio.ask("POST", f"/v1/sessions/{session_id}/jobs", json={}).json()["id"]
     link = studio.ask("POST", f"/v1/jobs/{job_id}/links", json={"scope": "events"}).json()
-    with studio.live.client.stream("GET", link["url"], timeout=30.0) as answer:
+    with studio.live.client.stream("GET", link["url"], timeout=180) as answer:
         lines = answer.iter_lines()
         assert next(line for line in lines if line.startswith("event:")) == "event: job"
         assert studio.ask("DELETE", f"/v1/links/{link['id']}").status_code == 204

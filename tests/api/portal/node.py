@@ -14,5 +14,5 @@ def run_by_node(test: Path, fixtures: Path) -> None:
     assert node is not None
     environment = {**os.environ, "FIXTURES": str(fixtures)}
     command = [node, "--test", str(test)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -191,7 +191,7 @@ def test_without_keys_clients_take_turns_by_address(make_settings: Callable[...,
         hanging = [pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!")) for _ in range(4)]
         time.sleep(0.5)  # all of them are there
         transport = httpx2.HTTPTransport(local_address="127.0.0.2")
-        with httpx2.Client(base_url=live.client.base_url, transport=transport, timeout=30) as other:
+        with httpx2.Client(base_url=live.client.base_url, transport=transport, timeout=180) as other:
             assert other.post("/v1/sessions", files=form()).status_code == 201
         assert not any(answer.done() for answer in hanging)
 
@@ -205,7 +205,7 @@ def test_a_check_that_waits_too_long_is_refused_with_retry_after(make_settings: 
         assert problem_of(answer, 429, "too_many_checks")["retryable"]
         assert int(answer.headers["retry-after"]) > 0
         transport = httpx2.HTTPTransport(local_address="127.0.0.2")
-        with httpx2.Client(base_url=live.client.base_url, transport=transport, timeout=30) as other:
+        with httpx2.Client(base_url=live.client.base_url, transport=transport, timeout=180) as other:
             problem_of(other.post("/v1/sessions", files=form()), 503, "checks_busy")
         assert hanging.result().status_code == 422
         assert live.kept() == []

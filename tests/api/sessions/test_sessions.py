@@ -222,7 +222,7 @@ def test_announced_length_is_enough_to_refuse(live: Live) -> None:
     request = live.client.build_request("POST", "/v1/sessions", headers=headers)
     lines = [f"{name}: {value}" for name, value in request.headers.items()]
     head = "\r\n".join(["POST /v1/sessions HTTP/1.1", *lines, "", ""]).encode()
-    with socket.create_connection(live.address[:2], timeout=10) as connection:
+    with socket.create_connection(live.address[:2], timeout=180) as connection:
         connection.sendall(head)
         connection.sendall(b"x" * 70_000_000)
         assert b" 413 " in connection.recv(65536).split(b"\r\n")[0]

@@ -48,7 +48,7 @@ class BreakingLine:
 
     def _pass_on(self, client: socket.socket) -> None:
         try:
-            service = socket.create_connection(("127.0.0.1", self._port), timeout=60)
+            service = socket.create_connection(("127.0.0.1", self._port), timeout=180)
         except OSError:
             client.close()
             return

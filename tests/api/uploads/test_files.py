@@ -287,7 +287,7 @@ def test_an_interrupted_piece_with_a_checksum_is_dropped(live: Live, tus: Upload
 
 def test_a_reconnected_client_does_not_wait_for_its_old_request(live: Live, tus: Uploader) -> None:
     address = tus.begin(5000)
-    with socket.create_connection(live.address[:2], timeout=20) as stalled:
+    with socket.create_connection(live.address[:2], timeout=180) as stalled:
         stalled.sendall(piece_request(live, address, 5000, CONTENT[:1234]))
         deadline_s = time.monotonic() + 120
         while not live.services.uploads.has_writer(address.rpartition("/")[2]):
@@ -455,6 +455,6 @@ def test_blocks_are_written_on_the_way(live: Live, tus: Uploader, monkeypatch: p
     """Bytes of a slow client are written within about a second."""
     monkeypatch.setattr(uploads, "_BLOCK_S", 0.0)
     address = tus.begin(5000)
-    with socket.create_connection(live.address[:2], timeout=20) as dripping:
+    with socket.create_connection(live.address[:2], timeout=180) as dripping:
         dripping.sendall(piece_request(live, address, 5000, CONTENT[:1234]))
         wait_for_offset(tus, address, 1234)

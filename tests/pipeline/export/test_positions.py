@@ -3,6 +3,7 @@
 import csv
 import io
 import warnings
+from functools import partial
 from pathlib import Path
 
 import c3d
@@ -64,7 +65,7 @@ def test_trc(rate_hz: float, tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 def test_c3d_by_ezc3d(rate_hz: float, tmp_path: Path) -> None:
     path = tmp_path / "person-1.c3d"
-    path.write_bytes(b"".join(c3d_file.encode(track(), COCO_17, timebase(rate_hz))))
+    path.write_bytes(b"".join(c3d_file.encode(track(), COCO_17, timebase(rate_hz), np.zeros(3))))
     read = ezc3d.c3d(str(path))
     point = read["parameters"]["POINT"]
     assert point["RATE"]["value"][0] == pytest.approx(rate_hz, rel=1e-6)
@@ -76,7 +77,7 @@ def test_c3d_by_ezc3d(rate_hz: float, tmp_path: Path) -> None:
 
 def test_c3d_by_another_reader(tmp_path: Path) -> None:
     path = tmp_path / "person-1.c3d"
-    path.write_bytes(b"".join(c3d_file.encode(track(), COCO_17, timebase(25.0))))
+    path.write_bytes(b"".join(c3d_file.encode(track(), COCO_17, timebase(25.0), np.zeros(3))))
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that there are no analog channels
         reader = c3d.Reader(file)
@@ -94,7 +95,7 @@ def test_c3d_by_another_reader(tmp_path: Path) -> None:
 def test_feet_and_hands_in_all_formats(joints: JointSet, tmp_path: Path) -> None:
     larger, clock = larger_track(joints), timebase(25.0)
     path = tmp_path / "person-1.c3d"
-    path.write_bytes(b"".join(c3d_file.encode(larger, joints, clock)))
+    path.write_bytes(b"".join(c3d_file.encode(larger, joints, clock, np.zeros(3))))
     np.testing.assert_allclose(np.concatenate(list(c3d_file.read_xyz_m(path))), larger.xyz_m, atol=1e-4)
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that there are no analog channels
@@ -134,7 +135,7 @@ def test_csv() -> None:
 
 
 def test_the_same_track_always_gives_the_same_bytes() -> None:
-    for encode in (c3d_file.encode, csv_table.encode):
+    for encode in (partial(c3d_file.encode, origin_m=np.zeros(3)), csv_table.encode):
         assert b"".join(encode(track(), COCO_17, timebase(25.0))) == b"".join(encode(track(), COCO_17, timebase(25.0)))
 
 
@@ -142,7 +143,7 @@ def test_the_same_track_always_gives_the_same_bytes() -> None:
 def test_short_tracks_and_nothing_seen(num_frames: int, tmp_path: Path) -> None:
     unseen = track_of(np.full((num_frames, 17, 3), np.nan))
     path = tmp_path / "a.c3d"
-    path.write_bytes(b"".join(c3d_file.encode(unseen, COCO_17, timebase(25.0))))
+    path.write_bytes(b"".join(c3d_file.encode(unseen, COCO_17, timebase(25.0), np.zeros(3))))
     assert np.isnan(ezc3d.c3d(str(path))["data"]["points"][:3]).all()
     assert b"".join(trc.encode(unseen, COCO_17, timebase(25.0), "a.trc")).count(b"\n") == 6 + num_frames
     assert b"".join(csv_table.encode(unseen, COCO_17, timebase(25.0))).count(b"\n") == 1 + num_frames

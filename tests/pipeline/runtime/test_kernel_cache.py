@@ -49,5 +49,5 @@ def test_the_program_waits_for_another_one_that_compiles_and_then_has_nothing_to
         note = "from pipeline.runtime.kernel_cache import note_complete; note_complete()"
         subprocess.run([sys.executable, "-c", note], env=environment, check=True)
         assert waiting.poll() is None
-    assert waiting.communicate(timeout=60)[0] == ""
+    assert waiting.communicate(timeout=180)[0] == ""
     assert waiting.returncode == 0

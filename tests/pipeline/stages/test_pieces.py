@@ -113,9 +113,9 @@ def test_files_are_written_once_and_renamed_people_anew(
     monkeypatch.setattr(skeletons_json, "encode_track", fail)
     encode = glb.encode
 
-    def encode_noted(motion: SkeletonMotion) -> Iterator[bytes]:
+    def encode_noted(motion: SkeletonMotion, origin_m: np.ndarray) -> Iterator[bytes]:
         written.append(motion.name)
-        return encode(motion)
+        return encode(motion, origin_m)
 
     monkeypatch.setattr(glb, "encode", encode_noted)
     assert files(renamed, tmp_path / "kept", pieces) == fresh
@@ -148,9 +148,8 @@ def test_formats_say_whether_their_files_hold_names(session: KeypointSession, ca
     (one, *_) = people_of(edited(session, cache))
 
     def content(motion: SkeletonMotion) -> bytes:
-        return b"".join(
-            FORMATS_BY_NAME[name].encode(PersonContent(one.track, motion, one.joints, one.timebase, "f", "default"))
-        )
+        of_person = PersonContent(one.track, motion, one.joints, one.timebase, "f", one.origin_m, "default")
+        return b"".join(FORMATS_BY_NAME[name].encode(of_person))
 
     holds_name = content(one.motion) != content(dataclasses.replace(one.motion, name="Somebody else"))
     assert holds_name == FORMATS_BY_NAME[name].holds_name
@@ -213,7 +212,8 @@ def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> 
         dataclasses.replace(one, motion=dataclasses.replace(one.motion, name="Zoë")),
         dataclasses.replace(one, motion=dataclasses.replace(one.motion, contacts=())),
         dataclasses.replace(one, timebase=dataclasses.replace(one.timebase, start_time_s=1.0)),
+        dataclasses.replace(one, origin_m=one.origin_m + 1.0),
     ]
     keys = [pieces.key(person) for person in people]
     assert len(set(keys)) == len(keys)
-    assert pieces.key(PersonOfTake(one.track, one.motion, one.joints, one.timebase)) == keys[0]
+    assert pieces.key(PersonOfTake(one.track, one.motion, one.joints, one.timebase, one.origin_m)) == keys[0]

@@ -58,7 +58,7 @@ def test_processes_claim_every_chunk_once(jobs: StoreBench) -> None:
         assert worker.stdin is not None
         worker.stdin.write("go\n")
         worker.stdin.flush()
-    claimed = [chunk_id for worker in workers for chunk_id in json.loads(worker.communicate(timeout=60)[0])]
+    claimed = [chunk_id for worker in workers for chunk_id in json.loads(worker.communicate(timeout=180)[0])]
     assert [worker.returncode for worker in workers] == [0] * NUM_WORKERS
     assert len(claimed) == len(set(claimed)) == NUM_CHUNKS
 

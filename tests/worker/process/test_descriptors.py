@@ -9,7 +9,7 @@ OF_CHILD = "import subprocess, sys; subprocess.run(['sh', '-c', 'ulimit -Sn'])\n
 
 def run(limits: str, code: str) -> list[int]:
     command = ["prlimit", f"--nofile={limits}", sys.executable, "-c", code]
-    return [int(word) for word in subprocess.run(command, capture_output=True, check=True, timeout=60).stdout.split()]
+    return [int(word) for word in subprocess.run(command, capture_output=True, check=True, timeout=180).stdout.split()]
 
 
 def test_the_soft_limit_is_raised_to_the_hard_one_and_children_have_it() -> None:

@@ -125,6 +125,6 @@ def test_two_processes_download_once(file_server: Any, tmp_path: Path) -> None:
     )
     command = [sys.executable, "-c", script, f"{file_server.url}/net", str(tmp_path / "net"), SHA256]
     processes = [subprocess.Popen(command) for _ in range(2)]
-    assert [process.wait(timeout=60) for process in processes] == [0, 0]
+    assert [process.wait(timeout=180) for process in processes] == [0, 0]
     assert (tmp_path / "net").read_bytes() == CONTENT
     assert file_server.ranges == [None]
