@@ -6,6 +6,7 @@ import { html, nothing, render } from "../shared/lit.js";
 import { readOptions } from "../shared/options.js";
 import { problemBox } from "../shared/problem.js";
 import { EditedStore } from "../viewer/motion/edited.js";
+import { about } from "../viewer/motion/nearby.js";
 import { titlesOf } from "./titles.js";
 
 // Event `time`: the play head has moved, or another viewer is shown.
@@ -70,9 +71,11 @@ export class JobMotion extends EventTarget {
   async #renew() {
     const number = ++this.#number;
     const isOver = () => number !== this.#number;
+    const origin = this.#viewer.description.origin_m;
     const read = async () => {
       const { MotionStore } = await import("../viewer/motion/store.js");
-      return new MotionStore(await this.#source.description(), this.#source);
+      const description = about(await this.#source.description(), origin);
+      return new MotionStore(description, this.#source);
     };
     const store = await persistently(() => orAway(read), { isOver });
     // Nobody disappears until the frames are there.

@@ -1,6 +1,7 @@
 // Entry of the viewer: `mount(element, source)` shows a job's motion, `mountPair` two jobs on the same clock.
 
 import { el } from "./dom.js";
+import { about, originOf } from "./motion/nearby.js";
 import { transport } from "./panels/transport.js";
 import { Player, rangeOf } from "./player.js";
 import { Viewer } from "./viewer.js";
@@ -38,7 +39,9 @@ export async function mountPair(element, sources, titles) {
 async function describe(element, sources) {
   element.replaceChildren(el("p", { class: "look-loading", role: "status" }, "Loading the motion …"));
   try {
-    return await Promise.all(sources.map((source) => source.description()));
+    const descriptions = await Promise.all(sources.map((source) => source.description()));
+    const origin = originOf(descriptions[0]);
+    return descriptions.map((description) => about(description, origin));
   } catch (error) {
     element.replaceChildren(el("p", { class: "look-problem", role: "alert" }, error.message));
     throw error;

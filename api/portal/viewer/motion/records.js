@@ -29,6 +29,7 @@ export class FrameRecords {
     this.absent = absent;
     this.errorStepPx = error_step_px;
     this.unknownError = unknown_error;
+    this.origin = description.origin_m ?? [0, 0, 0];
   }
 
   /** Number of positions that a field, `joints` or `skeleton`, holds. */
@@ -36,15 +37,15 @@ export class FrameRecords {
     return this[FIELDS[field]];
   }
 
-  /** Write the positions of a field in metres to `out` (x, y, z a joint); NaN for joints without a position. */
+  /** Write the positions of a field, metres from the origin, to `out` (x, y, z a joint); NaN for joints without one. */
   positions({ buffer, start }, field, stepM, out) {
     // Records and their heads are multiples of four bytes, so both views are aligned.
-    const origin = new Float32Array(buffer, start + this.offsets.origin_m, 3);
+    const root = new Float32Array(buffer, start + this.offsets.origin_m, 3);
     const steps = new Int16Array(buffer, start + this.offsets[field], 3 * this.count(field));
     for (let joint = 0; joint < steps.length; joint += 3) {
       const isAbsent = steps[joint] === this.absent;
       for (let axis = 0; axis < 3; axis++) {
-        out[joint + axis] = isAbsent ? NaN : origin[axis] + steps[joint + axis] * stepM;
+        out[joint + axis] = isAbsent ? NaN : root[axis] - this.origin[axis] + steps[joint + axis] * stepM;
       }
     }
     return out;

@@ -5,6 +5,7 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
 import { FrameRecords, parsePieces } from "../../../../api/portal/viewer/motion/records.js";
+import { about, centerOf, originOf } from "../../../../api/portal/viewer/motion/nearby.js";
 import { EditedStore } from "../../../../api/portal/viewer/motion/edited.js";
 import { MotionStore } from "../../../../api/portal/viewer/motion/store.js";
 import { badSpots, bucketErrorPx, decodeStrips } from "../../../../api/portal/viewer/motion/strips.js";
@@ -219,4 +220,29 @@ test("frames that come are told", async () => {
   store.close();
   base.dispatchEvent(new Event("load"));
   assert.equal(numLoads, 1);
+});
+
+test("a take in survey coordinates is drawn about an origin amid its cameras", () => {
+  assert.deepEqual(originOf(description), [0, 0, 0]);
+  const away = [500123.25, 5412345.5, 312.75];
+  // The world moves the other way: cameras and floor are where a survey has them.
+  const { origin_m: _, ...far } = about({ ...description, floor: { height_m: 0.1, slope_x: 0.01, slope_y: -0.02 } }, away.map((value) => -value));
+  const origin = originOf(far);
+  assert.ok(origin.every((value, axis) => Number.isInteger(value) && Math.abs(value - away[axis]) < 20), `${origin}`);
+  const near = about(far, origin);
+  near.cameras.forEach(({ cam_from_world }, number) => {
+    const expectedCenter = centerOf(description.cameras[number].cam_from_world);
+    centerOf(cam_from_world).forEach((value, axis) => assert.ok(Math.abs(value - (expectedCenter[axis] + away[axis] - origin[axis])) < 1e-6));
+  });
+  const heightAt = ({ height_m, slope_x, slope_y }, [x, y]) => height_m + slope_x * x + slope_y * y;
+  const place = [away[0] - origin[0] + 2, away[1] - origin[1] - 3];
+  assert.ok(Math.abs(heightAt(near.floor, place) - (0.1 + 0.02 + 0.06 + away[2] - origin[2])) < 1e-6);
+  // A record holds where its positions begin in single precision, and steps of a fraction of a millimetre from there.
+  const { num_bytes: numBytes, offsets, absent } = description.record;
+  const record = new DataView(new ArrayBuffer(numBytes));
+  [500123.5, 5412346, 313].forEach((value, axis) => record.setFloat32(offsets.origin_m + 4 * axis, value, true));
+  for (let number = 0; number < 3 * description.joint_names.length; number++) record.setInt16(offsets.joints + 2 * number, number < 3 ? 7 + number : absent, true);
+  const positions = new FrameRecords(near).positions({ buffer: record.buffer, start: 0 }, "joints", 1e-4, new Float32Array(3 * description.joint_names.length));
+  [500123.5, 5412346, 313].forEach((value, axis) => assert.ok(Math.abs(positions[axis] - (value - origin[axis] + (7 + axis) * 1e-4)) < 1e-5));
+  assert.ok(positions.slice(3).every(Number.isNaN));
 });
