@@ -379,16 +379,21 @@ def _guessed(videos: Sequence[VideoInfo], recordings: Sequence[Recording]) -> tu
     return tuple(guessed_camera(named.get(video.path.name, _stem(video.path)), video.size_px) for video in videos)
 
 
+def footage_in(folder: Path) -> list[Path]:
+    """Videos in a folder; without any, its folders and zips of images."""
+    listed = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    return [path for path in listed if path.is_file() and path.suffix.lower() in _VIDEO_ENDINGS] or [
+        path for path in listed if path.suffix.lower() == ".zip" or _has_images(path)
+    ]
+
+
 def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[Path], list[Finding], list[Problem]]:
     """List the video files; tell of ignored files, and report missing videos and equal names."""
     findings: list[Finding] = []
     problems: list[Problem] = []
     if isinstance(videos, Path) and videos.is_dir():
-        listed = sorted(path for path in videos.iterdir() if not path.name.startswith("."))
-        files = [path for path in listed if path.is_file()]
-        paths = [path for path in files if path.suffix.lower() in _VIDEO_ENDINGS] or [
-            path for path in listed if path.suffix.lower() == ".zip" or _has_images(path)
-        ]
+        files = sorted(path for path in videos.iterdir() if path.is_file() and not path.name.startswith("."))
+        paths = footage_in(videos)
         findings += [
             Finding(FILE_IGNORED, f"{path.name} is ignored: it is not a video.", severity="info")
             for path in files

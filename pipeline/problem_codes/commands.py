@@ -70,3 +70,21 @@ BACKUP_FAILED = COMMANDS.code(
     "backup_failed", _COMMAND, "The backup could not be made, read or restored.", "Follow the message."
 )
 INTERRUPTED = COMMANDS.code("interrupted", _COMMAND, "The command was interrupted by a signal.", "Start it again.")
+TAKES_UNREADABLE = COMMANDS.code(
+    "takes_unreadable",
+    _COMMAND,
+    "A batch has no takes, or its list of takes can't be read.",
+    "Give a folder with a folder for each take, or a list as in [many takes](formats.md#many-takes).",
+)
+TAKE_EMPTY = COMMANDS.code(
+    "take_empty",
+    _COMMAND,
+    "A take has neither videos nor folders of keypoints.",
+    "Put the videos of all cameras, or the folder `keypoints`, into the folder of the take.",
+)
+TAKE_UNCALIBRATED = COMMANDS.code(
+    "take_uncalibrated",
+    _COMMAND,
+    "A take has no calibration.",
+    "Give `--calibration`, or put a file `calibration.*` into the take.",
+)
