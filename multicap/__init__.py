@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from api.cli.client import Client, Job, ServiceError
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
-    from pipeline.capture.session import CaptureSession, Recording, open_session
+    from pipeline.capture.recordings import Recording
+    from pipeline.capture.session import CaptureSession, open_session
     from pipeline.config import ReconstructionConfig
     from pipeline.data.reconstruction import Reconstruction
     from pipeline.detect.models import install as install_network
@@ -75,7 +76,7 @@ _REFERENCES = {
     "Progress": "pipeline.progress:Progress",
     "Reconstruction": "pipeline.data.reconstruction:Reconstruction",
     "ReconstructionConfig": "pipeline.config:ReconstructionConfig",
-    "Recording": "pipeline.capture.session:Recording",
+    "Recording": "pipeline.capture.recordings:Recording",
     "ServiceError": "api.cli.client:ServiceError",
     "WrittenResults": "pipeline.export.results:WrittenResults",
     "install_network": "pipeline.detect.models:install",

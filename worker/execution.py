@@ -87,7 +87,15 @@ class KeptSession:
 
         A distant store's video is fetched when it is needed, and kept for the next chunk.
         """
-        (name,) = (described.file for described in work.session.preflight.cameras if described.name == camera)
+        (described,) = (described for described in work.session.preflight.cameras if described.name == camera)
+        with contextlib.ExitStack() as files:
+            for name in (described.file, *described.more_files):
+                files.enter_context(self._file(work, camera, name))
+            yield
+
+    @contextlib.contextmanager
+    def _file(self, work: Work, camera: str, name: str) -> Iterator[None]:
+        """Have a file of a camera's video at hand."""
         (file,) = (file for file in work.session.files if file.name == name)
         sent = file.key, file.sha256, work.check
         with _undamaged(name, camera):

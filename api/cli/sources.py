@@ -9,7 +9,8 @@ import typer
 
 from pipeline.calibration.contents import Units
 from pipeline.capture.preflight_record import Clock
-from pipeline.capture.session import CaptureSession, Recording, open_session
+from pipeline.capture.recordings import Recording
+from pipeline.capture.session import CaptureSession, open_session
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import PARAMETER_UNREADABLE, SOURCES
 from pipeline.video.images.files import SEQUENCE
@@ -19,7 +20,7 @@ VideosOption = Annotated[
     typer.Option(
         metavar="VIDEO|CAMERA=VIDEO",
         help="Folder with one video of each camera, or the videos; or folders or zips of images. CAMERA= states the "
-        "camera of a video. Repeatable.",
+        "camera of a video, or of the next part of its recording. Repeatable.",
         show_default=False,
     ),
 ]
@@ -82,15 +83,15 @@ def _footage(
 ) -> tuple[list[Path], list[Recording]]:
     """Files, and what is stated of the cameras."""
     paths: list[Path] = []
-    stated: list[Recording] = []
+    stated: dict[str, list[str]] = {}
     for video in videos:
         camera, sign, path = str(video).partition("=")
         if sign and not video.exists():
             paths.append(Path(path))
-            stated.append(Recording(camera.strip(), file=str(Path(path))))
+            stated.setdefault(camera.strip(), []).append(str(Path(path)))
         else:
             paths.append(video)
-    recordings = {recording.camera: recording for recording in stated}
+    recordings = {camera: Recording(camera, file, more_files=tuple(more)) for camera, (file, *more) in stated.items()}
     for camera, seconds in parameters(offset or [], "cam_2=0.48").items():
         recordings[camera] = replace(recordings.get(camera, Recording(camera)), offset_s=seconds)
     for camera, rate_hz in parameters(rate or [], "cam_2=240").items():

@@ -12,7 +12,8 @@ from api.cli.sources import open_footage
 from pipeline.calibration.contents import Units
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.names import natural_key
-from pipeline.capture.session import Session, footage_in
+from pipeline.capture.session import Session
+from pipeline.capture.video_files import footage_in
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import TAKE_EMPTY, TAKE_UNCALIBRATED, TAKES_UNREADABLE
 

@@ -25,6 +25,7 @@ _PREFLIGHT: dict[str, Any] = {
             "video_link": f"/v1/sessions/{SESSION_ID}/videos/cam_{index}",
             "media_start_s": 0.0,
             "thumbnails": [{"time_s": 5.0, "link": f"/v1/sessions/{SESSION_ID}/thumbnails/cam_{index}/0"}],
+            "more_files": [],
         }
         for index in range(2)
     ],

@@ -246,7 +246,11 @@ def _as_before(manifest: Manifest, source: Session) -> Manifest:
     before: dict[str, Any] = {
         "cameras": tuple(
             CameraManifest(
-                name=recording.camera, file=recording.file, offset_s=recording.offset_s, rate=recording.frame_rate_hz
+                name=recording.camera,
+                file=recording.file,
+                more_files=recording.more_files,
+                offset_s=recording.offset_s,
+                rate=recording.frame_rate_hz,
             )
             for recording in preflight.recordings
         ),
@@ -299,7 +303,13 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
         arguments.append(f"--clock={manifest.clock}")
     if manifest.cameras:
         said = [
-            {"camera": camera.name, "file": camera.file, "offset_s": camera.offset_s, "frame_rate_hz": camera.rate}
+            {
+                "camera": camera.name,
+                "file": camera.file,
+                "more_files": camera.more_files,
+                "offset_s": camera.offset_s,
+                "frame_rate_hz": camera.rate,
+            }
             for camera in manifest.cameras
         ]
         arguments.append(f"--recordings={json.dumps(said, ensure_ascii=False)}")

@@ -51,6 +51,12 @@ class CameraManifest(BaseModel):
         max_length=200,
         description="Name of the camera's video; by default the video with the camera's name.",
     )
+    more_files: tuple[Annotated[str, AfterValidator(printable_name), Field(min_length=1, max_length=200)], ...] = Field(
+        default=(),
+        max_length=256,
+        description="Names of further files in which the recording of `file` goes on, in order. Chapters of GoPro "
+        "cameras, and files with `part 1`, `part 2` in their names, need no mention.",
+    )
     offset_s: float = Field(
         default=0.0,
         strict=True,
@@ -183,6 +189,9 @@ class CameraOut(ResponseModel):
 
     name: str = Field(description="Name of the camera in the calibration.")
     file: str = Field(description="Name of the file with the camera's video or keypoints.")
+    more_files: tuple[str, ...] = Field(
+        default=(), description="Names of further files in which the camera's recording goes on, in order."
+    )
     size_px: tuple[int, int] = Field(description="Width and height of the frames.")
     frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.")
     num_frames: int = Field(description="Number of frames in the file.")

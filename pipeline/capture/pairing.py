@@ -70,7 +70,7 @@ def pair(
         Cameras. The name of an input has the name of a camera, or of the camera's section in the calibration, as a
         whole word; see ``cameras_in_names``.
     names
-        Names of the inputs without endings.
+        Names of the inputs without endings, but for those that are stated.
     stated
         Names of inputs by the names of their cameras, whatever their names say.
     required
@@ -79,7 +79,7 @@ def pair(
         Pair inputs and cameras by the natural order of their names, whatever the names are.
     """
     stated = stated or {}
-    free = sorted({*names} - {*stated.values()}, key=natural_key)
+    free = _sorted({*names})
     if by_order:
         paired, problems = _by_order([camera.name for camera in cameras if camera.name not in stated], free, thing)
     else:

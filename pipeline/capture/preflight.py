@@ -43,7 +43,8 @@ from pipeline.capture.preflight_record import (
     PreflightTimebase,
     thumbnail_name,
 )
-from pipeline.capture.session import Recording, Session, open_session
+from pipeline.capture.recordings import Recording
+from pipeline.capture.session import Session, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.findings import Finding
 from pipeline.problem_codes.requests import SESSION_TOO_LARGE
@@ -61,27 +62,28 @@ EXIT_DISK_FULL = 4
 
 def report(
     session: Session,
-    files: Sequence[str],
+    files: Sequence[Sequence[str]],
     units: str | None,
     recordings: Sequence[Recording] = (),
     clock: Clock = "declared",
 ) -> Preflight:
-    """Build the preflight record of a session."""
+    """Build the preflight record of a session; ``files`` are the names of each camera's files."""
     media = _media(session, recordings)
     starts_s = {name: float(times.time_s[0]) if len(times.time_s) else 0.0 for name, times in session.times.items()}
     return Preflight(
         cameras=tuple(
             PreflightCamera(
                 name=camera.name,
-                file=file,
+                file=of_camera[0],
                 size_px=camera.size_px,
                 frame_rate_hz=_camera_rate_hz(session, camera.name),
                 num_frames=len(session.times[camera.name].time_s),
                 start_time_s=starts_s[camera.name],
                 media_type=media[camera.name][0],
                 media_start_s=media[camera.name][1],
+                more_files=tuple(of_camera[1:]),
             )
-            for camera, file in zip(session.cameras, files, strict=True)
+            for camera, of_camera in zip(session.cameras, files, strict=True)
         ),
         timebase=PreflightTimebase(**asdict(session.timebase)),
         stretches=tuple(session.stretches),
@@ -117,7 +119,10 @@ def _camera_rate_hz(session: Session, camera: str) -> float:
 def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     if arguments.photographs and (others := [path for path in arguments.videos if not is_sequence(path)]):
         raise InputError([_no_archive(path) for path in others])
-    recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
+    recordings = [
+        Recording(**{**recording, "more_files": tuple(recording.get("more_files", ()))})
+        for recording in json.loads(arguments.recordings)
+    ]
     units, clock = arguments.units, arguments.clock
     session = open_session(
         arguments.videos,
@@ -133,7 +138,7 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
         session = replace(
             session, findings=tuple(finding for finding in session.findings if finding.code not in OF_TIMES)
         )
-    files = [video.path.name for video in session.videos]
+    files = [[path.name for path in video.paths] for video in session.videos]
     preflight, record = report(session, files, units, recordings, clock), encode_session(session)
     if arguments.thumbnails:
         looked = look_at_pictures(session, max(0.0, arguments.pictures_s - (time.monotonic() - _STARTED_S)))
@@ -178,7 +183,7 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
             arguments.max_joints,
             arguments.pair_by_order,
         )
-    files = [session.folders[camera.name] + ".zip" for camera in session.cameras]
+    files = [[session.folders[camera.name] + ".zip"] for camera in session.cameras]
     preflight = report(session, files, arguments.units)
     if arguments.thumbnails:
         preflight = _with_findings(preflight, check_cameras(session.cameras))

@@ -74,28 +74,51 @@ def encode_session(session: CaptureSession) -> bytes:
     cameras, arrays = _cameras(session.cameras)
     head = {
         "cameras": cameras,
-        "videos": [
-            {
-                "file": video.path.name,
-                "codec": video.codec,
-                "size_px": video.size_px,
-                "rotation_deg": video.rotation_deg,
-                "frame_rate_hz": video.frame_rate_hz,
-                "stored_width_px": video.stored_width_px,
-            }
-            for video in session.videos
-        ],
+        "videos": [_video(video) for video in session.videos],
         "findings": [finding.to_json() for finding in session.findings],
     }
     arrays["head"] = np.array(json.dumps(head))
     for k, (camera, video) in enumerate(zip(session.cameras, session.videos, strict=True)):
-        arrays |= {
-            f"pts_{k}": video.pts,
-            f"keyframe_pts_{k}": video.keyframe_pts,
-            f"video_time_s_{k}": video.time_s,
-            f"time_s_{k}": session.times[camera.name].time_s,
-        }
+        arrays |= {**_frames(video, str(k)), f"time_s_{k}": session.times[camera.name].time_s}
+        for number, part in enumerate(video.parts):
+            arrays |= _frames(part, f"{k}_{number}")
     return encode_arrays(arrays)
+
+
+def _video(video: VideoInfo) -> dict[str, Any]:
+    """Video as a part of the head of an archive."""
+    return {
+        "file": video.path.name,
+        "codec": video.codec,
+        "size_px": video.size_px,
+        "rotation_deg": video.rotation_deg,
+        "frame_rate_hz": video.frame_rate_hz,
+        "stored_width_px": video.stored_width_px,
+        **({"parts": [_video(part) for part in video.parts]} if video.parts else {}),
+    }
+
+
+def _frames(video: VideoInfo, name: str) -> dict[str, np.ndarray]:
+    """Frames of a video as arrays of an archive."""
+    return {f"pts_{name}": video.pts, f"keyframe_pts_{name}": video.keyframe_pts, f"video_time_s_{name}": video.time_s}
+
+
+def _decode_video(head: Mapping[str, Any], arrays: Mapping[str, np.ndarray], name: str, folder: Path) -> VideoInfo:
+    return VideoInfo(
+        path=folder / head["file"],
+        codec=head["codec"],
+        size_px=tuple(head["size_px"]),
+        rotation_deg=head["rotation_deg"],
+        pts=arrays[f"pts_{name}"],
+        keyframe_pts=arrays[f"keyframe_pts_{name}"],
+        time_s=arrays[f"video_time_s_{name}"],
+        frame_rate_hz=head["frame_rate_hz"],
+        # Records of earlier versions are of square pixels.
+        stored_width_px=head.get("stored_width_px"),
+        parts=tuple(
+            _decode_video(part, arrays, f"{name}_{number}", folder) for number, part in enumerate(head.get("parts", ()))
+        ),
+    )
 
 
 def decode_session(content: bytes, folder: Path) -> CaptureSession:
@@ -105,21 +128,7 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
     cameras = _decode_cameras(head["cameras"], arrays)
     return CaptureSession(
         cameras=cameras,
-        videos=tuple(
-            VideoInfo(
-                path=folder / video["file"],
-                codec=video["codec"],
-                size_px=tuple(video["size_px"]),
-                rotation_deg=video["rotation_deg"],
-                pts=arrays[f"pts_{k}"],
-                keyframe_pts=arrays[f"keyframe_pts_{k}"],
-                time_s=arrays[f"video_time_s_{k}"],
-                frame_rate_hz=video["frame_rate_hz"],
-                # Records of earlier versions are of square pixels.
-                stored_width_px=video.get("stored_width_px"),
-            )
-            for k, video in enumerate(head["videos"])
-        ),
+        videos=tuple(_decode_video(video, arrays, str(k), folder) for k, video in enumerate(head["videos"])),
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         findings=_decode_findings(head),
     )

@@ -41,12 +41,15 @@ class PreflightCamera:
     # Small copies of a few pictures, ascending in time; none of keypoints, and in records of earlier versions. Their
     # places are the numbers in the evidence ``pictures`` of findings.
     thumbnails: tuple[PreflightThumbnail, ...] = ()
+    more_files: tuple[str, ...] = ()  # Names of further files with the camera's video, whose parts they are, in order
 
     @classmethod
     def from_json(cls, document: Any) -> "PreflightCamera":
         """Read a parsed JSON object."""
         thumbnails = tuple(PreflightThumbnail(**thumbnail) for thumbnail in document.get("thumbnails", ()))
-        return cls(**{**document, "size_px": tuple(document["size_px"]), "thumbnails": thumbnails})
+        more_files = tuple(document.get("more_files", ()))
+        changed = {"size_px": tuple(document["size_px"]), "thumbnails": thumbnails, "more_files": more_files}
+        return cls(**{**document, **changed})
 
     def to_json(self) -> dict[str, Any]:
         """JSON object."""
@@ -54,6 +57,7 @@ class PreflightCamera:
             **asdict(self),
             "size_px": list(self.size_px),
             "thumbnails": [asdict(thumbnail) for thumbnail in self.thumbnails],
+            "more_files": list(self.more_files),
         }
 
 
@@ -74,6 +78,7 @@ class PreflightRecording:
     file: str | None = None
     offset_s: float = 0.0
     frame_rate_hz: float | None = None
+    more_files: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +121,10 @@ class Preflight:
                 # Older versions worked on all frames.
                 stretches=tuple(range(*stretch) for stretch in document.get("stretches", [[0, timebase.num_frames]])),
                 warnings=tuple(document.get("warnings", ())),
-                recordings=tuple(PreflightRecording(**recording) for recording in document.get("recordings", ())),
+                recordings=tuple(
+                    PreflightRecording(**{**recording, "more_files": tuple(recording.get("more_files", ()))})
+                    for recording in document.get("recordings", ())
+                ),
                 units=document.get("units", "m"),
                 findings=tuple(Finding.from_json(finding) for finding in document.get("findings", ())),
                 clock=document.get("clock", "declared"),

@@ -1,7 +1,6 @@
 """Open a capture session of videos and a calibration; all problems are reported at once."""
 
 import os
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,39 +13,33 @@ from pipeline.calibration.sizes import fit_to_video, guessed_camera
 from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.names import natural_key, nfc
 from pipeline.capture.pairing import MIN_CAMERAS, pair
 from pipeline.capture.preflight_record import Clock
+from pipeline.capture.recordings import Recording, SortedFiles, known_recordings, left_out_parts, sort_files
 from pipeline.capture.slow_motion import slow_motion
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
+from pipeline.capture.video_files import find_videos
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.paths import StrPath
-from pipeline.problem_codes.findings import CALIBRATION_ADAPTED, CALIBRATION_NOTE, FILE_IGNORED, FRAMES_REPEATED
+from pipeline.problem_codes.findings import CALIBRATION_ADAPTED, CALIBRATION_NOTE, FRAMES_REPEATED, PARTS_JOINED
 from pipeline.problem_codes.sessions import (
-    DUPLICATE_RECORDING,
-    DUPLICATE_RECORDING_FILE,
-    DUPLICATE_VIDEO,
     FRAME_RATE,
     INVALID_NAME,
     NO_FRAME_RATE,
     OFFSET_RANGE,
-    RECORDING_CAMERA_UNKNOWN,
-    RECORDING_FILE_UNKNOWN,
     SIZE_MISMATCH,
-    TOO_FEW_VIDEOS,
 )
 from pipeline.video.frame_rate import measured_rate_hz, without_rounding
-from pipeline.video.images.files import ENDINGS, SEQUENCE
+from pipeline.video.images.files import SEQUENCE
 from pipeline.video.images.probe import at_rate
 from pipeline.video.info import VideoInfo
+from pipeline.video.joined import join_parts, seam_problems
 from pipeline.video.probe_process import probe_in_children
 from pipeline.video.properties.regularity import OF_TIMES
 from pipeline.video.timeline import cut_timebase, recorded_stretches, require_frames, session_timebase
-
-_VIDEO_ENDINGS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,28 +117,6 @@ Session = CaptureSession | KeypointSession
 """A session of videos or of keypoints. Both have the same members, but for videos and detections."""
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """Facts about a camera's video that neither the video nor the calibration contains.
-
-    Parameters
-    ----------
-    camera
-        Name of the camera, or of its section in the calibration.
-    file
-        Name or path of the video file; ``None``: the video with the camera's name.
-    offset_s
-        Time of the first frame, on the clock that all cameras share.
-    frame_rate_hz
-        Frame rate, if the timestamps of the video are wrong; ``None``: the timestamps are right.
-    """
-
-    camera: str
-    file: str | None = None
-    offset_s: float = 0.0
-    frame_rate_hz: float | None = None
-
-
 def open_session(
     videos: StrPath | Sequence[StrPath],
     calibration: StrPath | None,
@@ -189,7 +160,8 @@ def open_session(
         With all problems of all files.
     """
     given = Path(videos) if isinstance(videos, str | os.PathLike) else [Path(video) for video in videos]
-    paths, findings, problems = _find_videos(given, 1 if calibration is None else MIN_CAMERAS)
+    files = find_videos(given)
+    findings, problems = [*files.findings], files.problems(1 if calibration is None else MIN_CAMERAS)
     cameras: tuple[Camera, ...] = ()
     if calibration is not None:
         try:
@@ -199,30 +171,33 @@ def open_session(
         except InputError as error:
             problems.extend(error.problems)
 
-    probed = probe_in_children(paths)
-    problems.extend(result for result in probed if isinstance(result, Problem))
+    results = probe_in_children(files.paths)
+    problems.extend(result for result in results if isinstance(result, Problem))
+    infos = {path: result for path, result in zip(files.paths, results, strict=True) if isinstance(result, VideoInfo)}
+    footage = sort_files(files, recordings, cameras)
+    problems += footage.problems
     if calibration is None:
-        cameras = _guessed([result for result in probed if isinstance(result, VideoInfo)], recordings)
+        cameras = _guessed(footage, infos)
         problems += [
             Problem(INVALID_NAME, f"The name {fault}", camera=camera.name, field="name", hint="Rename the video.")
             for camera in cameras
             if (fault := name_problem(camera.name))
         ]
     problems += _range_problems(recordings)
-    recording_of_camera, recording_problems = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
+    recording_of_camera, recording_problems = known_recordings(recordings, cameras, files) if cameras else ({}, [])
     problems += recording_problems
     if cameras and not recording_problems:
         stated = {
-            camera: _stem(next(path for path in paths if _is_named(path, recording.file)))
+            camera: footage.stated[recording.camera]
             for camera, recording in recording_of_camera.items()
-            if recording.file is not None
+            if recording.camera in footage.stated
         }
-        names = [_stem(path) for path in paths]
-        pairing = pair(cameras, names, "video", stated, recording_of_camera.keys(), pair_by_order)
+        labels = {camera: paths[0].name for camera, paths in stated.items()}
+        pairing = pair(cameras, list(footage.free), "video", labels, recording_of_camera.keys(), pair_by_order)
         problems += pairing.problems
         findings += pairing.findings
-        infos = {name: result for name, result in zip(names, probed, strict=True) if isinstance(result, VideoInfo)}
-        videos_of = {camera: infos[name] for camera, name in pairing.pairs.items() if name in infos}
+        files_of = {camera: stated.get(camera) or footage.free[name] for camera, name in pairing.pairs.items()}
+        videos_of = _joined(files_of, infos, findings, problems)
         cameras = _fitted([camera for camera in cameras if camera.name in pairing.pairs], videos_of, findings, problems)
     if problems:
         raise InputError(problems)
@@ -282,40 +257,6 @@ def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
     ]
 
 
-def _known_recordings(
-    recordings: Sequence[Recording], cameras: Sequence[Camera], paths: Sequence[Path]
-) -> tuple[dict[str, Recording], list[Problem]]:
-    """Sort recordings by camera; report unknown cameras and files, and cameras and files that occur twice."""
-    names = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
-    known: dict[str, Recording] = {}
-    problems = []
-    for recording in recordings:
-        camera = names.get(recording.camera)
-        hint = f"The calibration's cameras are {', '.join(sorted({*names.values()}, key=natural_key))}."
-        if camera is None:
-            message = "The calibration has no camera of this name."
-            problems.append(Problem(RECORDING_CAMERA_UNKNOWN, message, camera=recording.camera, hint=hint))
-        elif camera in known:
-            problems.append(
-                Problem(DUPLICATE_RECORDING, "There is more than one recording for this camera.", camera=camera)
-            )
-        elif recording.file is not None and not any(_is_named(path, recording.file) for path in paths):
-            message = "There is no video of this name."
-            problems.append(Problem(RECORDING_FILE_UNKNOWN, message, file=Path(recording.file).name, camera=camera))
-        elif recording.file is not None and nfc(recording.file) in {nfc(other.file or "") for other in known.values()}:
-            message = "The video is already assigned to another camera."
-            file = Path(recording.file).name
-            problems.append(Problem(DUPLICATE_RECORDING_FILE, message, file=file, camera=camera))
-        else:
-            known[camera] = recording
-    return known, problems
-
-
-def _is_named(path: Path, file: str) -> bool:
-    """Whether a video has a name or a path, however its accents are composed."""
-    return nfc(file) in {nfc(path.name), nfc(str(path))}
-
-
 def _without_rate(videos: Mapping[str, VideoInfo], rates_hz: Mapping[str, float | None]) -> list[Problem]:
     """Report sequences of images without a frame rate."""
     message, hint = "Images have no times: their frame rate must be stated.", "State it in frames a second."
@@ -373,65 +314,44 @@ def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoI
     return clock_problems(times, start_s, rate_hz, source)
 
 
-def _guessed(videos: Sequence[VideoInfo], recordings: Sequence[Recording]) -> tuple[Camera, ...]:
+def _guessed(footage: SortedFiles, infos: Mapping[Path, VideoInfo]) -> tuple[Camera, ...]:
     """Cameras with the names of the videos, or of the recordings that name a video."""
-    named = {recording.file: recording.camera for recording in recordings}
-    return tuple(guessed_camera(named.get(video.path.name, _stem(video.path)), video.size_px) for video in videos)
+    named = {**footage.stated, **{name.replace("/", "_"): paths for name, paths in footage.free.items()}}
+    in_order = sorted(named.items(), key=lambda item: footage.places[item[1][0]])
+    return tuple(guessed_camera(name, infos[paths[0]].size_px) for name, paths in in_order if paths[0] in infos)
 
 
-def footage_in(folder: Path) -> list[Path]:
-    """Videos in a folder; without any, its folders and zips of images."""
-    listed = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    return [path for path in listed if path.is_file() and path.suffix.lower() in _VIDEO_ENDINGS] or [
-        path for path in listed if path.suffix.lower() == ".zip" or _has_images(path)
-    ]
-
-
-def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[Path], list[Finding], list[Problem]]:
-    """List the video files; tell of ignored files, and report missing videos and equal names."""
-    findings: list[Finding] = []
-    problems: list[Problem] = []
-    if isinstance(videos, Path) and videos.is_dir():
-        files = sorted(path for path in videos.iterdir() if path.is_file() and not path.name.startswith("."))
-        paths = footage_in(videos)
-        findings += [
-            Finding(FILE_IGNORED, f"{path.name} is ignored: it is not a video.", severity="info")
-            for path in files
-            if path not in paths
-        ]
-    else:
-        paths = [videos] if isinstance(videos, Path) else list(videos)
-    if len(paths) < min_videos:
-        found, required = ("is one video", "are") if paths else ("are no videos", "are" if min_videos > 1 else "is")
-        problems.append(
-            Problem(
-                TOO_FEW_VIDEOS,
-                f"There {found}; at least {min_videos} {required} required.",
-                hint="Provide one video of each camera.",
-            )
-        )
-    for stem, count in sorted(Counter(_stem(path) for path in paths).items()):
-        if count > 1:
-            problems.append(
-                Problem(DUPLICATE_VIDEO, f"{count} videos have the name {stem}.", file=stem, hint="Rename them.")
-            )
-    return paths, findings, problems
+def _joined(
+    files_of: Mapping[str, Sequence[Path]],
+    infos: Mapping[Path, VideoInfo],
+    findings: list[Finding],
+    problems: list[Problem],
+) -> dict[str, VideoInfo]:
+    """Video of each camera whose files can be read; report parts that don't fit together, tell of those that do."""
+    videos = {}
+    for camera, paths in files_of.items():
+        parts = [infos[path] for path in paths if path in infos]
+        if len(parts) < len(paths):
+            continue
+        if len(parts) == 1:
+            videos[camera] = parts[0]
+            continue
+        if wrong := [*left_out_parts([path.stem for path in paths]), *seam_problems(parts)]:
+            problems += [replace(problem, camera=camera) for problem in wrong]
+            continue
+        videos[camera] = join_parts(parts)
+        names = [path.name for path in paths]
+        lengths = " + ".join(f"{part.num_frames / part.frame_rate_hz:.1f}" for part in parts)
+        message = f"{camera}: {', '.join(names)} are joined as the parts of one recording of {lengths} s."
+        hint = "State the file of the camera if they are not."
+        findings.append(Finding(PARTS_JOINED, message, camera, "info", hint, {"files": names}))
+    return videos
 
 
 def _of_video(camera: str, doubt: Problem) -> Finding:
     """Finding of what is doubtful about a video's file."""
     message = str(replace(doubt, hint=None))
     return Finding(doubt.code, message, camera, hint=doubt.hint, evidence={"file": doubt.file})
-
-
-def _stem(path: Path) -> str:
-    """Name of a video without its ending, or of a folder of images."""
-    return path.name if path.is_dir() else path.stem
-
-
-def _has_images(path: Path) -> bool:
-    """Return whether a path is a folder with images."""
-    return path.is_dir() and any(file.suffix.lower() in ENDINGS for file in path.iterdir())
 
 
 def _repeated_times(camera: str, video: VideoInfo) -> Finding:

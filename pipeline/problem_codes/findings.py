@@ -22,6 +22,12 @@ PAIRED_IN_SORTED_ORDER = FILES.code(
     "Videos or folders were paired with cameras by the natural order of their names, as it was asked for.",
     "Check the pairs; give the files the names of the cameras.",
 )
+PARTS_JOINED = FILES.code(
+    "parts_joined",
+    _FINDING,
+    "Files are joined as the parts of one camera's recording.",
+    "Check that they are; state the file of the camera if they are not.",
+)
 CAMERA_LEFT_OUT = FILES.code(
     "camera_left_out", _FINDING, "Cameras of the calibration have no video or folder.", "Add what is missing."
 )

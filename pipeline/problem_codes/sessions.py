@@ -197,6 +197,18 @@ PAIRING_COUNTS = VIDEOS.code(
     "Videos or folders are to be paired with cameras by order, and there are not as many.",
     "Name them as the cameras, or leave out what is too much.",
 )
+PARTS_DIFFER = VIDEOS.code(
+    "parts_differ",
+    _FILES,
+    "Files that are to be the parts of one recording differ in size, rotation, codec or frame rate.",
+    "Give each camera the files of one recording, as the camera wrote them.",
+)
+PARTS_GAP = VIDEOS.code(
+    "parts_gap",
+    _FILES,
+    "A part of a recording is missing, by the numbers or the clocks of its files.",
+    "Add the part, or send one part alone.",
+)
 VIDEO_WITHOUT_CAMERA = VIDEOS.code(
     "video_without_camera",
     _FILES,

@@ -218,12 +218,12 @@ def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFact
 def _inputs(session: Session) -> tuple[str, ...]:
     """Digests of all that the result depends on: the opened session, and the videos' files."""
     opened = hashlib.sha256(encode_record(session)).hexdigest()
-    return (opened, *(_digest(video.path) for video in session.video_of.values()))
+    return (opened, *(_digest(path) for video in session.video_of.values() for path in video.paths))
 
 
 def _digests(session: Session, sources: Sequence[Path]) -> dict[str, str]:
     """SHA-256 of the files of a session by name: its videos, or its keypoints as they were read, and further files."""
-    digests = {video.path.name: _digest(video.path) for video in session.video_of.values()}
+    digests = {path.name: _digest(path) for video in session.video_of.values() for path in video.paths}
     if not digests:
         digests["keypoints as they were read"] = hashlib.sha256(encode_record(session)).hexdigest()
     return digests | {path.name: _digest(path) for path in sources}

@@ -59,6 +59,9 @@ def decode(
     ChildError
         If the child process fails for a reason other than the file.
     """
+    if video.parts:
+        yield from _decode_parts(video, start_frame, stop_frame, on_damaged, only, limit_s)
+        return
     wanted: Sequence[int] = range(max(start_frame, 0), min(stop_frame, video.num_frames))
     if only is not None:
         wanted = [number for number in sorted(set(only)) if number in wanted]
@@ -90,6 +93,31 @@ def decode(
         raise _beyond_limits(video, following) from None
     for missing in _between(wanted, following, wanted[-1] + 1):
         on_damaged(missing)
+
+
+def _decode_parts(
+    video: VideoInfo,
+    start_frame: int,
+    stop_frame: int,
+    on_damaged: Callable[[int], object],
+    only: Collection[int] | None,
+    limit_s: float | None,
+) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
+    """Decode the frames of a range from the files that have them."""
+    first = 0
+    for part in video.parts:
+        last = first + part.num_frames
+        if start_frame < last and stop_frame > first:
+            numbers = None if only is None else [number - first for number in only if first <= number < last]
+
+            def on_part_damaged(number: int, first: int = first) -> None:
+                on_damaged(first + number)
+
+            frames = decode(part, start_frame - first, stop_frame - first, on_part_damaged, numbers, limit_s)
+            with closing(frames):
+                for number, image_rgb in frames:
+                    yield first + number, image_rgb
+        first = last
 
 
 def _between(wanted: Sequence[int], start: int, stop: int) -> Sequence[int]:

@@ -40,6 +40,15 @@ class VideoInfo:
     # Media type as which browsers play the file; ``None`` if some don't, see ``pipeline.video.playback.browsers``
     browser_media_type: str | None = None
     media_start_s: float = 0.0  # Time of the first frame on the clock of the file, which players show
+    tick_s: float = 1.0  # Duration of a tick of the stream's time base, in seconds
+    # Files of a recording in several, in order; empty for one file. The path is that of the first, and the timestamps
+    # are numbered through: ``joined`` makes them, and ``decode`` knows of them.
+    parts: tuple["VideoInfo", ...] = ()
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Paths of all files."""
+        return tuple(part.path for part in self.parts) or (self.path,)
 
     @property
     def unrotated_size_px(self) -> tuple[int, int]:

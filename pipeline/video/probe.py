@@ -169,6 +169,7 @@ def _probe(path: Path) -> VideoInfo:
         warnings=tuple(replace(warning, file=path.name) for warning in warnings),
         browser_media_type=browser_media_type(video_format),
         media_start_s=float(pts[0] * time_base),
+        tick_s=float(time_base),
     )
 
 

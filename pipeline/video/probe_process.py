@@ -85,4 +85,5 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
         warnings=tuple(Problem(**warning) for warning in answer["warnings"]),
         browser_media_type=answer["browser_media_type"],
         media_start_s=answer["media_start_s"],
+        tick_s=answer["tick_s"],
     )

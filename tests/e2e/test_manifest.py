@@ -1,20 +1,23 @@
 """Manifest of a session: offsets give the same files as in the library, and all problems are reported."""
 
 import json
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import av
 import httpx2
 import pytest
 
-from pipeline.capture.session import Recording, open_session
+from pipeline.capture.recordings import Recording
+from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
 from pipeline.export.results import write_results
 from pipeline.runtime.packages.samples import Sample
-from pipeline.stages.local import reconstruct
+from pipeline.stages.local import reconstruct, reconstruct_to_files
 from tests.e2e.serving import Served, digests
 from tests.pipeline.capture.test_session import calibration
-from tests.pipeline.media import write_video
+from tests.pipeline.media import cut_at_keyframes, write_pictures, write_video
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -41,6 +44,41 @@ def test_offsets(served: Served, sample: Sample, tmp_path: Path) -> None:
     preflight = served.client.get(answer.json()["links"]["session"]).json()["preflight"]
     assert [camera["start_time_s"] for camera in preflight["cameras"]] == [0.0, 0.04, -0.08, 0.0]
     assert preflight["timebase"]["start_time_s"] == -0.08
+
+
+def test_a_recording_in_parts_gives_the_same_files_as_the_whole(served: Served, sample: Sample, tmp_path: Path) -> None:
+    """The service gets chapters, and the library the whole video: each range of frames lies across two seams."""
+    whole, results = tmp_path / "cam02.mp4", tmp_path / "results"
+    groups = {"g": "8", "keyint_min": "8", "sc_threshold": "0", "preset": "ultrafast"}
+    with av.open(str(sample.videos["cam02"])) as container:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in islice(container.decode(video=0), 32)]
+    write_pictures(whole, pictures, groups | {"bf": "2"})
+    others = [path for name, path in sample.videos.items() if name != "cam02"]
+    recordings = [Recording("cam02", frame_rate_hz=60.0)]
+    session = open_session([whole, *others], sample.calibration, recordings)
+    write_results(reconstruct(session, ReconstructionConfig(smoothing="none", frame_range=(10, 22))), results)
+    assert json.loads((results / "metrics.json").read_bytes())["people"]
+    parts = cut_at_keyframes(whole, [tmp_path / f"cam02_GX0{number}0042.MP4" for number in (1, 2, 3)])
+    answer = send(
+        served,
+        [parts[2], *others, parts[0], parts[1]],
+        sample.calibration,
+        {"cameras": [{"name": "cam02", "rate": 60.0}]},
+    )
+    assert answer.status_code == 202, answer.text
+    job = served.wait_for_end(answer.json()["id"])
+    assert job["state"] == "succeeded"
+    preflight = served.client.get(answer.json()["links"]["session"]).json()["preflight"]
+    (camera,) = [camera for camera in preflight["cameras"] if camera["name"] == "cam02"]
+    assert [camera["file"], *camera["more_files"]] == [path.name for path in parts]
+    assert [finding["camera"] for finding in preflight["findings"] if finding["code"] == "parts_joined"] == ["cam02"]
+    assert served.downloads(answer.json()["id"]) == digests(results)
+    local = tmp_path / "local"
+    session = open_session([*others, *parts], sample.calibration, recordings)
+    written = reconstruct_to_files(session, local, ReconstructionConfig(smoothing="none", frame_range=(10, 22)))
+    assert {path.name: path.read_bytes() for path in written.paths} == {
+        path.name: path.read_bytes() for path in results.iterdir()
+    }
 
 
 def test_all_problems_are_reported(served: Served, tmp_path: Path) -> None:

@@ -98,6 +98,34 @@ def rewrite_packets(
     return target
 
 
+def cut_at_keyframes(source: Path, targets: Sequence[Path], num_keyframes: int = 1) -> list[Path]:
+    """Cut a video without encoding it again, as cameras cut chapters: each file has some keyframes, the last the rest.
+
+    The pictures before a keyframe must not need those after it (closed groups of pictures).
+    """
+    with av.open(str(source)) as reader:
+        stream = reader.streams.video[0]
+        groups: list[list[av.Packet[Any]]] = []
+        for packet in reader.demux(stream):
+            if packet.size:
+                if packet.is_keyframe:
+                    groups.append([])
+                groups[-1].append(packet)
+        for number, target in enumerate(targets):
+            first = number * num_keyframes
+            last = len(groups) if target is targets[-1] else first + num_keyframes
+            packets = [packet for group in groups[first:last] for packet in group]
+            start = packets[0].pts or 0
+            with av.open(str(target), "w") as writer:
+                copy = writer.add_stream_from_template(stream)
+                for packet in packets:
+                    assert packet.pts is not None
+                    assert packet.dts is not None
+                    packet.pts, packet.dts, packet.stream = packet.pts - start, packet.dts - start, copy
+                    writer.mux(packet)
+    return list(targets)
+
+
 def write_audio(path: Path) -> Path:
     """Encode a file with sound and without pictures."""
     with av.open(str(path), "w") as container:

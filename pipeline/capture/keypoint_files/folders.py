@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.pairing import MIN_CAMERAS
+from pipeline.capture.passed_over import is_passed_over, passed_over
 from pipeline.errors import Problem
 from pipeline.findings import Finding
 from pipeline.parsing import UnreadableError, read_json
@@ -43,13 +44,15 @@ def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem
     if not folder.is_dir():
         problems.append(Problem(KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name))
         return {}
-    entries = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    entries = sorted(path for path in folder.iterdir() if not path.name.startswith(".") and not is_passed_over(path))
     findings += [
         Finding(FILE_IGNORED, f"{path.name} is ignored: it is not a folder.", severity="info")
         for path in entries
         if not path.is_dir()
     ]
     folders = {path.name: path for path in entries if path.is_dir()}
+    everything = [path for place in (folder, *folders.values()) for path in place.iterdir()]
+    findings += passed_over(path for path in everything if is_passed_over(path))
     if len(folders) < MIN_CAMERAS:
         problems.append(
             Problem(
@@ -142,7 +145,7 @@ class _Files:
 
 def _choose(folder: Path, problems: _Problems) -> _Files:
     """Choose the files to read; report if there are none, or frames of one number."""
-    paths = sorted(folder.iterdir())
+    paths = sorted(path for path in folder.iterdir() if not is_passed_over(path))
     files = [path for path in paths if path.is_file()]
     named = [path for path in files if _FILE_NAME.fullmatch(path.name)]
     captures = [path for path in files if path.suffix.lower() in {".json", ".csv"}]

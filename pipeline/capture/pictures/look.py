@@ -169,7 +169,7 @@ def _middles(num_frames: int) -> list[int]:
 
 
 def _decoded(video: VideoInfo, frames: Sequence[int], deadline_s: float) -> Iterator[tuple[int, np.ndarray]]:
-    limit_s = min(_MAX_S + reading_s(video.path), max(_MIN_S, deadline_s - time.monotonic()))
+    limit_s = min(_MAX_S + sum(map(reading_s, video.paths)), max(_MIN_S, deadline_s - time.monotonic()))
     with closing(decode(video, frames[0], frames[-1] + 1, only=frames, limit_s=limit_s)) as pictures:
         yield from pictures
 

@@ -8,7 +8,7 @@ import json
 import resource
 import sys
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
@@ -35,15 +35,14 @@ _TURNS = {90: "transpose=cclock", 180: "hflip,vflip", 270: "transpose=clock"}
 class ProxyRequest(NamedTuple):
     """A video, and the proxy to be made of it."""
 
-    # Paths of the video and of the proxy
-    path: str
-    target: str
+    paths: Sequence[str]  # Paths of the video's files: of a recording in parts, several in order
+    target: str  # Path of the proxy
     # Size of the proxy's pictures before rotation, even numbers
     width: int
     height: int
     rotation_deg: int  # Counterclockwise turn of the pictures for display
-    pts: Sequence[int]  # Timestamps of the frames in the video, ascending
-    ticks: Sequence[int]  # Times of these frames in the proxy, in ticks of ``TICKS_A_SECOND``, ascending
+    pts: Sequence[Sequence[int]]  # Timestamps of the frames in each file, ascending
+    ticks: Sequence[int]  # Times of all frames in the proxy, in ticks of ``TICKS_A_SECOND``, ascending
     keyframe_frames: int  # Number of frames from a keyframe to the next one
     # Limits on the computing time and on the size of the proxy
     max_cpu_s: int
@@ -56,9 +55,8 @@ def write_proxy(request: ProxyRequest) -> int:
     with open_video(Path(request.target)) as container:
         stream: VideoStream | None = None
         converter: _Converter | None = None
-        for frame in decode_from(Path(request.path), [], request.pts[0]):
-            pts = display_pts(frame)
-            if pts is None or (tick := _tick(request, pts)) is None or tick <= last_tick:
+        for tick, frame in _frames(request):
+            if tick <= last_tick:
                 continue
             converter = converter or _Converter(frame, request)
             if not converter.fits(frame):
@@ -76,10 +74,17 @@ def write_proxy(request: ProxyRequest) -> int:
     return num_frames
 
 
-def _tick(request: ProxyRequest, pts: int) -> int | None:
-    """Time of the frame with a timestamp; ``None`` for a picture that is not part of the display."""
-    number = bisect_left(request.pts, pts)
-    return request.ticks[number] if number < len(request.pts) and request.pts[number] == pts else None
+def _frames(request: ProxyRequest) -> Iterator[tuple[int, VideoFrame]]:
+    """Frames of all files with their times in the proxy, without pictures that are not part of the display."""
+    first = 0
+    for path, pts in zip(request.paths, request.pts, strict=True):
+        for frame in decode_from(Path(path), [], pts[0]):
+            if (shown_pts := display_pts(frame)) is None:
+                continue
+            number = bisect_left(pts, shown_pts)
+            if number < len(pts) and pts[number] == shown_pts:
+                yield request.ticks[first + number], frame
+        first += len(pts)
 
 
 class _Converter:

@@ -62,12 +62,12 @@ def make_proxy_in_child(
     width, height = proxy_size_px(video.unrotated_size_px)
     ticks = np.rint((time_s - time_s[0]) * TICKS_A_SECOND).astype(np.int64)
     request = ProxyRequest(
-        path=str(video.path.absolute()),
+        paths=[str(path.absolute()) for path in video.paths],
         target=str(target.absolute()),
         width=width,
         height=height,
         rotation_deg=video.rotation_deg,
-        pts=video.pts.tolist(),
+        pts=[part.pts.tolist() for part in video.parts or (video,)],
         ticks=ticks.tolist(),
         keyframe_frames=max(1, round(KEYFRAME_S * video.frame_rate_hz)),
         max_cpu_s=_MAX_CPU_S + _MAX_CPU_S_A_FRAME * video.num_frames,

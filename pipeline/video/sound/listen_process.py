@@ -15,6 +15,7 @@ from pipeline.video.probe import reading_s
 
 # Decoding takes far less than a twentieth of the sound's duration.
 _BASE_CPU_S, _CPU_S_A_SECOND = 60, 0.05
+_MS_A_SECOND = 1000
 
 
 def listen_in_child(video: VideoInfo) -> Float32[np.ndarray, " ms"] | str:
@@ -23,6 +24,8 @@ def listen_in_child(video: VideoInfo) -> Float32[np.ndarray, " ms"] | str:
     A file that makes FFmpeg crash, hang or exhaust memory ends only its child, and has no sound then. Raises
     ``ChildError`` if the child fails for a reason other than its file.
     """
+    if video.parts:
+        return _listen_to_parts(video)
     if not len(video.pts) or video.path.is_dir() or video.path.suffix.lower() == ".zip":
         return "Images have no sound."
     max_cpu_s = _BASE_CPU_S + reading_s(video.path) + math.ceil(_CPU_S_A_SECOND * float(video.time_s[-1]))
@@ -56,3 +59,20 @@ def listen_in_child(video: VideoInfo) -> Float32[np.ndarray, " ms"] | str:
     if "reason" in answer:
         return str(answer["reason"])
     return read_only(np.frombuffer(values, np.float32))
+
+
+def _listen_to_parts(video: VideoInfo) -> Float32[np.ndarray, " ms"] | str:
+    """Energy of the sound of all files of a recording, each from its first frame on."""
+    energies: list[np.ndarray] = []
+    first = 0
+    for part in video.parts:
+        energy = listen_in_child(part)
+        if isinstance(energy, str):
+            return energy
+        start_ms = round(_MS_A_SECOND * float(video.time_s[first]))
+        # The sound of a file may be some milliseconds longer or shorter than its pictures.
+        have_ms = sum(map(len, energies))
+        energies.append(np.zeros(max(0, start_ms - have_ms), np.float32))
+        energies.append(energy[max(0, have_ms - start_ms) :])
+        first += part.num_frames
+    return read_only(np.concatenate(energies))

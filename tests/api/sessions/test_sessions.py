@@ -38,7 +38,7 @@ def test_session_says_what_was_found(live: Live) -> None:
         "name": "cam_1", "file": "cam_1.mp4", "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60,
         "start_time_s": 0.0, "plays_in_browsers": True, "media_start_s": 0.08,
         "video_link": f"/v1/sessions/{session['id']}/videos/cam_1",
-        "thumbnails": [{"time_s": 1.2, "link": f"/v1/sessions/{session['id']}/thumbnails/cam_1/0"}],
+        "thumbnails": [{"time_s": 1.2, "link": f"/v1/sessions/{session['id']}/thumbnails/cam_1/0"}], "more_files": [],
     }  # fmt: skip
     assert session["preflight"]["warnings"] == ["The cameras are close together."]
     assert live.client.get(session["links"]["self"]).json() == session

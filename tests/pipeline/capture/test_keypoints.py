@@ -200,6 +200,17 @@ def test_folders_of_other_names_are_paired_in_order(scene: Path, simulation: Sim
     assert set(session.detections) == {camera.name for camera in simulation.cameras}
 
 
+def test_files_that_macos_adds_are_passed_over_and_named_once(scene: Path) -> None:
+    path = frames_of(scene)[0]
+    (scene / "keypoints" / "__MACOSX").mkdir()
+    for name in (f"._{path.name}", f"._{path.stem}_2.json"):
+        (path.parent / name).write_bytes(b"\0\5\x16\7")
+    session = opened(scene)
+    (finding,) = session.findings
+    assert (finding.code, finding.evidence) == ("file_ignored", {"num_files": 3})
+    assert finding.message.endswith(f": ._{path.name}, ._{path.stem}_2.json, __MACOSX.")
+
+
 def test_cameras_without_a_folder_are_left_out(scene: Path) -> None:
     rig = json.loads((scene / "calibration.json").read_text())
     rig["cameras"].insert(0, rig["cameras"][0] | {"name": "ceiling"})

@@ -12,7 +12,8 @@ import pytest
 
 from pipeline.capture import preflight
 from pipeline.capture.preflight_record import Clock, Preflight
-from pipeline.capture.session import Recording, open_session
+from pipeline.capture.recordings import Recording
+from pipeline.capture.session import open_session
 from pipeline.capture.starts import starts_s
 from pipeline.errors import InputError
 from pipeline.video.info import Timecode, VideoInfo

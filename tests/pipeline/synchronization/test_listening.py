@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.capture.session import Recording, open_session
+from pipeline.capture.recordings import Recording
+from pipeline.capture.session import open_session
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.synchronization.session import listen

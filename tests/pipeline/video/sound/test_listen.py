@@ -10,6 +10,7 @@ import pytest
 
 from pipeline.synchronization.sound.onsets import find_lag, onset_strength
 from pipeline.video.info import VideoInfo
+from pipeline.video.joined import join_parts
 from pipeline.video.probe_process import probe_in_children
 from pipeline.video.sound.listen_process import listen_in_child
 from tests.pipeline.media import picture, write_video
@@ -64,6 +65,23 @@ def onsets_s(path: Path) -> list[float]:
     assert not isinstance(energy, str), energy
     loud = energy > 0.05 * energy.max()
     return [round(k / 1000, 3) for k in np.flatnonzero(loud) if not loud[max(0, k - 100) : k].any()]
+
+
+def test_claps_of_all_parts_are_at_their_times_in_the_whole(tmp_path: Path) -> None:
+    """The sound of the first part ends before its pictures, that of the second after them."""
+    lengths_s = (3.8, 4.3, 4.0)
+    parts = [
+        examined(filmed(tmp_path / f"part{number}.mov", clicks(length_s, CLICKS_S[number:4]), "pcm_s16le"))
+        for number, length_s in enumerate(lengths_s)
+    ]
+    energy = listen_in_child(join_parts(parts))
+    assert not isinstance(energy, str), energy
+    loud = energy > 0.05 * energy.max()
+    found_s = [k / 1000 for k in np.flatnonzero(loud) if not loud[max(0, k - 100) : k].any()]
+    expected_s = [4.0 * number + time_s for number in range(3) for time_s in CLICKS_S[number:4]]
+    assert found_s == pytest.approx(expected_s, abs=0.002)
+    silent = examined(write_video(tmp_path / "silent.mp4", 100))
+    assert listen_in_child(join_parts([parts[0], silent])) == "The video has no sound."
 
 
 @pytest.mark.parametrize(("name", "codec"), [("a.mp4", "aac"), ("a.mkv", "pcm_s16le"), ("a.mov", "pcm_s16le")])

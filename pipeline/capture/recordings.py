@@ -1,0 +1,148 @@
+"""What is stated of cameras' videos, and the files of each video: those that are stated, and others by their names."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from pipeline.capture.names import cameras_in_names, natural_key, nfc
+from pipeline.capture.parts import missing_parts, recordings_of
+from pipeline.capture.video_files import VideoFiles
+from pipeline.data.cameras import Camera
+from pipeline.errors import Problem
+from pipeline.problem_codes.sessions import (
+    DUPLICATE_RECORDING,
+    DUPLICATE_RECORDING_FILE,
+    DUPLICATE_VIDEO,
+    PARTS_GAP,
+    RECORDING_CAMERA_UNKNOWN,
+    RECORDING_FILE_UNKNOWN,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Facts about a camera's video that neither the video nor the calibration contains.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera, or of its section in the calibration.
+    file
+        Name or path of the video file; ``None``: the video with the camera's name.
+    offset_s
+        Time of the first frame, on the clock that all cameras share.
+    frame_rate_hz
+        Frame rate, if the timestamps of the video are wrong; ``None``: the timestamps are right.
+    more_files
+        Names or paths of further files in which the recording of ``file`` goes on, in order.
+    """
+
+    camera: str
+    file: str | None = None
+    offset_s: float = 0.0
+    frame_rate_hz: float | None = None
+    more_files: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names or paths of all files."""
+        return () if self.file is None else (self.file, *self.more_files)
+
+
+@dataclass(frozen=True, slots=True)
+class SortedFiles:
+    """Files of each video; of a recording in parts there are several, in order."""
+
+    stated: Mapping[str, tuple[Path, ...]]  # Files by the name of their camera in the recording that names them
+    free: Mapping[str, tuple[Path, ...]]  # Other files by the name of the first, for its pairing with a camera
+    places: Mapping[Path, int]  # Places of the files in their list
+    problems: Sequence[Problem]  # Files with the same name
+
+
+def sort_files(files: VideoFiles, recordings: Sequence[Recording], cameras: Sequence[Camera]) -> SortedFiles:
+    """Sort files into videos.
+
+    Files are the parts of one recording if their names say so, unless they have the names of different cameras.
+    """
+    stated = {
+        recording.camera: tuple(path for file in recording.files if (path := _find(file, files)) is not None)
+        for recording in recordings
+    }
+    stated = {camera: paths for camera, paths in stated.items() if paths}
+    taken = {path for paths in stated.values() for path in paths}
+    name_of = dict(zip(files.paths, files.names, strict=True))
+    names = [name for path, name in name_of.items() if path not in taken]
+    path_of = {name: path for path, name in name_of.items() if path not in taken}
+    doubled = {name for name, count in Counter(files.names).items() if count > 1} & set(names)
+    problems = [
+        Problem(
+            DUPLICATE_VIDEO,
+            f"{files.names.count(name)} videos have the name {PurePosixPath(name).name}.",
+            file=PurePosixPath(name).name,
+            hint="Rename them.",
+        )
+        for name in sorted(doubled)
+    ]
+    # The parts that follow a file that is stated alone.
+    for camera, paths in list(stated.items()):
+        if len(paths) == 1:
+            recording = next(one for one in recordings_of([name_of[paths[0]], *path_of]) if name_of[paths[0]] in one)
+            stated[camera] = tuple(path_of.pop(name, paths[0]) for name in recording)
+    found = cameras_in_names(list(path_of), {camera.name: [camera.section] for camera in cameras})
+    free: dict[str, tuple[Path, ...]] = {}
+    for recording in recordings_of(path_of):
+        is_one = len({found[name] for name in recording}) == 1
+        for parts in [recording] if is_one else [(name,) for name in recording]:
+            free[parts[0]] = tuple(path_of[name] for name in parts)
+    places = {path: place for place, path in enumerate(files.paths)}
+    return SortedFiles(stated, free, places, problems)
+
+
+def left_out_parts(names: Sequence[str]) -> Iterator[Problem]:
+    """Report numbers that are left out between the names of a recording's parts."""
+    if missing := missing_parts(names):
+        numbers = ", ".join(map(str, missing))
+        message = f"Of the recording {', '.join(names)} the part {numbers} is missing."
+        yield Problem(PARTS_GAP, message, file=names[0], hint="Add it, or send one part alone: a recording has no gap.")
+
+
+def known_recordings(
+    recordings: Sequence[Recording], cameras: Sequence[Camera], files: VideoFiles
+) -> tuple[dict[str, Recording], list[Problem]]:
+    """Sort recordings by camera; report unknown cameras and files, and cameras and files that occur twice."""
+    names = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
+    hint = f"The calibration's cameras are {', '.join(sorted({*names.values()}, key=natural_key))}."
+    known: dict[str, Recording] = {}
+    taken: set[Path] = set()
+    problems = []
+    for recording in recordings:
+        camera = names.get(recording.camera)
+        paths = {file: _find(file, files) for file in recording.files}
+        if camera is None:
+            message = "The calibration has no camera of this name."
+            problems.append(Problem(RECORDING_CAMERA_UNKNOWN, message, camera=recording.camera, hint=hint))
+            continue
+        if camera in known:
+            message = "There is more than one recording for this camera."
+            problems.append(Problem(DUPLICATE_RECORDING, message, camera=camera))
+            continue
+        wrong = [
+            Problem(RECORDING_FILE_UNKNOWN, "There is no video of this name.", file=Path(file).name, camera=camera)
+            for file, path in paths.items()
+            if path is None
+        ]
+        found = [path for path in paths.values() if path is not None]
+        if taken & set(found) or len(set(found)) < len(recording.files) - len(wrong):
+            message = "The video is already assigned to a camera."
+            doubled = next((path for path in found if path in taken), found[-1])
+            wrong.append(Problem(DUPLICATE_RECORDING_FILE, message, file=doubled.name, camera=camera))
+        problems += wrong
+        taken |= set(found)
+        known[camera] = recording
+    return known, problems
+
+
+def _find(file: str, files: VideoFiles) -> Path | None:
+    """Path of a file by its name or path, however their accents are composed."""
+    return next((path for path in files.paths if nfc(file) in {nfc(path.name), nfc(str(path))}), None)
