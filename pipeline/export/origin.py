@@ -19,6 +19,6 @@ def file_origin_m(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"]:
     of the cameras' positions. Numbers of single precision at 5,000 km would be off by up to 25 cm.
     """
     centers_m = np.array([center_in_world(camera) for camera in cameras])
-    if np.abs(centers_m).max() <= _NEAR_M:
+    if np.abs(centers_m).max(initial=0.0) <= _NEAR_M:
         return np.zeros(3)
     return np.round(np.median(centers_m, axis=0))
