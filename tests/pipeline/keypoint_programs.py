@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.data.cameras import Camera
 from pipeline.data.detections import Detections
-from pipeline.joints import COCO_17, COCO_18
+from pipeline.joints import BODY_25, COCO_17, COCO_18
 from pipeline.layouts import LAYOUTS
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation
@@ -58,6 +58,43 @@ def alphapose_like_openpose(frames: Frames, camera: Camera) -> Files:
         for number, people in frames.items()
     }
     return {"alphapose-results.json": json.dumps(images).encode()}
+
+
+def poseflow(frames: Frames, camera: Camera) -> Files:
+    """Tracked people of each image; PoseFlow writes the scores of boxes as ``scores``."""
+    images = {
+        f"frame_{number:06d}.jpg": [
+            {"keypoints": _flat(person), "scores": 2.9, "idx": k + 1} for k, person in enumerate(people)
+        ]
+        for number, people in frames.items()
+    }
+    return {"alphapose-results-forvis-tracked.json": json.dumps(images).encode()}
+
+
+def easymocap(frames: Frames, camera: Camera) -> Files:
+    """A file a frame, with the points of COCO in the order of BODY_25."""
+
+    def body(person: np.ndarray) -> list[list[float]]:
+        by_name = dict(zip(COCO_17.names, person, strict=True))
+        for name, part in (("neck", "shoulder"), ("mid_hip", "hip")):
+            by_name[name] = (by_name[f"left_{part}"] + by_name[f"right_{part}"]) / 2
+        return [by_name.get(name, np.array([0.0, 0.0, -1.0])).tolist() for name in BODY_25.names]
+
+    return {
+        f"{number:06d}.json": json.dumps(
+            {
+                "filename": f"images/{camera.name}/{number:06d}.jpg",
+                "height": camera.size_px[1],
+                "width": camera.size_px[0],
+                "annots": [
+                    {"personID": k, "bbox": [1.0, 2.0, 3.0, 4.0, 0.9], "keypoints": body(person), "isKeyframe": False}
+                    for k, person in enumerate(people)
+                ],
+                "isKeyframe": False,
+            }
+        ).encode()
+        for number, people in frames.items()
+    }
 
 
 def _instances(people: list[np.ndarray]) -> list[dict[str, Any]]:
@@ -151,6 +188,8 @@ def mediapipe_results(frames: Frames, camera: Camera) -> Files:
 PROGRAMS: Mapping[str, Callable[[Frames, Camera], Files]] = {
     "AlphaPose": alphapose,
     "AlphaPose, open": alphapose_like_openpose,
+    "AlphaPose, PoseFlow": poseflow,
+    "EasyMocap": easymocap,
     "MMPose": mmpose_inferencer,
     "MMPose, images": mmpose_images,
     "MMPose, demo": mmpose_demo,

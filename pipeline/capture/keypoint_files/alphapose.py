@@ -2,7 +2,8 @@
 
 A person of the list has ``image_id``, the name of the image, whose number is that of the frame, and ``keypoints`` with
 x, y and score of 17 (COCO), 26 or 136 (Halpe) or 133 (COCO-WholeBody) points. With ``--format cmu`` or ``open``
-images have ``bodies`` or ``people`` of 18 joints. Format: https://github.com/MVIG-SJTU/AlphaPose (docs/output.md)
+images have ``bodies`` or ``people`` of 18 joints; with PoseFlow each image has a list of people. Formats:
+https://github.com/MVIG-SJTU/AlphaPose (docs/output.md, PoseFlow)
 """
 
 from collections.abc import Mapping
@@ -22,6 +23,17 @@ from pipeline.capture.keypoint_files.people import (
 from pipeline.capture.keypoint_files.points import arranged, layout_of
 
 _POINTS = "keypoints"
+
+
+def is_images(content: Mapping[str, Any]) -> bool:
+    """Whether an object is one of images."""
+    if "people" in content or not content:
+        return False
+    images = list(content.values())
+    if all(isinstance(image, list) for image in images):
+        first = next((image[0] for image in images if image), {_POINTS: None})
+        return isinstance(first, dict) and _POINTS in first
+    return isinstance(images[0], dict) and not images[0].keys().isdisjoint(("people", "bodies"))
 
 
 def frames_of(content: Any) -> Mapping[int, Any]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-from pipeline.capture.keypoint_files import alphapose, coco, deeplabcut, mediapipe, mmpose, openpose
+from pipeline.capture.keypoint_files import alphapose, coco, deeplabcut, easymocap, mediapipe, mmpose, openpose
 from pipeline.capture.keypoint_files.people import KeypointsError, People
 
 
@@ -23,7 +23,7 @@ class KeypointForm(NamedTuple):
     frames_of: Callable[[Any], Mapping[int, Any]] | None
 
 
-OPENPOSE = "OpenPose"
+OPENPOSE, EASYMOCAP = "OpenPose", "EasyMocap"
 
 
 def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
@@ -51,6 +51,8 @@ def _form_of_list(content: list[Any], size_px: tuple[int, int] | None) -> Keypoi
         return KeypointForm("MMPose", mmpose.read_frame, None)
     if not first.keys().isdisjoint(mediapipe.RESULTS):
         return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), mediapipe.frames_of)
+    if easymocap.is_person(first):
+        return KeypointForm(EASYMOCAP, easymocap.read_frame, None)
     if isinstance(first.get("image_id"), str):
         return KeypointForm("AlphaPose", alphapose.read_frame, alphapose.frames_of)
     return KeypointForm("COCO", coco.read_frame, coco.frames_of)
@@ -59,14 +61,14 @@ def _form_of_list(content: list[Any], size_px: tuple[int, int] | None) -> Keypoi
 def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None) -> KeypointForm:
     if "annotations" in content:
         return KeypointForm("COCO", coco.read_frame, coco.frames_of)
+    if easymocap.PEOPLE in content:
+        return KeypointForm(EASYMOCAP, easymocap.read_frame, None)
     if "instance_info" in content:
         return KeypointForm("MMPose", mmpose.read_frame, mmpose.frames_of)
     if not content.keys().isdisjoint(("poses", "frames", *mediapipe.RESULTS)):
         frames_of = mediapipe.frames_of if "frames" in content else None
         return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), frames_of)
-    if "bodies" in content:
-        return KeypointForm("AlphaPose", alphapose.read_frame, None)
-    first = next(iter(content.values()), None)
-    if "people" not in content and isinstance(first, dict) and ("people" in first or "bodies" in first):
-        return KeypointForm("AlphaPose", alphapose.read_frame, alphapose.frames_of)
+    if "bodies" in content or alphapose.is_images(content):
+        frames_of = None if "bodies" in content else alphapose.frames_of
+        return KeypointForm("AlphaPose", alphapose.read_frame, frames_of)
     return KeypointForm(OPENPOSE, openpose.read_frame, None)

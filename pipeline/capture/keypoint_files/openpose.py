@@ -1,8 +1,11 @@
-"""Reader of OpenPose's JSON: an object a frame with ``people``.
+"""Reader of OpenPose's JSON: an object a frame with ``people``, which other programs write, too.
 
 ``pose_keypoints_2d`` of a person has x, y and score of 25 (BODY_25), 18 (COCO-18) or 17 (COCO-17) joints;
 ``hand_left_keypoints_2d`` and ``hand_right_keypoints_2d`` have those of 21 points, the wrist first, or nothing.
-Format: https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html
+Pose2Sim puts the points of RTMPose in ``pose_keypoints_2d``, in their own order: 17, 26 (Halpe) or 133
+(COCO-WholeBody, with hands); a person that a camera does not see is an empty object. Formats:
+https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html,
+https://github.com/perfanalytics/pose2sim (poseEstimation.py, personAssociation.py)
 """
 
 from typing import Any
@@ -16,33 +19,32 @@ from pipeline.capture.keypoint_files.people import (
     nobody,
     with_detected_joints,
 )
-from pipeline.joints import BODY_25, COCO_17, COCO_18
+from pipeline.capture.keypoint_files.points import OPENPOSE_LAYOUTS, arranged
+from pipeline.joints import without_hands
 from pipeline.parsing import read_numbers
 
 _BODY = "pose_keypoints_2d"
-_LENGTHS = frozenset(3 * len(joints.names) for joints in (BODY_25, COCO_18, COCO_17))
+_BY_LENGTH = {3 * count: layout for count, layout in OPENPOSE_LAYOUTS.items()}
 
 
 def read_frame(content: Any) -> People:
     """Read the people of a frame with at least one detected joint of the body."""
-    listed = content["people"]
+    listed = [person for person in content["people"] if person != {}]
     bodies = [person[_BODY] for person in listed]
     check_number(bodies)
     # People of zeros are dropped as lists: converting hundreds of them to arrays would take milliseconds a frame.
-    kept = [row for row, body in enumerate(bodies) if len(body) not in _LENGTHS or any(body)]
+    kept = [row for row, body in enumerate(bodies) if len(body) not in _BY_LENGTH or any(body)]
     if not kept:
-        return nobody(len(bodies[0]) // 3 if bodies else 0)
+        return nobody(len(without_hands(_BY_LENGTH[len(bodies[0])].joints).names) if bodies else 0)
     values = read_numbers([bodies[row] for row in kept])
-    if values.ndim != 2 or values.shape[1] not in _LENGTHS:
-        count = values[0].size
-        message = f"A person has {count} numbers; BODY_25 has 75, COCO-18 has 54, COCO-17 has 51."
-        raise KeypointsError(message, _BODY)
-    body = values.reshape(len(kept), -1, 3)
-    hands = hands_of(
-        lambda side: [listed[row].get(_hand(side)) for row in kept],
-        _hand,
-    )
-    return with_detected_joints(joined(body, hands))
+    if values.ndim != 2 or values.shape[1] not in _BY_LENGTH:
+        known = ", ".join(f"{layout.name} has {length}" for length, layout in _BY_LENGTH.items())
+        raise KeypointsError(f"A person has {values[0].size} numbers; {known}.", _BODY)
+    layout = _BY_LENGTH[values.shape[1]]
+    people = arranged(values.reshape(len(kept), -1, 3), layout)
+    if layout.joints == without_hands(layout.joints):
+        people = joined(people, hands_of(lambda side: [listed[row].get(_hand(side)) for row in kept], _hand))
+    return with_detected_joints(people)
 
 
 def _hand(side: str) -> str:

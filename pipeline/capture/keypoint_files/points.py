@@ -13,6 +13,10 @@ from pipeline.layouts import LAYOUTS, KeypointLayout
 
 _NAMES = ("coco-17", "coco-wholebody-23", "halpe-26", "coco-wholebody-133", "halpe-136")
 _BY_COUNT: Mapping[int, KeypointLayout] = {len(LAYOUTS[name].points): LAYOUTS[name] for name in _NAMES}
+OPENPOSE_LAYOUTS: Mapping[int, KeypointLayout] = {
+    len(LAYOUTS[name].points): LAYOUTS[name] for name in ("body-25", "coco-18", *_NAMES)
+}
+"""Layouts by number of points of the programs that write OpenPose's body or that of another network in its place."""
 # Layouts with hands: points of fingers have names of each file's own, so that the number tells the layout.
 _WHOLE = {133, 136}
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+", re.ASCII)
@@ -33,6 +37,14 @@ def layout_of(num_points: int, field: str) -> KeypointLayout:
         known = ", ".join(f"{layout.name.rpartition('-')[0]} has {count}" for count, layout in _BY_COUNT.items())
         raise KeypointsError(f"A person has {num_points} points; {known}.", field)
     return _BY_COUNT[num_points]
+
+
+def openpose_layout(num_points: int, field: str) -> KeypointLayout:
+    """Layout of so many points in ``OPENPOSE_LAYOUTS``; raises ``KeypointsError`` if there is none."""
+    if num_points not in OPENPOSE_LAYOUTS:
+        known = ", ".join(layout.name for layout in OPENPOSE_LAYOUTS.values())
+        raise KeypointsError(f"A person has {num_points} points; layouts that are read are {known}.", field)
+    return OPENPOSE_LAYOUTS[num_points]
 
 
 def layout_of_names(names: Sequence[str], field: str) -> KeypointLayout:

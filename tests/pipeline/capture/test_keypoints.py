@@ -156,7 +156,14 @@ def test_other_files_are_ignored_and_said(scene: Path) -> None:
 
 @pytest.mark.parametrize(
     "content",
-    ["", '{"people": [', "[3]", '{"people": 3}', '{"people": [{}]}', '{"people": [{"pose_keypoints_2d": [1, 2]}]}'],
+    [
+        "",
+        '{"people": [',
+        "[3]",
+        '{"people": 3}',
+        '{"people": [{"person_id": [-1]}]}',
+        '{"people": [{"pose_keypoints_2d": [1, 2]}]}',
+    ],
 )
 def test_a_damaged_file_is_named(scene: Path, content: str) -> None:
     path = frames_of(scene)[2]

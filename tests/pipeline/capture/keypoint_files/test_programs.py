@@ -12,10 +12,11 @@ import pytest
 
 from pipeline.capture.keypoint_files import people
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
+from pipeline.capture.keypoint_files.people import joint_set_of
 from pipeline.capture.keypoint_files.points import joint_of
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.errors import Problem
-from pipeline.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY
+from pipeline.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, WHOLE_BODY
 from pipeline.layouts import LAYOUTS
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.keypoint_programs import PROGRAMS, write_session
@@ -30,14 +31,15 @@ def simulation() -> Simulation:
 
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_detections_come_back_from_the_files_of_a_program(tmp_path: Path, simulation: Simulation, program: str) -> None:
+    name, _, special = program.partition(", ")
     write_session(simulation, program, tmp_path)
     session = open_keypoints(tmp_path / "keypoints", tmp_path / "calibration.json", tmp_path / "timestamps.csv")
     (found,) = [one for one in session.findings if one.code == "keypoints_form"]
-    assert found.evidence["forms"] == [program.split(",", maxsplit=1)[0]]
+    assert found.evidence["forms"] == [name]
     assert found.severity == "info"
     taken = session.joints.indices(COCO_17.names)
-    expected = BODY_FEET if program.startswith("MediaPipe") or program == "COCO" else COCO_17
-    assert session.joints in ({COCO_18} if "open" in program else {expected, BODY_FEET, COCO_17})
+    expected = {"EasyMocap": BODY_25, "MediaPipe": BODY_FEET, "COCO": BODY_FEET}.get(name, COCO_17)
+    assert session.joints == (COCO_18 if special == "open" else expected)
     for camera in simulation.cameras:
         ours, theirs = simulation.detections[camera.name], session.detections[camera.name]
         seen = np.isfinite(ours.keypoints_px).any((1, 2))
@@ -77,6 +79,124 @@ def test_points_of_alphapose_by_their_number(tmp_path: Path, layout: str) -> Non
     found = positions(contents, 31, joints)
     assert found == {name: 10.0 * names.index(name) for name in joints}
     assert len(contents.frames[31]) == 2
+
+
+def test_people_that_poseflow_tracked(tmp_path: Path) -> None:
+    names = LAYOUTS["halpe-26"].points
+    person = {"keypoints": points(26), "scores": 2.7, "idx": 3}
+    contents, problems = read(tmp_path, {"walk_12.jpg": [], "walk_13.jpg": [person, person | {"idx": 1}]})
+    assert not problems
+    assert contents.forms == {"AlphaPose"}
+    assert positions(contents, 13, BODY_FEET.names)["left_heel"] == 10.0 * names.index("left_heel")
+    assert {number: len(people) for number, people in contents.frames.items()} == {12: 0, 13: 2}
+
+
+def pose2sim(count: int) -> dict[str, Any]:
+    """Person as Pose2Sim writes the points of RTMPose."""
+    empty = [f"{part}_keypoints_{space}" for space in ("2d", "3d") for part in ("face", "hand_left", "hand_right")]
+    return {"person_id": [-1], "pose_keypoints_2d": points(count), **{field: [] for field in empty}}
+
+
+@pytest.mark.parametrize(
+    ("count", "layout"), [(17, "coco-17"), (26, "halpe-26"), (133, "coco-wholebody-133"), (25, "body-25")]
+)
+def test_points_of_rtmpose_in_the_form_of_openpose(tmp_path: Path, count: int, layout: str) -> None:
+    folder = tmp_path / "cam01_json"
+    folder.mkdir()
+    unseen = pose2sim(count) | {"pose_keypoints_2d": [0.0] * 3 * count}
+    for number, people_of_frame in enumerate(([pose2sim(count), {}], [{}], [unseen])):
+        content = json.dumps({"version": 1.3, "people": people_of_frame})
+        (folder / f"cam01_{number:06d}.json").write_text(content)
+    problems: list[Problem] = []
+    contents = read_folder(folder, "cam01", None, 10**9, [], problems)
+    assert not problems
+    assert contents.forms == {"OpenPose"}
+    layout_points, joints = LAYOUTS[layout].points, LAYOUTS[layout].joints
+    found = positions(contents, 0, joints.names)
+    assert found == {name: 10.0 * layout_points.index(name) for name in joints.names}
+    assert [len(contents.frames[number]) for number in range(3)] == [1, 0, 0]
+    assert joint_set_of({people_of_frame.shape[1] for people_of_frame in contents.frames.values()} - {0}) == joints
+
+
+def test_folders_as_pose2sim_names_them(tmp_path: Path, simulation: Simulation) -> None:
+    write_session(simulation, "EasyMocap", tmp_path)
+    for camera in simulation.cameras:
+        (tmp_path / "keypoints" / camera.name).rename(tmp_path / "keypoints" / f"{camera.name}_json")
+    session = open_keypoints(tmp_path / "keypoints", tmp_path / "calibration.json", tmp_path / "timestamps.csv")
+    assert session.folders == {camera.name: f"{camera.name}_json" for camera in simulation.cameras}
+
+
+def test_points_without_a_number_in_the_form_of_pose2sim(tmp_path: Path) -> None:
+    text = json.dumps({"version": 1.3, "people": [pose2sim(26)]})
+    contents, problems = read(tmp_path, text.replace("160.0, 161.0, 0.5", "NaN, NaN, NaN"), "cam01.0031.json")
+    assert problems[0].message.startswith("The file is read as OpenPose's of a single frame")
+    folder = tmp_path / "cam"
+    (folder / "cam01.0032.json").write_text(text.replace("160.0, 161.0, 0.5", "NaN, NaN, NaN"))
+    problems = []
+    contents = read_folder(folder, "left", None, 10**9, [], problems)
+    assert not problems
+    assert list(contents.frames) == [31, 32]
+    assert not people.is_detected(contents.frames[32])[0, BODY_FEET.index("right_ankle")]
+
+
+def test_hands_of_easymocap(tmp_path: Path) -> None:
+    def rows(count: int) -> list[list[float]]:
+        return [[10.0 * k, 10.0 * k + 1.0, 0.5] for k in range(count)]
+
+    unseen = [[0.0, 0.0, -1.0]] * 25
+    frame = {
+        "filename": "images/1/000004.jpg",
+        "height": 480,
+        "width": 640,
+        "annots": [
+            {"personID": 0, "bbox": [0, 0, 9, 9, 0.9], "keypoints": rows(25), "handl2d": rows(21), "handr2d": rows(21)},
+            {"personID": 1, "bbox": [0, 0, 100, 100, 0], "keypoints": unseen},
+        ],
+        "isKeyframe": False,
+    }
+    folder = tmp_path / "1"
+    folder.mkdir()
+    for number, content in enumerate((frame, frame | {"annots": []}, frame["annots"])):
+        (folder / f"{number:06d}.json").write_text(json.dumps(content))
+    problems: list[Problem] = []
+    contents = read_folder(folder, "left", None, 10**9, [], problems)
+    assert not problems
+    assert contents.forms == {"EasyMocap"}
+    assert [len(contents.frames[number]) for number in range(3)] == [1, 0, 1]
+    found = contents.frames[0][0]
+    assert found.shape == (65, 3)
+    assert found[BODY_25.index("right_heel")].tolist() == [240.0, 241.0, 0.5]
+    assert found[25].tolist() == [10.0, 11.0, 0.5]  # left thumb, after the wrist
+    np.testing.assert_array_equal(contents.frames[2], contents.frames[0])
+
+
+@pytest.mark.parametrize(
+    ("annots", "field", "words"),
+    [
+        ([{"personID": 0, "bbox": [0, 0, 9, 9, 1]}], "keypoints", "only boxes"),
+        ([{"keypoints": [[1.0, 2.0, 0.5]] * 24}], "keypoints", "24 points"),
+        ([{"keypoints": [[1.0, 2.0]] * 25}], "keypoints", "x, y and score"),
+        ([{"keypoints": [[1.0, 2.0, 0.5]] * 25}, {"keypoints": [[1.0, 2.0, 0.5]] * 17}], "keypoints", "51 numbers"),
+        ([{"keypoints": [[1e9, 2.0, 0.5]] * 25}], None, "not within"),
+        ([{"keypoints": [[1.0, 2.0, 0.5]] * 25, "handl2d": [[1.0, 2.0, 0.5]]}], "handl2d", "3 numbers"),
+        ([{"keypoints": [[1.0, "2", 0.5]] * 25}], None, "known format"),
+        ([{"keypoints": [[1.0, [[2.0]], 0.5]] * 25}], None, "known format"),
+        ({"personID": 0}, None, "known format"),
+        ([3], None, "known format"),
+        ([{"keypoints": [[1.0, 2.0, 0.5]] * 25}] * 129, None, "129 people"),
+        ([{"keypoints": [[0.0, 0.0, 0.0]] * 25}] * 1001, None, "1001 people"),
+    ],
+    ids=map(str, range(12)),
+)  # fmt: skip
+def test_wrong_people_of_easymocap(tmp_path: Path, annots: Any, field: str | None, words: str) -> None:
+    for number in (0, 1):
+        (tmp_path / f"{number:06d}.json").write_text(json.dumps({"annots": annots if number else []}))
+    problems: list[Problem] = []
+    contents = read_folder(tmp_path, "left", None, 10**9, [], problems)
+    (problem,) = problems
+    assert list(contents.frames) == [0]
+    assert problem.field == field
+    assert words in problem.message
 
 
 def test_bodies_of_alphapose_s_form_cmu(tmp_path: Path) -> None:
@@ -247,6 +367,9 @@ BODY = {"keypoints": points(17)}
         ("take.json", [{"image_id": "1.jpg", "keypoints": [1e300, 1.0, 1.0] * 17}], None, "not within"),
         ("take.json", [{"image_id": "1.jpg", "keypoints": None}], None, "known format"),
         ("take.json", {"a.jpg": {"people": []}}, "image_id", "no number"),
+        ("take.json", {"a.jpg": [BODY]}, "image_id", "no number"),
+        ("take.json", {"1.jpg": [BODY], "2.jpg": [3]}, None, "known format"),
+        ("take.json", {"shapes": [{"points": []}]}, None, "single frame"),
         ("take.json", {"1.jpg": {"bodies": [{"joints": points(17)}]}, "2.jpg": 3}, None, "known format"),
         ("take.json", [{"frame_id": 1, "instances": []}] * 2, "frame_id", "listed twice"),
         ("take.json", [{"frame_id": 1.5, "instances": []}], "frame_id", "whole number"),

@@ -1,0 +1,66 @@
+"""Reader of EasyMocap's JSON: an object a frame with ``annots``, or the list of these alone.
+
+A person has ``keypoints``, x, y and score of each point: 25 in OpenPose's order, to which EasyMocap brings other
+networks' points, or those of another layout; and ``handl2d`` and ``handr2d`` of 21 points each, the wrist first. A
+score below 0 means that the point was not found. Format: https://github.com/zju3dv/EasyMocap
+(easymocap/annotator/file_utils.py, doc/dataset.md)
+"""
+
+from typing import Any
+
+from pipeline.capture.keypoint_files.people import (
+    KeypointsError,
+    People,
+    check_number,
+    hands_of,
+    joined,
+    nobody,
+    points_of,
+    with_detected_joints,
+)
+from pipeline.capture.keypoint_files.points import arranged, openpose_layout
+from pipeline.joints import without_hands
+
+PEOPLE = "annots"
+"""Name of the list of people."""
+_POINTS = "keypoints"
+
+
+def is_person(entry: dict[str, Any]) -> bool:
+    """Whether an entry of a list is a person in this form: its points are lists of numbers, without other scores."""
+    points = entry.get(_POINTS)
+    return isinstance(points, list) and bool(points) and isinstance(points[0], list) and "keypoint_scores" not in entry
+
+
+def read_frame(content: Any) -> People:
+    """Read the people of a frame with at least one detected joint."""
+    listed = content[PEOPLE] if isinstance(content, dict) else content
+    if not isinstance(listed, list):
+        raise TypeError
+    check_number(listed)
+    if not listed:
+        return nobody()
+    if any(_POINTS not in person for person in listed):
+        raise KeypointsError("A person has no keypoints: only boxes were found. Detect keypoints in them.", _POINTS)
+    bodies = [_flat(person[_POINTS], _POINTS) for person in listed]
+    layout = openpose_layout(len(bodies[0]) // 3, _POINTS)
+    people = arranged(points_of(bodies, len(layout.points), _POINTS), layout)
+    if layout.joints == without_hands(layout.joints):
+        hands = hands_of(lambda side: [_flat(person.get(_hand(side)), _hand(side)) for person in listed], _hand)
+        people = joined(people, hands)
+    return with_detected_joints(people)
+
+
+def _flat(points: Any, field: str) -> list[Any]:
+    """X, y and score of each point in turn; nothing for a part that is missing."""
+    if points is None:
+        return []
+    if not isinstance(points, list) or not all(isinstance(point, list) for point in points):
+        raise TypeError
+    if any(len(point) != 3 for point in points):
+        raise KeypointsError("A point must have x, y and score.", field)
+    return [number for point in points for number in point]
+
+
+def _hand(side: str) -> str:
+    return f"hand{side[0]}2d"
