@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import av
 import pytest
 from playwright.sync_api import Locator, Page, ViewportSize, expect
 
@@ -11,6 +12,7 @@ from tests.e2e.browsing import opened
 from tests.e2e.captures import keypoint_capture, two_videos
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
+from tests.pipeline.media import cut_at_keyframes, write_pictures
 
 # The service is that of the other tests of the page.
 pytestmark = pytest.mark.xdist_group("sample")
@@ -110,6 +112,52 @@ def test_files_of_other_names_are_paired_by_order_if_that_is_asked_for(
     expect(cameras[0]).to_have_value("left")
     expect(cameras[1]).to_have_value("right")
     expect(notice).to_be_hidden()
+
+
+def chapters(videos: dict[str, Path], folder: Path, *names: str) -> list[Path]:
+    """Video of the left camera in several files."""
+    with av.open(str(videos["left.mp4"])) as container:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    options = {"g": "2", "keyint_min": "2", "sc_threshold": "0", "bf": "0"}
+    whole = write_pictures(folder / "whole.mp4", pictures, options)
+    return cut_at_keyframes(whole, [folder / name for name in names])
+
+
+def test_chapters_and_stated_parts_are_one_camera(page: Page, videos: dict[str, Path], tmp_path: Path) -> None:
+    files = chapters(videos, tmp_path, "left_GX010007.mp4", "left_GX020007.mp4", "left_GX030007.mp4")
+    beside = tmp_path / "._left_GX010007.mp4"
+    beside.write_bytes(b"\0")
+    choose(page, *files, beside, videos["right.mp4"], videos["calibration.json"])
+    expect(page.get_by_text("put them beside videos: ._left_GX010007.mp4.")).to_be_visible(timeout=180_000)
+    for file in files:
+        expect(page.get_by_label(f"Camera of {file.name}")).to_have_value("left", timeout=180_000)
+    expect(page.get_by_text("part 3 of the recording")).to_be_visible()
+    expect(page.get_by_label("Offset in seconds of left_GX020007.mp4")).to_have_count(0)
+    with page.expect_response("**/v1/sessions") as answer:
+        page.get_by_role("button", name="Send and check only").click()
+    cameras = {camera["name"]: camera for camera in answer.value.json()["preflight"]["cameras"]}
+    assert [cameras["left"]["file"], *cameras["left"]["more_files"]] == [file.name for file in files]
+    assert cameras["left"]["num_frames"] == cameras["right"]["num_frames"]
+    page.get_by_role("button", name="Discard the capture").click()
+    expect(page.get_by_text("Drop the videos")).to_be_visible()
+
+    files = chapters(videos, tmp_path, "C0009.mp4", "C0010.mp4")
+    choose(page, *files, videos["right.mp4"])
+    for file in files:
+        page.get_by_label(f"Camera of {file.name}").select_option("left", timeout=180_000)
+    join = page.get_by_role("button", name="They are parts of one recording")
+    expect(join).to_be_visible()
+    page.get_by_role("button", name="Send and check only").click()
+    expect(page.get_by_role("region", name="Send").get_by_role("alert")).to_contain_text("One camera has two files")
+    join.click()
+    expect(join).to_be_hidden()
+    expect(page.get_by_text("part 2 of the recording")).to_be_visible()
+    with page.expect_response("**/v1/sessions") as answer:
+        page.get_by_role("button", name="Send and check only").click()
+    cameras = {camera["name"]: camera for camera in answer.value.json()["preflight"]["cameras"]}
+    assert [cameras["left"]["file"], *cameras["left"]["more_files"]] == ["C0009.mp4", "C0010.mp4"]
+    page.get_by_role("button", name="Discard the capture").click()
+    expect(page.get_by_text("Drop the videos")).to_be_visible()
 
 
 def test_a_refused_file_is_replaced_by_another_of_its_name(

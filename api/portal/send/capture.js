@@ -1,6 +1,9 @@
 // The capture that the page shows, and the requests that send it: both come from `captureOf` alone.
 
+import { stem } from "../shared/format.js";
 import { shownSpec } from "./choices.js";
+import { naturalOrder } from "./matching.js";
+import { recordingsOf } from "./parts.js";
 
 // Start of the cameras that nobody knows: the service measures their clocks.
 export const MEASURED = "measured";
@@ -24,12 +27,40 @@ export function captureOf({ draft, rig, options }) {
   };
 }
 
+// Rows of files by the recordings that they are parts of by their names; most recordings are one file.
+export function recordingsOfRows(rows) {
+  const byName = new Map();
+  for (const row of rows) byName.set(byName.has(stem(row.name)) ? row.name : stem(row.name), row);
+  return recordingsOf([...byName.keys()]).map((names) => names.map((name) => byName.get(name)));
+}
+
+// Rows with the video of a camera in order, if they are the parts of one recording: by their names, or as was said; else
+// null.
+export function partsOf(rows) {
+  const recordings = recordingsOfRows(rows);
+  if (recordings.length < 2) return recordings[0] ?? null;
+  return rows.every(({ isJoined }) => isJoined) ? [...rows].sort((one, other) => naturalOrder(one.name, other.name)) : null;
+}
+
+// Rows of videos by their camera.
+export function videosByCamera(rows) {
+  const groups = new Map();
+  for (const row of rows.filter(({ kind, camera }) => kind === "video" && camera)) {
+    groups.set(row.camera, [...(groups.get(row.camera) ?? []), row]);
+  }
+  return groups;
+}
+
 // Request that makes a session of a capture whose files are sent.
 export function sessionBody({ name, files, calibration, clock, frameRate_hz, spec }) {
   const ids = (kind) => files.filter((row) => row.kind === kind).map(({ url }) => url.slice(url.lastIndexOf("/") + 1));
-  const cameras = files.filter(({ kind }) => kind === "video").map((row) => ({
-    name: row.camera, file: row.name, offset_s: row.offset_s, ...(row.rate !== null && { rate: row.rate }),
-  }));
+  const cameras = [...videosByCamera(files)].map(([name, rows]) => {
+    const [first, ...more] = partsOf(rows) ?? rows;
+    return {
+      name, file: first.name, ...(more.length && { more_files: more.map((row) => row.name) }),
+      offset_s: first.offset_s, ...(first.rate !== null && { rate: first.rate }),
+    };
+  });
   const [timestamps] = ids("timestamps");
   const now = new Date().toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   return {

@@ -2,7 +2,7 @@
 
 const KEY = "multicap.draft";
 
-export const FACTS = ["name", "size", "modified", "kind", "numFrames", "camera", "isUsed", "offset_s", "rate", "url", "sent", "isSent"];
+export const FACTS = ["name", "size", "modified", "kind", "numFrames", "camera", "isUsed", "isJoined", "offset_s", "rate", "url", "sent", "isSent"];
 
 export function emptyDraft(kept = {}) {
   return { name: "", calibrationId: null, clock: "declared", frameRate_hz: null, spec: {}, rows: [], wasSending: false, request: null, sessionId: null, ...kept };
@@ -31,9 +31,10 @@ export function saveDraft(draft) {
 // Row of the table of files. `file` is null after a reload, until the same file is chosen again.
 export function rowOf(facts, file = null) {
   return {
-    camera: null, isUsed: true, offset_s: 0, rate: null, url: null, sent: 0, isSent: false, ...facts,
+    camera: null, isUsed: true, isJoined: false, offset_s: 0, rate: null, url: null, sent: 0, isSent: false, ...facts,
     file, preview: facts.kind === "video" && file?.type.startsWith("video/") ? URL.createObjectURL(file) : null, hasFailed: false, isActive: false,
   };
 }
 
-export const isSame = (row, file) => row.name === file.name && row.size === file.size && row.modified === file.lastModified;
+// A row may have the name of a file with its folders before.
+export const isSame = (row, file) => row.name.endsWith(file.name) && row.size === file.size && row.modified === file.lastModified;

@@ -1,14 +1,22 @@
 // What keeps a capture from being sent, as sentences.
 
+import { partsOf, recordingsOfRows, videosByCamera } from "./capture.js";
+
 const MIN_CAMERAS = 2;
 
 const asksForUnit = (problem) => problem.items?.some(({ code }) => code === "calibration_units_unstated");
+// Files of cameras that have several which are no parts of one recording.
+export function twiceOf(views) {
+  const joined = [...videosByCamera(views).values()].filter((rows) => partsOf(rows) !== null).flat();
+  return views.filter((row) => row.camera && !joined.includes(row) && views.some((other) => other !== row && other.camera === row.camera));
+}
+
 const listed = (rows) => rows.map(({ name }) => name).join(", ");
 
 export function faultsOf({ files, views, calibration, needsFrameRate, frameRate_hz }, rig) {
   const faults = [];
   const missing = files.filter((row) => row.file === null && !row.isSent);
-  if (views.length < MIN_CAMERAS) faults.push(`Add the videos of at least ${MIN_CAMERAS} cameras.`);
+  if (recordingsOfRows(views).length < MIN_CAMERAS) faults.push(`Add the videos of at least ${MIN_CAMERAS} cameras.`);
   if (rig.problem && asksForUnit(rig.problem)) faults.push(`State the unit of length of ${rig.name}.`);
   else if (rig.problem) faults.push(`The calibration ${rig.name ?? ""} could not be read. Choose or add another one.`);
   else if (!calibration) faults.push("Choose or add the calibration of the cameras.");
@@ -19,7 +27,7 @@ export function faultsOf({ files, views, calibration, needsFrameRate, frameRate_
   if (!calibration) return faults;
   const without = views.filter((row) => row.camera === null);
   if (without.length) faults.push(`Give a camera to ${listed(without)}, or leave it out.`);
-  const twice = views.filter((row) => row.camera && views.some((other) => other !== row && other.camera === row.camera));
+  const twice = twiceOf(views);
   if (twice.length) faults.push(`One camera has two files: ${listed(twice)}.`);
   return faults;
 }

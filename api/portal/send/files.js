@@ -15,6 +15,24 @@ const [NAME_LENGTH_AT, NAME_AT] = [28, 46];
 export const ACCEPTED = ["zip", ...Object.values(KINDS).flat()].map((ending) => `.${ending}`).concat("video/*").join(",");
 export const ACCEPTED_CALIBRATIONS = KINDS.calibration.map((ending) => `.${ending}`).join(",");
 
+// Files that systems and cameras put beside others, and that nobody means to send.
+const BESIDE = /^(\._.*|__macosx|desktop\.ini|thumbs\.db|.*\.(lrv|lrf|thm|insv))$/i;
+
+const paths = new WeakMap(); // of dropped files, with their folders
+
+export const pathOf = (file) => paths.get(file) ?? (file.webkitRelativePath || file.name);
+export const isPassedOver = (path) => path.split("/").some((name) => BESIDE.test(name));
+
+// Names of files, each once where folders tell files of one name apart: `left_DCIM_GX010042.MP4`.
+export function namesOf(files) {
+  const all = [...files];
+  const alike = all.filter((file) => all.some((other) => other !== file && other.name === file.name && pathOf(other) !== pathOf(file)));
+  const folders = alike.map((file) => pathOf(file).split("/").slice(0, -1));
+  let shared = 0;
+  while (folders.length && folders.every((path) => shared < path.length && path[shared] === folders[0][shared])) shared += 1;
+  return all.map((file) => (alike.includes(file) ? pathOf(file).split("/").slice(shared).join("_") : file.name));
+}
+
 const endingOf = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();
 
 // Kind of a file; null for a file that belongs to no capture.
@@ -47,9 +65,11 @@ export async function droppedFiles(transfer) {
 }
 
 async function walk(entry, files) {
-  if (files.length >= MOST_FILES || entry.name.startsWith(".")) return;
+  if (files.length >= MOST_FILES || (entry.name.startsWith(".") && !isPassedOver(entry.name))) return;
   if (entry.isFile) {
-    files.push(await new Promise((resolve, reject) => entry.file(resolve, reject)));
+    const file = await new Promise((resolve, reject) => entry.file(resolve, reject));
+    paths.set(file, entry.fullPath.replace(/^\//, ""));
+    files.push(file);
     return;
   }
   const reader = entry.createReader();

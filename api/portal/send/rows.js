@@ -31,6 +31,14 @@ function cameraField(row, sending, change, isLocked) {
   </select>`;
 }
 
+// A recording has one start and one rate, whatever number of files it is in.
+function timingCells(row, sending, change, isLocked) {
+  const part = sending.partOf(row);
+  if (part) return html`<td colspan="2" class="quiet">part ${part + 1} of the recording</td>`;
+  return html`<td>${timing(row, "offset_s", { label: "Offset in seconds", empty: "0", change, isLocked })}</td>
+    <td>${timing(row, "rate", { label: "Frame rate in Hz", empty: "as is", change, isLocked })}</td>`;
+}
+
 export function fileTable({ sending, change, remove }) {
   const { isLocked } = sending;
   const hasVideos = sending.rows.some(({ kind }) => kind === "video");
@@ -50,8 +58,7 @@ export function fileTable({ sending, change, remove }) {
           <span><b>${row.name}</b><br><span class="quiet">${size(row.size)}</span></span>
         </div></td>
         <td>${cameraField(row, sending, change, isLocked)}</td>
-        ${hasVideos ? html`<td>${timing(row, "offset_s", { label: "Offset in seconds", empty: "0", change, isLocked })}</td>
-          <td>${timing(row, "rate", { label: "Frame rate in Hz", empty: "as is", change, isLocked })}</td>` : nothing}
+        ${hasVideos ? timingCells(row, sending, change, isLocked) : nothing}
         <td class="sent">
           ${row.sent || row.isActive ? html`<progress max="1" .value=${row.size ? row.sent / row.size : 1} aria-label="Sent of ${row.name}"></progress>` : nothing}
           <span class="quiet">${stateOf(row)}</span>

@@ -8,7 +8,7 @@ import { cameraFramesOf, estimateOf } from "../shared/estimate.js";
 import { feed } from "../shared/feed.js";
 import { count, percent } from "../shared/format.js";
 import { readOptions } from "../shared/options.js";
-import { captureOf, jobBody, sessionBody } from "./capture.js";
+import { captureOf, jobBody, partsOf, recordingsOfRows, sessionBody, videosByCamera } from "./capture.js";
 import { addFiles } from "./chosen_files.js";
 import { emptyDraft, loadDraft, saveDraft } from "./draft.js";
 import { faultsOf } from "./faults.js";
@@ -77,6 +77,7 @@ class Sending extends EventTarget {
   get missing() { return this.used.filter((row) => row.file === null && !row.isSent); }
   // Files whose names don't tell their camera, once there is a calibration, and the cameras that no file has.
   get unpaired() { return this.cameraNames.length ? this.used.filter(({ kind, camera }) => kind !== "timestamps" && camera === null) : []; }
+  get unpairedRecordings() { return recordingsOfRows(this.unpaired); }
   get freeCameras() { return this.cameraNames.filter((name) => !this.used.some(({ camera }) => camera === name)); }
 
   // What Send waits for, as words.
@@ -201,20 +202,39 @@ class Sending extends EventTarget {
   assignCameras() {
     const names = this.cameraNames;
     if (names.length === 0 || this.isLocked) return;
-    const matched = matchCameras(this.rows.filter(({ kind }) => kind !== "timestamps").map(({ name }) => name), names);
+    const matched = this.#byRecording(matchCameras, this.rows.filter(({ kind }) => kind !== "timestamps"), names);
     for (const row of this.rows) {
       if (row.kind === "timestamps") continue;
       if (!names.includes(row.camera)) row.camera = null;
-      const isFree = (camera) => !this.rows.some((other) => other !== row && other.camera === camera);
-      const camera = matched.get(row.name);
-      if (row.camera === null && camera && isFree(camera)) this.assign(row, { camera });
+      const camera = matched.get(row);
+      const others = this.rows.filter((other) => other !== row && other.camera === camera);
+      if (row.camera === null && camera && others.every((other) => matched.get(other) === camera)) this.assign(row, { camera });
     }
   }
 
   // Give the free cameras to the files that have none, both in the natural order of their names.
   pairByOrder() {
-    const paired = inOrder(this.unpaired.map(({ name }) => name), this.freeCameras);
-    for (const row of this.unpaired) this.assign(row, { camera: paired.get(row.name) });
+    const paired = this.#byRecording(inOrder, this.unpaired, this.freeCameras);
+    for (const [row, camera] of paired) this.assign(row, { camera });
+  }
+
+  // Camera of each row by a rule for names, which sees the first part of each recording.
+  #byRecording(rule, rows, cameras) {
+    const recordings = recordingsOfRows(rows);
+    const found = rule(recordings.map(([first]) => first.name), cameras);
+    return new Map(recordings.flatMap((parts) => parts.map((row) => [row, found.get(parts[0].name) ?? null])));
+  }
+
+  // Number of a row among the parts of its camera's recording, from 0; null if it is the only one, or no part.
+  partOf(row) {
+    const rows = videosByCamera(this.used).get(row.camera) ?? [];
+    const parts = rows.length > 1 ? partsOf(rows) : null;
+    return parts?.includes(row) ? parts.indexOf(row) : null;
+  }
+
+  // Join the files of cameras that have several, as parts of one recording.
+  join(rows) {
+    for (const row of rows) this.assign(row, { isJoined: true });
   }
 
   chooseCalibration(id, name = null) {
@@ -331,6 +351,7 @@ class Sending extends EventTarget {
 
   // Problems of the last answer and findings of the check that concern a file.
   findingsOf(row) {
+    if (this.partOf(row)) return (this.problem?.items ?? []).filter(({ file }) => file === row.name).map((item) => ({ ...item, severity: "error" }));
     const isOf = (item) => (item.file ? item.file === row.name : Boolean(item.camera) && item.camera === row.camera);
     const refused = (this.problem?.items ?? []).filter(isOf).map((item) => ({ ...item, severity: "error" }));
     return [...refused, ...(this.session?.preflight.findings ?? []).filter(({ camera }) => camera && camera === row.camera)];

@@ -10,6 +10,7 @@ import { calibrationPart } from "./calibration.js";
 import { MEASURED } from "./capture.js";
 import { choicesForm } from "./choices.js";
 import { ACCEPTED, droppedFiles } from "./files.js";
+import { twiceOf } from "./faults.js";
 import { goPanel } from "./go.js";
 import { recentJobs } from "./recent.js";
 import { fileTable } from "./rows.js";
@@ -106,15 +107,24 @@ export function open(place) {
       ${sending.rows.length ? fileTable({ sending, change, remove }) : nothing}
       ${timePart(isLocked)}
       ${sending.unpaired.length ? pairing(isLocked) : nothing}
+      ${joining(isLocked)}
     </section>`;
   }
 
   // Files and cameras whose names don't match.
   function pairing(isLocked) {
-    const { unpaired, freeCameras: free } = sending;
+    const { unpaired, unpairedRecordings, freeCameras: free } = sending;
     const listed = (names) => names.join(", ");
     return html`<p class="notice">No camera's name, or more than one, is in the ${unpaired.length === 1 ? "name" : "names"} of ${listed(unpaired.map(({ name }) => name))}. ${free.length ? `Free cameras: ${listed(free)}. Choose the camera of each file.` : "No camera is free."}
-      ${free.length === unpaired.length ? html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.pairByOrder()}>Pair by the order of names</button>` : nothing}</p>`;
+      ${free.length === unpairedRecordings.length ? html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.pairByOrder()}>Pair by the order of names</button>` : nothing}</p>`;
+  }
+
+  // Videos of cameras that have several, which may be the parts of a recording.
+  function joining(isLocked) {
+    const twice = twiceOf(sending.capture.views).filter(({ kind }) => kind === "video");
+    if (twice.length === 0) return nothing;
+    return html`<p class="notice">One camera has two files: ${twice.map(({ name }) => name).join(", ")}.
+      <button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.join(twice)}>They are parts of one recording, in the order of their names</button></p>`;
   }
 
   function page() {

@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import pytest
+
 from tests.api.portal.node import run_by_node
 
 HERE = Path(__file__).parent
 CASES = HERE.parents[2] / "pipeline" / "capture"
 
 
-def test_matching() -> None:
-    run_by_node(HERE / "matching.test.mjs", CASES)
+@pytest.mark.parametrize("module", ["matching", "parts"])
+def test_modules_of_the_view_send(module: str) -> None:
+    run_by_node(HERE / f"{module}.test.mjs", CASES)

@@ -1,0 +1,27 @@
+// Files of one recording by their names, on the cases of the pipeline; names of files in folders; files beside others.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import test from "node:test";
+
+import { isPassedOver, namesOf } from "../../../../api/portal/send/files.js";
+import { recordingsOf } from "../../../../api/portal/send/parts.js";
+
+const cases = JSON.parse(readFileSync(`${process.env.FIXTURES}/parts_cases.json`, "utf8"));
+
+for (const { about, names, recordings } of cases) {
+  test(about, () => assert.deepEqual(recordingsOf(names), recordings));
+}
+
+test("files of one name have the names of their folders before", () => {
+  const file = (path) => ({ name: path.split("/").at(-1), webkitRelativePath: path });
+  const files = ["take/left/DCIM/GX010001.MP4", "take/right/DCIM/GX010001.MP4", "take/door.mp4"].map(file);
+  assert.deepEqual(namesOf(files), ["left_DCIM_GX010001.MP4", "right_DCIM_GX010001.MP4", "door.mp4"]);
+  assert.deepEqual(namesOf([{ name: "a.mp4" }, { name: "a.mp4" }]), ["a.mp4", "a.mp4"]);
+});
+
+test("files that systems and cameras put beside others", () => {
+  const passed = ["._a.mp4", "take/__MACOSX/._a.mp4", "GX010001.LRV", "GX010001.thm", "VID_1.insv", "Thumbs.db"];
+  assert.deepEqual(passed.filter(isPassedOver), passed);
+  assert.deepEqual(["a.mp4", "take/a_._b.mp4", "lrv.mp4", "__macosx.mp4"].filter(isPassedOver), []);
+});
