@@ -34,6 +34,8 @@ from pipeline.stages.take import assemble
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import folder_sha256
 
+UNFINISHED = ".new-"
+"""How names of folders begin, beside the results, whose files are not whole; a program that is killed leaves one."""
 _DEFAULTS = ReconstructionConfig()
 _STAGES_OF_RECORDS = {stage.name for stage in STAGES if not stage.makes_files} - {WRITE}
 
@@ -192,7 +194,7 @@ def _scratch_folder(files: "_Destination | None") -> Iterator[Path]:
         return
     try:
         files.folder.mkdir(parents=True, exist_ok=True)
-        scratch = tempfile.TemporaryDirectory(prefix=".new-", dir=files.folder)
+        scratch = tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=files.folder)
     except OSError as error:
         raise not_written(files.folder, error) from error
     with scratch as folder:

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -20,7 +21,7 @@ from pipeline.errors import InputError, PipelineError
 from pipeline.export.person_files import replacing
 from pipeline.export.results import not_written
 from pipeline.quality.report import all_checks
-from pipeline.stages.local import reconstruct_to_files
+from pipeline.stages.local import UNFINISHED, reconstruct_to_files
 from pipeline.stages.output_folder import default_cache, is_usable
 
 _TABLE = "batch.csv"
@@ -101,6 +102,8 @@ def _row(take: TakeSource, choices: _Choices, folder: Path, *, show_bars: bool) 
         return kept
     folder.mkdir(parents=True, exist_ok=True)
     record.unlink(missing_ok=True)
+    for left in folder.glob(f"{UNFINISHED}*"):
+        shutil.rmtree(left, ignore_errors=True)
     try:
         session = take.open(choices.units, choices.pair_by_order)
         with StageBars(visible=show_bars) as bars:
