@@ -1,13 +1,15 @@
 """Unpack untrusted zip archives of keypoint files, one a camera, within limits."""
 
+import sys
 import zipfile
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+from pipeline.capture.keypoint_files import foreign
 from pipeline.capture.keypoint_files.folders import MAX_FILE_BYTES
-from pipeline.errors import InputError, Problem
+from pipeline.errors import InputError, Problem, printable
 from pipeline.problem_codes.sessions import KEYPOINTS_ARCHIVE
 from pipeline.runtime.zips import ArchiveError, list_entries, name_of, read_entry, refusal
 
@@ -20,8 +22,9 @@ def unpack_keypoints(archives: Sequence[Path], folder: Path) -> None:
     """Unpack each archive into a folder of the same name, for ``keypoints.open_keypoints``.
 
     The files of an archive lie at its top or in one folder. Folder names are dropped, and only JSON and CSV files are
-    unpacked. Archives are named ``<camera>.zip``, and the folder is empty. Raises ``InputError`` with the problems of
-    all archives that are damaged, encrypted or too large, or that contain links or a name twice.
+    unpacked, or without these YOLO's texts. Archives are named ``<camera>.zip``, and the folder is empty. Raises
+    ``InputError`` with the problems of all archives that are damaged, encrypted or too large, that contain links or a
+    name twice, or that have only files of known kinds that are not read.
     """
     problems: list[Problem] = []
     # The directories of all archives first: reading them is cheap, unpacking is not.
@@ -44,18 +47,23 @@ def _attempt(archive: Path, step: Callable[[], _Found], problems: list[Problem])
         if not isinstance(refused, ArchiveError):
             raise
         message = str(refused)
-    hint = "Send one zip archive for each camera, with its keypoint files: JSON, or CSV of DeepLabCut."
+    hint = "Send one zip archive for each camera, with its keypoint files: JSON, CSV of DeepLabCut, or labels of YOLO."
     problems.append(Problem(KEYPOINTS_ARCHIVE, message, file=archive.name, hint=hint))
     return None
 
 
 def _list_files(archive: Path, folder: Path) -> Sequence[zipfile.ZipInfo]:
-    """List the JSON and CSV files in the directory of an archive, check them, and make the target folder."""
+    """List the keypoint files in the directory of an archive, check them, and make the target folder."""
     target = folder / archive.stem
     if archive.suffix.lower() != ".zip" or target.exists():
         raise ArchiveError("The archive must have the name of its camera with the ending .zip.")
     target.mkdir()
-    return list_entries(archive, {".json", ".csv"}, MAX_FILE_BYTES)
+    files = list_entries(archive, {".json", ".csv"}, MAX_FILE_BYTES) or list_entries(archive, {".txt"}, MAX_FILE_BYTES)
+    if not files:
+        others = list_entries(archive, foreign.ENDINGS, sys.maxsize)
+        if known := foreign.described(name_of(entry) for entry in others):
+            raise ArchiveError(printable(" ".join(known)))
+    return files
 
 
 def _unpack(archive: Path, files: Sequence[zipfile.ZipInfo], target: Path, left_bytes: int) -> int:

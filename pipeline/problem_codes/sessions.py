@@ -291,7 +291,7 @@ KEYPOINTS_ARCHIVE = KEYPOINTS.code(
     "keypoints_archive",
     _FILES,
     "The archive is damaged or not allowed.",
-    "Send a zip of JSON or CSV files for each camera.",
+    "Send a zip of the files of keypoints of each camera.",
 )
 KEYPOINTS_MISSING = KEYPOINTS.code("keypoints_missing", _FILES, "There is no such folder.", "Check the path.")
 TOO_FEW_FOLDERS = KEYPOINTS.code(
@@ -316,7 +316,7 @@ CAMERA_WITH_TWO_FOLDERS = KEYPOINTS.code(
 KEYPOINTS_NONE = KEYPOINTS.code(
     "keypoints_none",
     _FILES,
-    "The folder has no keypoint file, or several files of all frames.",
+    "The folder has no keypoint file, several files of all frames, or files of two forms.",
     "Name the files `..._000000000123_keypoints.json`, or provide one file of all frames.",
 )
 DUPLICATE_KEYPOINTS = KEYPOINTS.code(

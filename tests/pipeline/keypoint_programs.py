@@ -185,6 +185,22 @@ def mediapipe_results(frames: Frames, camera: Camera) -> Files:
     return {"landmarks.json": json.dumps(listed).encode()}
 
 
+def yolo(frames: Frames, camera: Camera) -> Files:
+    """Of pictures, tracked: pictures without people have no file."""
+
+    def line(person: np.ndarray, track: int) -> str:
+        shares = person / [*camera.size_px, 1.0]
+        return " ".join(map(str, [0, 0.5, 0.5, 0.1, 0.2, *_flat(shares), 0.91, track]))
+
+    return {
+        f"{camera.name}_{number:06d}.txt": "".join(
+            f"{line(person, k + 1)}\n" for k, person in enumerate(people)
+        ).encode()
+        for number, people in frames.items()
+        if people
+    }
+
+
 PROGRAMS: Mapping[str, Callable[[Frames, Camera], Files]] = {
     "AlphaPose": alphapose,
     "AlphaPose, open": alphapose_like_openpose,
@@ -197,6 +213,7 @@ PROGRAMS: Mapping[str, Callable[[Frames, Camera], Files]] = {
     "COCO, annotations": coco_annotations,
     "DeepLabCut": deeplabcut,
     "MediaPipe": mediapipe_results,
+    "YOLO": yolo,
 }
 """Writers by the name of the program, and what is special."""
 

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pipeline.capture.keypoint_files import foreign, yolo
 from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.pairing import MIN_CAMERAS
@@ -26,6 +27,7 @@ from pipeline.problem_codes.sessions import (
 
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _NUMBERED = re.compile(r"(?:.*\D)?(\d{1,15})\.json", re.ASCII)
+_LABELS = re.compile(r"(?:.*\D)?(\d{1,15})\.txt", re.ASCII)
 _MAX_FRAME_BYTES = 4 * 2**20
 MAX_FILE_BYTES = 64 * 2**20
 """Limit on a file of all frames."""
@@ -54,14 +56,11 @@ def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem
     everything = [path for place in (folder, *folders.values()) for path in place.iterdir()]
     findings += passed_over(path for path in everything if is_passed_over(path))
     if len(folders) < MIN_CAMERAS:
-        problems.append(
-            Problem(
-                TOO_FEW_FOLDERS,
-                f"There are {len(folders)} folders; at least {MIN_CAMERAS} are required.",
-                file=folder.name,
-                hint="Provide a folder of keypoint files for each camera.",
-            )
-        )
+        message = f"There are {len(folders)} folders; at least {MIN_CAMERAS} are required."
+        hint = "Provide a folder of keypoint files for each camera."
+        if known := foreign.described(path.name for path in entries if path.is_file()):
+            message, hint = f"{message} {known[0]}", f"{hint} {known[1]}"
+        problems.append(Problem(TOO_FEW_FOLDERS, message, file=folder.name, hint=hint))
     return folders
 
 
@@ -149,10 +148,15 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
     files = [path for path in paths if path.is_file()]
     named = [path for path in files if _FILE_NAME.fullmatch(path.name)]
     captures = [path for path in files if path.suffix.lower() in {".json", ".csv"}]
+    labels = _labels(files)
+    if labels and captures:
+        message = f"The folder has files of two forms: {captures[0].name} and YOLO's labels {labels[0].name}."
+        problems.add(Problem(KEYPOINTS_NONE, message, file=folder.name, hint="Keep the files of one form."))
+        return _Files({}, None, [])
     if not named and len(captures) == 1:
         return _Files({}, captures[0], [path for path in paths if path != captures[0]])
     # Other programs name files of frames by the number alone.
-    name = _FILE_NAME if named else _NUMBERED
+    name = _FILE_NAME if named else _LABELS if labels else _NUMBERED
     numbered: dict[int, Path] = {}
     others: list[Path] = []
     for path in paths:
@@ -170,8 +174,23 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
         if captures:
             some = ", ".join(path.name for path in captures[:3])
             message, hint = f"The folder has several files without numbers: {some}.", f"Keep one of them. {hint}"
+        elif known := foreign.described(path.name for path in files):
+            message, hint = f"{message} {known[0]}", known[1]
         problems.add(Problem(KEYPOINTS_NONE, message, file=folder.name, hint=hint))
     return _Files(numbered, None, others)
+
+
+def _labels(files: Sequence[Path]) -> Sequence[Path]:
+    """Files of YOLO's labels; none if the first text with a number in its name that is not empty is of another kind."""
+    texts = [path for path in files if _LABELS.fullmatch(path.name)]
+    first = next((path for path in texts if path.stat().st_size), None)
+    if first is None:
+        return texts
+    try:
+        with first.open("rb") as file:
+            return texts if yolo.is_labels(file.readline(_MAX_FRAME_BYTES)) else []
+    except OSError:  # reported where the file is read
+        return texts
 
 
 def _form_in(forms: set[str], size_px: tuple[int, int] | None, content: Any) -> KeypointForm:
@@ -222,10 +241,12 @@ def _split(path: Path, form_in: _FormOf) -> tuple[Callable[[Any], People], Mappi
 
 
 def _read(path: Path, max_bytes: int) -> Any:
-    """Parsed JSON, or the bytes of a CSV file."""
+    """Parsed JSON, the bytes of a CSV file, or YOLO's labels."""
     if path.stat().st_size > max_bytes:
         raise KeypointsError(f"The file is larger than {max_bytes // 2**20} MiB.")
     content = path.read_bytes()
+    if path.suffix.lower() == ".txt":
+        return yolo.labels_of(content)
     return content if path.suffix.lower() == ".csv" else read_json(content)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-from pipeline.capture.keypoint_files import alphapose, coco, deeplabcut, easymocap, mediapipe, mmpose, openpose
+from pipeline.capture.keypoint_files import alphapose, coco, deeplabcut, easymocap, mediapipe, mmpose, openpose, yolo
 from pipeline.capture.keypoint_files.people import KeypointsError, People
 
 
@@ -24,18 +24,29 @@ class KeypointForm(NamedTuple):
 
 
 OPENPOSE, EASYMOCAP = "OpenPose", "EasyMocap"
+# Fields of the people in an object, which tell its program.
+_FIELDS = {
+    "annotations": "COCO",
+    easymocap.PEOPLE: EASYMOCAP,
+    "instance_info": "MMPose",
+    **dict.fromkeys(("poses", *mediapipe.RESULTS), "MediaPipe"),
+    "bodies": "AlphaPose",
+    "people": OPENPOSE,
+}
 
 
 def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
-    """Find the form of a file's content: parsed JSON, or the bytes of a CSV file.
+    """Find the form of a file's content: parsed JSON, the bytes of a CSV file, or YOLO's labels.
 
     ``size_px`` has width and height of the camera's images; ``None`` if unknown. Unknown JSON is taken as OpenPose's.
-    Raises ``KeypointsError`` if a CSV file is of no known form.
+    Raises ``KeypointsError`` if a CSV file is of no known form, or if JSON has the fields of several.
     """
     if isinstance(content, bytes):
         if not deeplabcut.is_table(content):
             raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
         return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
+    if isinstance(content, yolo.Labels):
+        return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px), None)
     if isinstance(content, list):
         return _form_of_list(content, size_px)
     if isinstance(content, dict):
@@ -59,6 +70,10 @@ def _form_of_list(content: list[Any], size_px: tuple[int, int] | None) -> Keypoi
 
 
 def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None) -> KeypointForm:
+    of_program = {program: field for field, program in _FIELDS.items() if field in content}
+    if len(of_program) > 1:
+        shown = " and ".join(f"{field} of {program}" for program, field in of_program.items())
+        raise KeypointsError(f"The file has the fields of several formats: {shown}. Keep one of them.")
     if "annotations" in content:
         return KeypointForm("COCO", coco.read_frame, coco.frames_of)
     if easymocap.PEOPLE in content:

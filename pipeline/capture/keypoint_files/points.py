@@ -12,7 +12,8 @@ from pipeline.joints import BODY_FEET, COCO_17, SIDES, without_hands
 from pipeline.layouts import LAYOUTS, KeypointLayout
 
 _NAMES = ("coco-17", "coco-wholebody-23", "halpe-26", "coco-wholebody-133", "halpe-136")
-_BY_COUNT: Mapping[int, KeypointLayout] = {len(LAYOUTS[name].points): LAYOUTS[name] for name in _NAMES}
+BY_COUNT: Mapping[int, KeypointLayout] = {len(LAYOUTS[name].points): LAYOUTS[name] for name in _NAMES}
+"""Layouts by number of points of the programs that write their networks' points without names."""
 OPENPOSE_LAYOUTS: Mapping[int, KeypointLayout] = {
     len(LAYOUTS[name].points): LAYOUTS[name] for name in ("body-25", "coco-18", *_NAMES)
 }
@@ -33,10 +34,10 @@ REQUIRED = tuple(f"{side}_{part}" for part in ("shoulder", "hip") for side in SI
 
 def layout_of(num_points: int, field: str) -> KeypointLayout:
     """Layout of so many points without names; raises ``KeypointsError`` if there is none."""
-    if num_points not in _BY_COUNT:
-        known = ", ".join(f"{layout.name.rpartition('-')[0]} has {count}" for count, layout in _BY_COUNT.items())
+    if num_points not in BY_COUNT:
+        known = ", ".join(f"{layout.name.rpartition('-')[0]} has {count}" for count, layout in BY_COUNT.items())
         raise KeypointsError(f"A person has {num_points} points; {known}.", field)
-    return _BY_COUNT[num_points]
+    return BY_COUNT[num_points]
 
 
 def openpose_layout(num_points: int, field: str) -> KeypointLayout:
@@ -49,7 +50,7 @@ def openpose_layout(num_points: int, field: str) -> KeypointLayout:
 
 def layout_of_names(names: Sequence[str], field: str) -> KeypointLayout:
     """Layout of points with names; raises ``KeypointsError`` if they are not those of a body."""
-    return _BY_COUNT[len(names)] if len(names) in _WHOLE else named_layout(names, field)
+    return BY_COUNT[len(names)] if len(names) in _WHOLE else named_layout(names, field)
 
 
 def arranged(points: People, layout: KeypointLayout) -> People:

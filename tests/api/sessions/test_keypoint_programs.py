@@ -19,7 +19,16 @@ from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.keypoint_programs import Files, keypoint_files, write_session
 
 # One form of each program; tests/pipeline/capture/keypoint_files has the others.
-PROGRAMS = ["AlphaPose", "AlphaPose, PoseFlow", "EasyMocap", "MMPose", "COCO, annotations", "DeepLabCut", "MediaPipe"]
+PROGRAMS = [
+    "AlphaPose",
+    "AlphaPose, PoseFlow",
+    "EasyMocap",
+    "MMPose",
+    "COCO, annotations",
+    "DeepLabCut",
+    "MediaPipe",
+    "YOLO",
+]
 
 
 @pytest.fixture(scope="module")

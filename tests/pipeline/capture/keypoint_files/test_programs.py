@@ -2,6 +2,7 @@
 
 import json
 import time
+import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +12,13 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoint_files import people
-from pipeline.capture.keypoint_files.folders import Contents, read_folder
+from pipeline.capture.keypoint_files.folders import Contents, camera_folders, read_folder
 from pipeline.capture.keypoint_files.people import joint_set_of
 from pipeline.capture.keypoint_files.points import joint_of
+from pipeline.capture.keypoint_files.yolo import LINES
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.errors import Problem
+from pipeline.capture.keypoints_zip import unpack_keypoints
+from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, WHOLE_BODY
 from pipeline.layouts import LAYOUTS
 from pipeline.simulation.scenes import Simulation, find_scene, record
@@ -197,6 +200,153 @@ def test_wrong_people_of_easymocap(tmp_path: Path, annots: Any, field: str | Non
     assert list(contents.frames) == [0]
     assert problem.field == field
     assert words in problem.message
+
+
+def labels(folder: Path, *texts: str | bytes) -> tuple[Contents, list[Problem]]:
+    folder = folder / "cam"
+    folder.mkdir()
+    for k, text in enumerate(texts):
+        (folder / f"walk_{k + 1}.txt").write_bytes(text.encode() if isinstance(text, str) else text)
+    problems: list[Problem] = []
+    return read_folder(folder, "left", SIZE_PX, 10**9, [], problems), problems
+
+
+def line(count: int, *more: float, scores: bool = True) -> str:
+    """Line of labels: point k is at pixel (10 k, 5 k) of 640 x 480."""
+    points_of_line = [(10 * k / 640, 5 * k / 480, *([0.5] if scores else [])) for k in range(count)]
+    return " ".join(map(str, [0, 0.5, 0.5, 0.2, 0.2, *(value for point in points_of_line for value in point), *more]))
+
+
+@pytest.mark.parametrize("more", [(), (0.9,), (0.9, 3), (3,)])
+@pytest.mark.parametrize(("count", "scores"), [(17, True), (17, False), (26, True), (133, True)])
+def test_lines_of_yolo(tmp_path: Path, count: int, scores: bool, more: tuple[float, ...]) -> None:
+    layout = {17: "coco-17", 26: "halpe-26", 133: "coco-wholebody-133"}[count]
+    text = line(count, *more, scores=scores)
+    contents, problems = labels(tmp_path, f"{text}\n{text}\n", "", f"{text}\r\n\n")
+    assert not problems
+    assert contents.forms == {"YOLO"}
+    assert [len(contents.frames[number]) for number in (1, 2, 3)] == [2, 0, 1]
+    joints = LAYOUTS[layout].joints
+    expected = [10.0 * LAYOUTS[layout].points.index(name) for name in joints.names]
+    np.testing.assert_allclose(contents.frames[3][0, :, 0], expected, atol=1e-9)
+    np.testing.assert_allclose(contents.frames[3][0, :, 1], np.array(expected) / 2, atol=1e-9)
+    # Ultralytics moves points that it did not find to (0, 0): the nose.
+    np.testing.assert_array_equal(
+        contents.frames[3][0, :, 2], np.r_[0.0, [0.5 if scores else 1.0] * (len(expected) - 1)]
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "words"),
+    [
+        ("0 0.5 0.5 0.1 0.1", None, "boxes without points"),
+        ("0 0.5 0.5 0.1 0.1 0.9 4", None, "boxes without points"),
+        (line(20), None, "65 numbers"),
+        (line(17) + "\n" + line(26), None, "56, 83"),
+        (line(17) + "\n1" + line(17)[1:], "class", "several classes"),
+        (line(17).replace("0.5", "half", 1), None, "no numbers"),
+        (line(17).replace(" 0.015625 ", " 611.5 ", 1), None, "from 0 to 1"),
+        (line(17).replace(" 0.015625 ", " inf ", 1), None, ""),
+        (b"0 0.5 0.5 0.1 0.1 \xff\xfe", None, "known format"),
+        ("\n".join([line(17)] * 129), None, "129 people"),
+        ("\n".join(["0 0 0 0 0" + " 0" * 51] * 1001), None, "1001 people"),
+    ],
+    ids=map(str, range(11)),
+)  # fmt: skip
+def test_wrong_labels(tmp_path: Path, text: str | bytes, field: str | None, words: str) -> None:
+    contents, problems = labels(tmp_path, line(17), text)
+    if not words:  # a point that is not finite was not found
+        assert not problems
+        assert not people.is_detected(contents.frames[2])[0, 1]
+        return
+    (problem,) = problems
+    assert list(contents.frames) == [1]
+    assert problem.field == field
+    assert words in problem.message
+
+
+def test_lines_of_yolo_are_of_one_form() -> None:
+    assert sorted(LINES) == [*range(39, 42), *range(56, 59), *range(74, 77), *range(83, 86), *range(404, 407),
+                             *range(413, 416)]  # fmt: skip
+    assert sum(form.has_scores for form in LINES.values()) == 15
+
+
+def test_labels_need_the_size_of_the_image(tmp_path: Path) -> None:
+    (tmp_path / "1.txt").write_text(line(17))
+    problems: list[Problem] = []
+    read_folder(tmp_path, "left", None, 10**9, [], problems)
+    assert "whose size" in problems[0].message
+
+
+@pytest.mark.parametrize("other", ["000001.json", "take.csv", "frame_1_keypoints.json"])
+def test_files_of_two_forms_are_named(tmp_path: Path, other: str) -> None:
+    folder = tmp_path / "cam"
+    folder.mkdir()
+    (folder / other).write_text(json.dumps({"people": []}))
+    contents, problems = labels_beside(folder, line(17))
+    assert not contents.frames
+    (problem,) = problems
+    assert problem.code == "keypoints_none"
+    assert f"{other} and YOLO's labels walk_1.txt" in problem.message
+
+
+def labels_beside(folder: Path, text: str) -> tuple[Contents, list[Problem]]:
+    (folder / "walk_1.txt").write_text(text)
+    problems: list[Problem] = []
+    return read_folder(folder, "left", SIZE_PX, 10**9, [], problems), problems
+
+
+def test_notes_beside_keypoints_are_no_labels(tmp_path: Path) -> None:
+    (tmp_path / "frame_1_keypoints.json").write_text(json.dumps({"people": [pose2sim(17)]}))
+    contents, problems = labels_beside(tmp_path, "Filmed on day 2, take 1")
+    assert not problems
+    assert contents.forms == {"OpenPose"}
+
+
+def test_an_object_of_two_formats_is_named(tmp_path: Path) -> None:
+    _, problems = read(tmp_path, {"annots": [], "people": []}, "000001.json")
+    assert "annots of EasyMocap and people of OpenPose" in problems[0].message
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "advice"),
+    [
+        ("camDLC_resnet50shuffle1_100000_el.h5", "DeepLabCut's HDF5", "DeepLabCut's CSV"),
+        ("take.analysis.h5", "SLEAP's HDF5", "COCO"),
+        ("take.H5", "HDF5", "DeepLabCut's CSV"),
+        ("labels.v001.slp", "SLEAP's project", "COCO"),
+        ("camDLC_full.pickle", "a pickle", "CSV"),
+        ("walk.c3d", "C3D, points in 3D", "2D keypoints"),
+        ("walk.trc", "TRC, points in 3D", "2D keypoints"),
+        ("cam1.mp4", "a video", "as videos"),
+        ("0001_keypoints.yml", "OpenPose's of --write_keypoint", "--write_json"),
+    ],
+)
+def test_files_that_are_not_read_are_named_for_what_they_are(
+    tmp_path: Path, name: str, words: str, advice: str
+) -> None:
+    folder = tmp_path / "cam"
+    folder.mkdir()
+    (folder / name).write_bytes(b"\x89HDF")
+    problems: list[Problem] = []
+    read_folder(folder, "left", SIZE_PX, 10**9, [], problems)
+    (problem,) = problems
+    assert problem.code == "keypoints_none"
+    assert f"{name} is {words}, which is not read." in problem.message
+    assert advice in (problem.hint or "")
+
+    (tmp_path / name).write_bytes(b"\x89HDF")
+    camera_folders(tmp_path, [], problems)
+    assert problems[-1].code == "too_few_folders"
+    assert f"{name} is {words}, which is not read." in problems[-1].message
+
+    archive = tmp_path / "left.zip"
+    with zipfile.ZipFile(archive, "w") as entries:
+        entries.writestr(name, b"\x89HDF")
+    (tmp_path / "unpacked").mkdir()
+    with pytest.raises(InputError, match=words) as raised:
+        unpack_keypoints([archive], tmp_path / "unpacked")
+    assert [problem.code for problem in raised.value.problems] == ["keypoints_archive"]
 
 
 def test_bodies_of_alphapose_s_form_cmu(tmp_path: Path) -> None:
