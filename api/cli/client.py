@@ -149,18 +149,25 @@ class Client:
         return str(self.http.base_url)
 
     def submit(
-        self, name: str, videos: Sequence[StrPath], calibration: StrPath, spec: Mapping[str, Any] | None = None
+        self,
+        name: str,
+        videos: Sequence[StrPath],
+        calibration: StrPath,
+        spec: Mapping[str, Any] | None = None,
+        manifest: Mapping[str, Any] | None = None,
     ) -> Job:
         """Send a session of videos and have it reconstructed.
 
         Parameters
         ----------
         videos
-            One video of each camera, named as the cameras in the calibration.
+            One video of each camera, with the camera's name as a word in its own; or as the manifest states.
         calibration
             Calibration file of any format that ``open_session`` reads.
         spec
             Choices of the job, such as ``{"method": "clustering", "exports": ["glb"]}``; ``None`` for the defaults.
+        manifest
+            Facts about the session, such as ``{"cameras": [{"name": "left", "file": "GX010042.MP4", "rate": 240.0}]}``.
 
         Returns
         -------
@@ -173,7 +180,7 @@ class Client:
         OSError
             If a file can't be read.
         """
-        texts = {"manifest": {"name": name}, **({} if spec is None else {"spec": spec})}
+        texts = {"manifest": {"name": name, **(manifest or {})}, **({} if spec is None else {"spec": spec})}
         described = [(part, (None, json.dumps(text), "application/json")) for part, text in texts.items()]
         with contextlib.ExitStack() as opened:
             parts = [*(("videos", Path(path)) for path in videos), ("calibration", Path(calibration))]

@@ -9,6 +9,7 @@ import av
 import httpx2
 import pytest
 
+from api.cli.client import Client
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
@@ -79,6 +80,18 @@ def test_a_recording_in_parts_gives_the_same_files_as_the_whole(served: Served, 
     assert {path.name: path.read_bytes() for path in written.paths} == {
         path.name: path.read_bytes() for path in results.iterdir()
     }
+
+
+def test_the_client_of_python_states_a_manifest(served: Served, tmp_path: Path) -> None:
+    videos = [write_video(tmp_path / f"{name}.mp4", 10) for name in ("view 10", "view 9")]
+    rig = calibration(tmp_path / "rig.json", ["a", "b"])
+    manifest = {"pair_by_order": True, "cameras": [{"name": "b", "rate": 50.0}]}
+    with Client.connect(str(served.client.base_url)) as client:
+        job = client.submit("Stated", videos, rig, SPEC | {"frame_range": None}, manifest)
+    session = served.client.get(job["links"]["session"]).json()
+    assert session["name"] == "Stated"
+    cameras = {camera["name"]: (camera["file"], camera["frame_rate_hz"]) for camera in session["preflight"]["cameras"]}
+    assert cameras == {"a": ("view 9.mp4", 25.0), "b": ("view 10.mp4", 50.0)}
 
 
 def test_all_problems_are_reported(served: Served, tmp_path: Path) -> None:
