@@ -13,6 +13,7 @@ from pipeline.errors import InputError, Problem, printable
 from pipeline.problem_codes.sessions import KEYPOINTS_ARCHIVE
 from pipeline.runtime.zips import ArchiveError, list_entries, name_of, read_entry, refusal
 
+_ENDINGS = frozenset({".json", ".csv", ".npy"})
 _MAX_TOTAL_BYTES = 4 * 2**30
 
 _Found = TypeVar("_Found")
@@ -21,7 +22,7 @@ _Found = TypeVar("_Found")
 def unpack_keypoints(archives: Sequence[Path], folder: Path) -> None:
     """Unpack each archive into a folder of the same name, for ``keypoints.open_keypoints``.
 
-    The files of an archive lie at its top or in one folder. Folder names are dropped, and only JSON and CSV files are
+    The files of an archive lie at its top or in one folder. Folder names are dropped, and only JSON, CSV and arrays are
     unpacked, or without these YOLO's texts. Archives are named ``<camera>.zip``, and the folder is empty. Raises
     ``InputError`` with the problems of all archives that are damaged, encrypted or too large, that contain links or a
     name twice, or that have only files of known kinds that are not read.
@@ -47,7 +48,9 @@ def _attempt(archive: Path, step: Callable[[], _Found], problems: list[Problem])
         if not isinstance(refused, ArchiveError):
             raise
         message = str(refused)
-    hint = "Send one zip archive for each camera, with its keypoint files: JSON, CSV of DeepLabCut, or labels of YOLO."
+    hint = (
+        "Send one zip archive for each camera, with its keypoint files: JSON, CSV, labels of YOLO, or an array (.npy)."
+    )
     problems.append(Problem(KEYPOINTS_ARCHIVE, message, file=archive.name, hint=hint))
     return None
 
@@ -58,7 +61,7 @@ def _list_files(archive: Path, folder: Path) -> Sequence[zipfile.ZipInfo]:
     if archive.suffix.lower() != ".zip" or target.exists():
         raise ArchiveError("The archive must have the name of its camera with the ending .zip.")
     target.mkdir()
-    files = list_entries(archive, {".json", ".csv"}, MAX_FILE_BYTES) or list_entries(archive, {".txt"}, MAX_FILE_BYTES)
+    files = list_entries(archive, _ENDINGS, MAX_FILE_BYTES) or list_entries(archive, {".txt"}, MAX_FILE_BYTES)
     if not files:
         others = list_entries(archive, foreign.ENDINGS, sys.maxsize)
         if known := foreign.described(name_of(entry) for entry in others):

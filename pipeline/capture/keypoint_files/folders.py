@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.capture.keypoint_files import foreign, yolo
+from pipeline.capture.keypoint_files import foreign, freemocap, yolo
 from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.pairing import MIN_CAMERAS
@@ -28,6 +28,7 @@ from pipeline.problem_codes.sessions import (
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _NUMBERED = re.compile(r"(?:.*\D)?(\d{1,15})\.json", re.ASCII)
 _LABELS = re.compile(r"(?:.*\D)?(\d{1,15})\.txt", re.ASCII)
+_CAPTURES = frozenset({".json", ".csv", ".npy"})
 _MAX_FRAME_BYTES = 4 * 2**20
 MAX_FILE_BYTES = 64 * 2**20
 """Limit on a file of all frames."""
@@ -83,8 +84,8 @@ def read_folder(
 ) -> Contents:
     """Read the people of a camera; stop above ``max_joints``.
 
-    A folder has files of single frames, named by their numbers, or one JSON or CSV file of all frames. ``size_px`` has
-    width and height of the camera's images; ``None`` if unknown.
+    A folder has files of single frames, named by their numbers, or one file of all frames: JSON, CSV or an
+    array. ``size_px`` has width and height of the camera's images; ``None`` if unknown.
     """
     found = _Problems(folder)
     files = _choose(folder, found)
@@ -147,7 +148,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
     paths = sorted(path for path in folder.iterdir() if not is_passed_over(path))
     files = [path for path in paths if path.is_file()]
     named = [path for path in files if _FILE_NAME.fullmatch(path.name)]
-    captures = [path for path in files if path.suffix.lower() in {".json", ".csv"}]
+    captures = [path for path in files if path.suffix.lower() in _CAPTURES]
     labels = _labels(files)
     if labels and captures:
         message = f"The folder has files of two forms: {captures[0].name} and YOLO's labels {labels[0].name}."
@@ -170,7 +171,9 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
             numbered[number] = path
     if not numbered:
         message = "The folder has no keypoint file."
-        hint = "Name the files like frame_000000000123_keypoints.json, or provide one JSON or CSV file of all frames."
+        hint = (
+            "Name the files like frame_000000000123_keypoints.json, or provide one file of all frames: JSON, CSV, .npy."
+        )
         if captures:
             some = ", ".join(path.name for path in captures[:3])
             message, hint = f"The folder has several files without numbers: {some}.", f"Keep one of them. {hint}"
@@ -196,7 +199,7 @@ def _labels(files: Sequence[Path]) -> Sequence[Path]:
 def _form_in(forms: set[str], size_px: tuple[int, int] | None, content: Any) -> KeypointForm:
     """Form of a file's content, which is added to ``forms``."""
     form = form_of(content, size_px)
-    if content:  # an empty list may be of any program
+    if not isinstance(content, list) or content:  # an empty list may be of any program
         forms.add(form.name)
     return form
 
@@ -241,9 +244,11 @@ def _split(path: Path, form_in: _FormOf) -> tuple[Callable[[Any], People], Mappi
 
 
 def _read(path: Path, max_bytes: int) -> Any:
-    """Parsed JSON, the bytes of a CSV file, or YOLO's labels."""
+    """Parsed JSON, the bytes of a CSV file, YOLO's labels, or an array."""
     if path.stat().st_size > max_bytes:
         raise KeypointsError(f"The file is larger than {max_bytes // 2**20} MiB.")
+    if path.suffix.lower() == ".npy":
+        return freemocap.opened(path)
     content = path.read_bytes()
     if path.suffix.lower() == ".txt":
         return yolo.labels_of(content)

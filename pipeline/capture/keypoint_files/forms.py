@@ -4,7 +4,19 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-from pipeline.capture.keypoint_files import alphapose, coco, deeplabcut, easymocap, mediapipe, mmpose, openpose, yolo
+import numpy as np
+
+from pipeline.capture.keypoint_files import (
+    alphapose,
+    coco,
+    deeplabcut,
+    easymocap,
+    freemocap,
+    mediapipe,
+    mmpose,
+    openpose,
+    yolo,
+)
 from pipeline.capture.keypoint_files.people import KeypointsError, People
 
 
@@ -36,7 +48,7 @@ _FIELDS = {
 
 
 def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
-    """Find the form of a file's content: parsed JSON, the bytes of a CSV file, or YOLO's labels.
+    """Find the form of a file's content: parsed JSON, the bytes of a CSV file, YOLO's labels, or an array.
 
     ``size_px`` has width and height of the camera's images; ``None`` if unknown. Unknown JSON is taken as OpenPose's.
     Raises ``KeypointsError`` if a CSV file is of no known form, or if JSON has the fields of several.
@@ -47,6 +59,8 @@ def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
         return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
     if isinstance(content, yolo.Labels):
         return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px), None)
+    if isinstance(content, np.ndarray):
+        return KeypointForm("FreeMoCap", freemocap.read_frame, freemocap.frames_of)
     if isinstance(content, list):
         return _form_of_list(content, size_px)
     if isinstance(content, dict):

@@ -1,0 +1,92 @@
+"""Reader of FreeMoCap's 2D points: an array of NumPy's, frames x points x 2 or 3, of one person in a camera.
+
+FreeMoCap writes cameras x frames x points x 3 into one file; a camera's part of it is read. With MediaPipe's points (33
+of the pose, then perhaps 21 of the right hand, 21 of the left, and the face) x and y are shares of the image times its
+size, and the third number is a depth. Points of other networks have a score in its place, or nothing. Points that were
+not found are not finite, or at (0, 0). Format: https://github.com/freemocap/skellytracker (recorders of the trackers)
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames, with_detected_joints
+from pipeline.capture.keypoint_files.points import OPENPOSE_LAYOUTS, arranged, openpose_layout
+from pipeline.joints import WHOLE_BODY
+from pipeline.layouts import HAND_POINTS, LAYOUTS, KeypointLayout
+
+_POSE = LAYOUTS["mediapipe-33"]
+_POSE_AND_HANDS = KeypointLayout(
+    "mediapipe-75", (*_POSE.points, *HAND_POINTS["right"], *HAND_POINTS["left"]), WHOLE_BODY
+)
+_NUM_POSE, _NUM_HOLISTIC = len(_POSE.points), len(_POSE_AND_HANDS.points)
+_MAGIC = b"\x93NUMPY"
+_NUMS_FACE = (0, 468, 478)
+_MEDIAPIPE: Mapping[int, KeypointLayout] = {
+    _NUM_POSE: _POSE,
+    **{_NUM_HOLISTIC + num_face: _POSE_AND_HANDS for num_face in _NUMS_FACE},
+}
+
+
+def opened(path: Path) -> np.ndarray:
+    """Open the array of a file, which stays on disk; nothing in it is run.
+
+    Raises ``KeypointsError`` if the file is not an array of numbers.
+    """
+    with path.open("rb") as file:
+        is_array = file.read(len(_MAGIC)) == _MAGIC  # and not an archive or a pickle
+    try:
+        array: Any = np.load(path, mmap_mode="r", allow_pickle=False) if is_array else None
+    except OSError:
+        raise
+    except Exception:  # NumPy's reader passes on all kinds of exceptions for a damaged header
+        array = None
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+        raise KeypointsError("The file is not an array of numbers in NumPy's form (.npy).")
+    return array
+
+
+def frames_of(content: np.ndarray) -> Mapping[int, np.ndarray]:
+    """Split an array of a camera by frames, which count from 0."""
+    if content.ndim == 4:
+        message = f"The array holds {len(content)} cameras; save each, array[k], in the folder of its camera."
+        raise KeypointsError(message)
+    if content.ndim != 3 or content.shape[2] not in (2, 3):
+        shape = " x ".join(map(str, content.shape))
+        raise KeypointsError(f"The array is {shape or 'a number'}; frames x points x 3 are required.")
+    check_frames(len(content))
+    num_points = content.shape[1]
+    if num_points not in _MEDIAPIPE and num_points not in OPENPOSE_LAYOUTS:
+        known = ", ".join(map(str, sorted((*_MEDIAPIPE, *OPENPOSE_LAYOUTS))))
+        raise KeypointsError(f"The array has {num_points} points a frame; known numbers are {known}.")
+    if num_points in _MEDIAPIPE:
+        content = content[:, :_NUM_HOLISTIC, :2]
+    elif not _has_scores(content):
+        content = content[..., :2]
+    return dict(enumerate(content))
+
+
+def read_frame(content: np.ndarray) -> People:
+    """Read the person of a frame, or nobody without a detected joint."""
+    points = np.ones((1, len(content), 3))
+    points[0, :, : content.shape[1]] = content
+    found = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)
+    points[~found] = 0.0
+    layout = _MEDIAPIPE.get(len(content)) or openpose_layout(len(content), "points")
+    if len(content) in _MEDIAPIPE:
+        # Shares reach from edge to edge of the image, and pixel 0 has its centre half a pixel from the edge.
+        points[found, :2] -= 0.5
+    return with_detected_joints(arranged(points, layout))
+
+
+def _has_scores(content: np.ndarray) -> bool:
+    """Whether the third number of the points is a score: not all of them are missing; raises if they are none."""
+    if content.shape[2] < 3:
+        return False
+    scores = np.asarray(content[..., 2], dtype=np.float64)
+    scores = scores[np.isfinite(scores)]
+    if ((scores < 0) | (scores > 1)).any():
+        raise KeypointsError("The third number of the points must be a score from 0 to 1.")
+    return bool(scores.any())
