@@ -26,7 +26,7 @@ RNG = np.random.default_rng(3)
 NOBODY = People((), (), 0)
 
 
-class Part(NamedTuple):
+class Segment(NamedTuple):
     word: str
     share: float = 0.5
 
@@ -34,10 +34,10 @@ class Part(NamedTuple):
 @dataclass(frozen=True, slots=True, eq=False)
 class Whole:
     points: Float[np.ndarray, " n"]
-    parts: tuple[Part, ...]
+    parts: tuple[Segment, ...]
     rows: Sequence[Sequence[int]]
     pair: tuple[str, float]
-    nothing: Part | None
+    nothing: Segment | None
     counts: Mapping[str, int]
     more: tuple[Float[np.ndarray, " n"], ...] = ()
     inner: "Inner | None" = None
@@ -52,7 +52,7 @@ class Inner:
 
 texts = st.text(max_size=5)
 floats = st.floats(allow_nan=False)
-parts = st.builds(Part, texts, floats)
+parts = st.builds(Segment, texts, floats)
 
 
 @given(
