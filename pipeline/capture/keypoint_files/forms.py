@@ -57,7 +57,7 @@ def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
         if not deeplabcut.is_table(content):
             raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
         return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
-    if isinstance(content, yolo.Labels):
+    if isinstance(content, yolo.PoseLabels):
         return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px), None)
     if isinstance(content, np.ndarray):
         return KeypointForm("FreeMoCap", freemocap.read_frame, freemocap.frames_of)

@@ -29,7 +29,7 @@ _NUM_LEADING = 5
 _MIN_SHARE, _MAX_SHARE = -2.0, 3.0
 
 
-class Labels(NamedTuple):
+class PoseLabels(NamedTuple):
     """Content of a file of labels."""
 
     text: str
@@ -66,15 +66,15 @@ def is_labels(beginning: bytes) -> bool:
         return False
 
 
-def labels_of(content: bytes) -> Labels:
+def labels_of(content: bytes) -> PoseLabels:
     """Labels of a file; raises ``UnreadableError`` if the content is no text."""
     try:
-        return Labels(content.decode("utf-8-sig"))
+        return PoseLabels(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise UnreadableError from error
 
 
-def read_frame(content: Labels, size_px: tuple[int, int] | None) -> People:
+def read_frame(content: PoseLabels, size_px: tuple[int, int] | None) -> People:
     """Read the people of a frame with at least one detected joint.
 
     ``size_px`` has width and height of the camera's images; ``None`` if unknown. Raises ``KeypointsError`` or
