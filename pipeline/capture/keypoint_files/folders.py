@@ -42,17 +42,31 @@ _FILE_HINT = "Write the file again."
 _Value = TypeVar("_Value")
 
 
-def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem]) -> dict[str, Path]:
-    """List the folders by name; report if there are too few, and tell of ignored files."""
+Source = Path | freemocap.CameraArray
+"""Folder of a camera, or its part in the file of all cameras."""
+
+
+def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem]) -> Mapping[str, Source]:
+    """List the folders by name; report if there are too few, and tell of ignored files.
+
+    Without folders, the parts of FreeMoCap's file of all cameras are listed in their place.
+    """
     if not folder.is_dir():
         problems.append(Problem(KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name))
         return {}
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith(".") and not is_passed_over(path))
+    of_cameras = None if any(path.is_dir() for path in entries) else freemocap.file_of_cameras(entries)
     findings += [
         Finding(FILE_IGNORED, f"{path.name} is ignored: it is not a folder.", severity="info")
         for path in entries
-        if not path.is_dir()
+        if not path.is_dir() and path != of_cameras
     ]
+    if of_cameras is not None:
+        parts = _attempt(partial(freemocap.cameras_of, of_cameras), of_cameras, None, None, _FILE_HINT)
+        if isinstance(parts, Problem):
+            problems.append(parts)
+            return {}
+        return parts
     folders = {path.name: path for path in entries if path.is_dir()}
     everything = [path for place in (folder, *folders.values()) for path in place.iterdir()]
     findings += passed_over(path for path in everything if is_passed_over(path))
@@ -75,7 +89,7 @@ class Contents:
 
 
 def read_folder(
-    folder: Path,
+    folder: Source,
     camera: str,
     size_px: tuple[int, int] | None,
     max_joints: int,
@@ -88,7 +102,7 @@ def read_folder(
     array. ``size_px`` has width and height of the camera's images; ``None`` if unknown.
     """
     found = _Problems(folder)
-    files = _choose(folder, found)
+    files = _Files({}, folder.path, []) if isinstance(folder, freemocap.CameraArray) else _choose(folder, found)
     if files.others:
         some = ", ".join(path.name for path in files.others[:3]) + (", ..." if len(files.others) > 3 else "")
         message = f"{len(files.others)} other files in {folder.name} are ignored: {some}."
@@ -100,7 +114,7 @@ def read_folder(
     for number, people in (
         _read_frames(files.numbered, camera, form_in)
         if files.capture is None
-        else _read_capture(files.capture, camera, form_in)
+        else _read_capture(files.capture, camera, form_in, folder.array if not isinstance(folder, Path) else None)
     ):
         if isinstance(people, Problem):
             found.add(people)
@@ -116,7 +130,7 @@ def read_folder(
 class _Problems:
     """Problems of a folder: the first ones, and how many more there are."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Source) -> None:
         self._folder = folder
         self._first: list[Problem] = []
         self._num_more = 0
@@ -218,9 +232,11 @@ def _read_file(path: Path, form_in: _FormOf) -> People:
     return form_in(content).read_frame(content)
 
 
-def _read_capture(path: Path, camera: str, form_in: _FormOf) -> Iterator[tuple[int, People | Problem]]:
-    """Read a file of all frames, in order of the numbers."""
-    split = _attempt(partial(_split, path, form_in), path, camera, None, _FILE_HINT)
+def _read_capture(
+    path: Path, camera: str, form_in: _FormOf, content: Any = None
+) -> Iterator[tuple[int, People | Problem]]:
+    """Read a file of all frames, in order of the numbers; ``content`` is that of the file if it is known."""
+    split = _attempt(partial(_split, path, form_in, content), path, camera, None, _FILE_HINT)
     if isinstance(split, Problem):
         yield 0, split
         return
@@ -232,8 +248,8 @@ def _read_capture(path: Path, camera: str, form_in: _FormOf) -> Iterator[tuple[i
         yield number, people
 
 
-def _split(path: Path, form_in: _FormOf) -> tuple[Callable[[Any], People], Mapping[int, Any]]:
-    content = _read(path, MAX_FILE_BYTES)
+def _split(path: Path, form_in: _FormOf, content: Any) -> tuple[Callable[[Any], People], Mapping[int, Any]]:
+    content = _read(path, MAX_FILE_BYTES) if content is None else content
     form = form_in(content)
     if form.frames_of is None:
         message = f"The file is read as {form.name}'s of a single frame, which has its number in its name."
@@ -255,7 +271,9 @@ def _read(path: Path, max_bytes: int) -> Any:
     return content if path.suffix.lower() == ".csv" else read_json(content)
 
 
-def _attempt(read: Callable[[], _Value], path: Path, camera: str, number: int | None, hint: str) -> _Value | Problem:
+def _attempt(
+    read: Callable[[], _Value], path: Path, camera: str | None, number: int | None, hint: str
+) -> _Value | Problem:
     """Value that ``read`` returns, or a problem of the file, and of the frame with the number."""
     file = f"{path.parent.name}/{path.name}"
     field = None

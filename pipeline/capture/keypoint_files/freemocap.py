@@ -1,14 +1,15 @@
 """Reader of FreeMoCap's 2D points: an array of NumPy's, frames x points x 2 or 3, of one person in a camera.
 
-FreeMoCap writes cameras x frames x points x 3 into one file; a camera's part of it is read. With MediaPipe's points (33
-of the pose, then perhaps 21 of the right hand, 21 of the left, and the face) x and y are shares of the image times its
-size, and the third number is a depth. Points of other networks have a score in its place, or nothing. Points that were
-not found are not finite, or at (0, 0). Format: https://github.com/freemocap/skellytracker (recorders of the trackers)
+FreeMoCap writes cameras x frames x points x 3 into one file, of which a camera's part is read. With MediaPipe's points
+(33 of the pose, then perhaps 21 of the right hand, 21 of the left, and the face) x and y are shares of the image times
+its size, and the third number is a depth. Points of other networks have a score in its place, or nothing. Points that
+were not found are not finite, or at (0, 0). Format: https://github.com/freemocap/skellytracker (recorders of the
+trackers)
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,12 +23,48 @@ _POSE_AND_HANDS = KeypointLayout(
     "mediapipe-75", (*_POSE.points, *HAND_POINTS["right"], *HAND_POINTS["left"]), WHOLE_BODY
 )
 _NUM_POSE, _NUM_HOLISTIC = len(_POSE.points), len(_POSE_AND_HANDS.points)
+_MAX_CAMERAS = 1000
 _MAGIC = b"\x93NUMPY"
 _NUMS_FACE = (0, 468, 478)
 _MEDIAPIPE: Mapping[int, KeypointLayout] = {
     _NUM_POSE: _POSE,
     **{_NUM_HOLISTIC + num_face: _POSE_AND_HANDS for num_face in _NUMS_FACE},
 }
+
+
+class CameraArray(NamedTuple):
+    """Part of a camera in the file of all cameras."""
+
+    path: Path
+    array: np.ndarray  # Frames x points x 2 or 3
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.path.name
+
+
+def file_of_cameras(files: Iterable[Path]) -> Path | None:
+    """File of the 2D points of all cameras among the files of a recording; ``None`` without one, or with several."""
+    arrays = [path for path in files if path.suffix.lower() == ".npy"]
+    named = [path for path in arrays if "2ddata" in path.name.casefold()] or arrays
+    return named[0] if len(named) == 1 else None
+
+
+def cameras_of(path: Path) -> dict[str, CameraArray]:
+    """Split the file of all cameras, by names that no camera has: ``part1`` and so on.
+
+    Raises ``KeypointsError`` if the file is no array of cameras.
+    """
+    array = opened(path)
+    if array.ndim != 4:
+        message = (
+            "The array must have the axes cameras, frames, points, and x, y and score; else give each camera its own"
+        )
+        raise KeypointsError(f"{message} in a folder with its name.")
+    if len(array) > _MAX_CAMERAS:
+        raise KeypointsError(f"The array has {len(array):,} cameras; at most {_MAX_CAMERAS} are allowed.")
+    return {f"part{k + 1}": CameraArray(path, part) for k, part in enumerate(array)}
 
 
 def opened(path: Path) -> np.ndarray:
@@ -51,8 +88,8 @@ def opened(path: Path) -> np.ndarray:
 def frames_of(content: np.ndarray) -> Mapping[int, np.ndarray]:
     """Split an array of a camera by frames, which count from 0."""
     if content.ndim == 4:
-        message = f"The array holds {len(content)} cameras; save each, array[k], in the folder of its camera."
-        raise KeypointsError(message)
+        message = f"The array holds {len(content)} cameras; save array[k] in the folder of its camera, or give the file"
+        raise KeypointsError(f"{message} alone, without folders.")
     if content.ndim != 3 or content.shape[2] not in (2, 3):
         shape = " x ".join(map(str, content.shape))
         raise KeypointsError(f"The array is {shape or 'a number'}; frames x points x 3 are required.")

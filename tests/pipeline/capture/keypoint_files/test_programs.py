@@ -442,6 +442,63 @@ def test_a_pickle_in_an_array_is_not_run(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
+def cameras_array(simulation: Simulation) -> np.ndarray:
+    """First person of each camera and frame, in the natural order of the cameras."""
+    num_frames = min(len(times.time_s) for times in simulation.times.values())
+    content = np.full((len(simulation.cameras), num_frames, 17, 3), np.nan)
+    for place, camera in enumerate(sorted(simulation.cameras, key=lambda camera: camera.name)):
+        detections = simulation.detections[camera.name]
+        for frame in range(num_frames):
+            rows = np.flatnonzero(detections.frame == frame)
+            if len(rows):
+                content[place, frame, :, :2] = detections.keypoints_px[rows[0]]
+                content[place, frame, :, 2] = np.clip(detections.score[rows[0]], 0, 1)
+    return content
+
+
+def test_the_file_of_all_cameras_of_freemocap(tmp_path: Path, simulation: Simulation) -> None:
+    write_session(simulation, "YOLO", tmp_path)
+    folder = tmp_path / "raw_data"
+    folder.mkdir()
+    content = cameras_array(simulation)
+    np.save(folder / "yolo_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy", content)
+    np.save(folder / "yolo_3dData_numFrames_numTrackedPoints_reprojectionError.npy", content[0, ..., 0])
+    files = folder, tmp_path / "calibration.json", tmp_path / "timestamps.csv"
+    with pytest.raises(InputError) as raised:
+        open_keypoints(*files)
+    (problem,) = raised.value.problems
+    assert problem.code == "pairing_unknown"
+    assert "part1, part2" in str(problem.hint)
+    assert "--pair-by-order" in str(problem.hint)
+    session = open_keypoints(*files, pair_by_order=True)
+    assert session.folders == {
+        name: f"part{k + 1}" for k, name in enumerate(sorted(camera.name for camera in simulation.cameras))
+    }
+    for place, name in enumerate(session.folders):
+        detections = session.detections[name]
+        seen = content[place][np.isfinite(content[place]).all(-1).any(-1)]
+        expected = np.where(np.isfinite(seen).all(-1, keepdims=True) & (seen[..., 2:] > 0), seen, np.nan)
+        np.testing.assert_allclose(detections.keypoints_px, expected[..., :2], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (np.zeros((5, 17, 3)), "axes cameras"),
+        (np.zeros((1001, 1, 17, 3)), "1,001 cameras"),
+        (np.array([{}]), "not an array of numbers"),
+    ],
+    ids=map(str, range(3)),
+)
+def test_wrong_files_of_all_cameras(tmp_path: Path, content: np.ndarray, words: str) -> None:
+    np.save(tmp_path / "points.npy", content, allow_pickle=True)
+    problems: list[Problem] = []
+    assert camera_folders(tmp_path, [], problems) == {}
+    (problem,) = problems
+    assert problem.code == "keypoints_unreadable"
+    assert words in problem.message
+
+
 def test_bodies_of_alphapose_s_form_cmu(tmp_path: Path) -> None:
     image = {"version": "AlphaPose v0.3", "bodies": [{"joints": points(18)}]}
     contents, problems = read(tmp_path, {"7.jpg": image, "8.jpg": {"version": "AlphaPose v0.3", "bodies": []}})
