@@ -6,6 +6,8 @@ const KINDS = {
   calibration: ["toml", "json", "yml", "yaml", "xml", "txt", "npz", "pickle", "pkl"],
 };
 const IMAGES = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "webp"];
+const KEYPOINTS = ["json", "csv", "npy"];
+const LABELS = /\d\.txt$/i; // YOLO's; the texts of calibrations have no numbers at the ends of their names
 const MOST_FILES = 1000; // of a dropped folder
 // The directory of a zip is at its end; its first entries are enough to tell what the zip has.
 const TAIL_BYTES = 1 << 16;
@@ -47,12 +49,13 @@ export async function kindOf(file) {
 function kindOfZip(tail) {
   const text = new TextDecoder("latin1").decode(tail);
   const bytes = new DataView(tail);
-  const endings = new Set();
+  const names = [];
   for (let at = text.indexOf(ENTRY); at >= 0 && at + NAME_AT < tail.byteLength; at = text.indexOf(ENTRY, at + 1)) {
-    endings.add(endingOf(text.substr(at + NAME_AT, bytes.getUint16(at + NAME_LENGTH_AT, true))));
+    names.push(text.substr(at + NAME_AT, bytes.getUint16(at + NAME_LENGTH_AT, true)));
   }
+  const endings = new Set(names.map(endingOf));
   if (IMAGES.some((ending) => endings.has(ending))) return "video";
-  return endings.has("json") ? "keypoints" : "calibration";
+  return KEYPOINTS.some((ending) => endings.has(ending)) || names.some((name) => LABELS.test(name)) ? "keypoints" : "calibration";
 }
 
 // All files of what was dropped, also those in dropped folders.

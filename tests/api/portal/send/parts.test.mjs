@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import test from "node:test";
 
-import { isPassedOver, namesOf } from "../../../../api/portal/send/files.js";
+import { isPassedOver, kindOf, namesOf } from "../../../../api/portal/send/files.js";
 import { recordingsOf } from "../../../../api/portal/send/parts.js";
 
 const cases = JSON.parse(readFileSync(`${process.env.FIXTURES}/parts_cases.json`, "utf8"));
@@ -24,4 +24,26 @@ test("files that systems and cameras put beside others", () => {
   const passed = ["._a.mp4", "take/__MACOSX/._a.mp4", "GX010001.LRV", "GX010001.thm", "VID_1.insv", "Thumbs.db"];
   assert.deepEqual(passed.filter(isPassedOver), passed);
   assert.deepEqual(["a.mp4", "take/a_._b.mp4", "lrv.mp4", "__macosx.mp4"].filter(isPassedOver), []);
+});
+
+// Directory of a zip with these names, as far as it is read.
+function zipOf(...names) {
+  const entries = names.map((name) => {
+    const head = Buffer.alloc(46);
+    head.write("PK\u0001\u0002", "latin1");
+    head.writeUInt16LE(name.length, 28);
+    return Buffer.concat([head, Buffer.from(name, "latin1")]);
+  });
+  return new File(entries, "left.zip");
+}
+
+test("what a zip is, by the names in it", async () => {
+  const kinds = {
+    keypoints: [["left/000001.json"], ["leftDLC.csv"], ["labels/left_12.txt"], ["left.npy"]],
+    calibration: [["cameras.txt", "images.txt", "points3D.txt"], ["intri.yml", "extri.yml"]],
+    video: [["000001.json", "000001.jpg"]],
+  };
+  for (const [kind, zips] of Object.entries(kinds)) {
+    for (const names of zips) assert.equal(await kindOf(zipOf(...names)), kind, names.join());
+  }
 });
