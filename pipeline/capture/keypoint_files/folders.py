@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -242,7 +241,7 @@ def _read_capture(
         yield 0, split
         return
     read_frame, frames = split
-    for number, frame in sorted(frames.items(), key=itemgetter(0)):
+    for number, frame in sorted(frames.items()):
         people = _attempt(partial(read_frame, frame), path, camera, number, _FILE_HINT)
         if isinstance(people, Problem) and people.code == KEYPOINTS_UNREADABLE:
             people = replace(people, message=f"Frame {number}: {people.message}")

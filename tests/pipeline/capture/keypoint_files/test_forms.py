@@ -1,0 +1,88 @@
+"""Which form files have: two forms in a folder or a file, and files of other kinds."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from pipeline.capture.keypoint_files.folders import Contents, camera_folders, read_folder
+from pipeline.capture.keypoints_zip import unpack_keypoints
+from pipeline.errors import InputError, Problem
+
+SIZE_PX = (640, 480)
+LABELS = "0 0.5 0.5 0.1 0.1" + " 0.5" * 51
+
+
+@pytest.mark.parametrize("other", ["000001.json", "take.csv", "frame_1_keypoints.json"])
+def test_files_of_two_forms_are_named(tmp_path: Path, other: str) -> None:
+    folder = tmp_path / "cam"
+    folder.mkdir()
+    (folder / other).write_text(json.dumps({"people": []}))
+    contents, problems = labels_beside(folder, LABELS)
+    assert not contents.frames
+    (problem,) = problems
+    assert problem.code == "keypoints_none"
+    assert f"{other} and YOLO's labels walk_1.txt" in problem.message
+
+
+def labels_beside(folder: Path, text: str) -> tuple[Contents, list[Problem]]:
+    (folder / "walk_1.txt").write_text(text)
+    problems: list[Problem] = []
+    return read_folder(folder, "left", SIZE_PX, 10**9, [], problems), problems
+
+
+def test_notes_beside_keypoints_are_no_labels(tmp_path: Path) -> None:
+    (tmp_path / "frame_1_keypoints.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": [5.0] * 51}]}))
+    contents, problems = labels_beside(tmp_path, "Filmed on day 2, take 1")
+    assert not problems
+    assert contents.forms == {"OpenPose"}
+
+
+def test_an_object_of_two_formats_is_named(tmp_path: Path) -> None:
+    for number in (1, 2):
+        (tmp_path / f"{number:06d}.json").write_text(json.dumps({"annots": [], "people": []}))
+    problems: list[Problem] = []
+    read_folder(tmp_path, "left", SIZE_PX, 10**9, [], problems)
+    assert "annots of EasyMocap and people of OpenPose" in problems[0].message
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "advice"),
+    [
+        ("camDLC_resnet50shuffle1_100000_el.h5", "DeepLabCut's HDF5", "DeepLabCut's CSV"),
+        ("take.analysis.h5", "SLEAP's HDF5", "COCO"),
+        ("take.H5", "HDF5", "DeepLabCut's CSV"),
+        ("labels.v001.slp", "SLEAP's project", "COCO"),
+        ("camDLC_full.pickle", "a pickle", "CSV"),
+        ("walk.c3d", "C3D, points in 3D", "2D keypoints"),
+        ("walk.trc", "TRC, points in 3D", "2D keypoints"),
+        ("cam1.mp4", "a video", "as videos"),
+        ("0001_keypoints.yml", "OpenPose's of --write_keypoint", "--write_json"),
+    ],
+)
+def test_files_that_are_not_read_are_named_for_what_they_are(
+    tmp_path: Path, name: str, words: str, advice: str
+) -> None:
+    folder = tmp_path / "cam"
+    folder.mkdir()
+    (folder / name).write_bytes(b"\x89HDF")
+    problems: list[Problem] = []
+    read_folder(folder, "left", SIZE_PX, 10**9, [], problems)
+    (problem,) = problems
+    assert problem.code == "keypoints_none"
+    assert f"{name} is {words}, which is not read." in problem.message
+    assert advice in (problem.hint or "")
+
+    (tmp_path / name).write_bytes(b"\x89HDF")
+    camera_folders(tmp_path, [], problems)
+    assert problems[-1].code == "too_few_folders"
+    assert f"{name} is {words}, which is not read." in problems[-1].message
+
+    archive = tmp_path / "left.zip"
+    with zipfile.ZipFile(archive, "w") as entries:
+        entries.writestr(name, b"\x89HDF")
+    (tmp_path / "unpacked").mkdir()
+    with pytest.raises(InputError, match=words) as raised:
+        unpack_keypoints([archive], tmp_path / "unpacked")
+    assert [problem.code for problem in raised.value.problems] == ["keypoints_archive"]
