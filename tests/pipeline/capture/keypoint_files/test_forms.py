@@ -1,9 +1,11 @@
 """Which form files have: two forms in a folder or a file, and files of other kinds."""
 
+import io
 import json
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipeline.capture.keypoint_files.folders import Contents, camera_folders, read_folder
@@ -86,3 +88,43 @@ def test_files_that_are_not_read_are_named_for_what_they_are(
     with pytest.raises(InputError, match=words) as raised:
         unpack_keypoints([archive], tmp_path / "unpacked")
     assert [problem.code for problem in raised.value.problems] == ["keypoints_archive"]
+
+
+def npy(array: np.ndarray) -> bytes:
+    content = io.BytesIO()
+    np.save(content, array)
+    return content.getvalue()
+
+
+WHOLE_FILES = {
+    "EasyMocap": (
+        "1.json",
+        json.dumps({"annots": [{"keypoints": [[1.0, 2.0, 0.5]] * 25, "handl2d": [[1.0, 2.0, 0.5]] * 21}]}).encode(),
+    ),
+    "Pose2Sim": ("1.json", json.dumps({"people": [{"pose_keypoints_2d": [0.5] * 78}, {}]}).encode()),
+    "PoseFlow": ("take.json", json.dumps({f"{k}.jpg": [{"keypoints": [0.5] * 51, "idx": 1}] for k in (1, 2)}).encode()),
+    "YOLO": ("1.txt", f"{LABELS}\n{LABELS}\n".encode()),
+    "FreeMoCap": ("points.npy", npy(np.ones((2, 75, 3)))),
+}
+DAMAGE = [b"null", b"NaN", b"1e999", b"[", b"]", b"{", b'"x"', b"9" * 400, b"\xff", b"\x00", b",", b" ", b""]
+
+
+@pytest.mark.parametrize("program", WHOLE_FILES)
+def test_damaged_files_are_read_or_refused(tmp_path: Path, program: str) -> None:
+    rng = np.random.default_rng(7)
+    name, whole = WHOLE_FILES[program]
+    if name == "1.json":
+        (tmp_path / "2.json").write_text(json.dumps({"people": []}))
+    refused = 0
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for _ in range(rng.integers(1, 6)):
+            at = int(rng.integers(100 if rng.random() < 0.5 else len(damaged)))
+            damaged[at : at + int(rng.integers(6))] = DAMAGE[rng.integers(len(DAMAGE))]
+        (tmp_path / name).write_bytes(damaged)
+        problems: list[Problem] = []
+        contents = read_folder(tmp_path, "left", SIZE_PX, 10**6, [], problems)
+        assert {problem.code for problem in problems} <= {"keypoints_unreadable", "keypoints_none"}
+        assert problems or 1 <= len(contents.frames) <= 2
+        refused += bool(problems)
+    assert refused > 10
