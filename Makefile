@@ -125,12 +125,12 @@ test-data: setup
 PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile
 
-test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (twenty-five minutes)
+test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (a quarter of an hour)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
-test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests: faults, crowds, distributed services, benchmarks' data (20 minutes)
+test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests, and those of the pipeline again with shapes checked (an hour)
 	$(PYTEST) -m "$(DESELECTED) and slow"
-	MULTICAP_CHECK_SHAPES=1 $(PYTEST) -m "$(DESELECTED) and not slow" $(SHAPED)
+	MULTICAP_CHECK_SHAPES=1 $(PYTEST) -m "$(DESELECTED) and not slow" tests/pipeline
 
 soak: setup  ## Run 200 jobs disturbed by faults, and 100 rounds of 20 jobs under outages (two hours)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
