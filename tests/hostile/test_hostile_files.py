@@ -49,12 +49,16 @@ def check(folder: Path, files: Mapping[str, bytes]) -> dict[str, Any]:
     return found
 
 
+# Codes of problems that are of no single file or camera.
+OF_ALL_FILES = {"more_problems", "keypoints_mixed", "pairing_unknown"}
+
+
 def is_clear(problems: list[dict[str, Any]]) -> bool:
     """Whether there are at most some dozens of problems, each with a sentence and its place."""
     return 0 < len(problems) <= MAX_PROBLEMS and all(
         problem["message"].endswith(".")
         and len(json.dumps(problem)) < 10_000
-        and (problem["file"] or problem["camera"] or problem["code"] in {"more_problems", "keypoints_mixed"})
+        and (problem["file"] or problem["camera"] or problem["code"] in OF_ALL_FILES)
         and not any("\ud800" <= character <= "\udfff" for text in problem.values() if text for character in text)
         for problem in problems
     )
