@@ -4,7 +4,7 @@ import json
 import subprocess
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from pipeline.video.probe import limits_problem, problem_before_opening, reading
 
 _TIMEOUT_S = 120.0
 _CHILDREN_AT_ONCE = 2
+_LOOK_S = 0.5
 
 
 def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
@@ -32,6 +33,9 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
         try:
             with uninterrupted():
                 waiting += [pool.submit(_probe_in_child, path, running) for path in paths]
+            # A signal that reached another thread wakes no thread that waits; its handler runs when this one looks.
+            while wait(waiting, timeout=_LOOK_S).not_done:
+                pass
             return [future.result() for future in waiting]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
