@@ -28,8 +28,12 @@ def simulate(clock: Clock, duration_s: float) -> Simulation:
 
 
 def keypoint_parts(files: dict[str, bytes]) -> Parts:
+    """Files as parts of a form; without timestamps frames have 25 Hz."""
     kinds = {".zip": "keypoints", ".csv": "timestamps", ".json": "calibration"}
-    return [(kinds[Path(name).suffix], (name, content)) for name, content in files.items()]
+    parts: Parts = [(kinds[Path(name).suffix], (name, content)) for name, content in files.items()]
+    if "timestamps.csv" not in files:
+        parts.append(("manifest", (None, json.dumps({"frame_rate_hz": 25.0}))))
+    return parts
 
 
 def video_parts(videos: list[Path], rig: Path) -> Parts:
@@ -194,8 +198,7 @@ def test_an_output_rate_that_would_make_millions_of_frames(served: Served) -> No
     first = next(name for name in files if name.endswith(".zip"))
     files[first] = archive(far | {"frame_2_keypoints.json": frames_of(simulate(Clock(25.0), 0.3))["cam_00"][2]})
     spec = ("spec", (None, json.dumps({"output_rate_hz": 60})))
-    manifest = ("manifest", (None, json.dumps({"frame_rate_hz": 25.0})))
-    answer = served.client.post("/v1/jobs", files=[*keypoint_parts(files), spec, manifest])
+    answer = served.client.post("/v1/jobs", files=[*keypoint_parts(files), spec])
     assert answer.status_code == 422, answer.text
     assert [(item["code"], item["pointer"]) for item in answer.json()["errors"]] == [
         ("too_many_frames", "/spec/output_rate_hz")
