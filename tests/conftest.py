@@ -1,4 +1,4 @@
-"""What all tests share: how they run, and which of them are slow."""
+"""Settings and fixtures of all tests, and the list of the slow ones."""
 
 import os
 import signal

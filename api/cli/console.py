@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import typer
@@ -34,6 +35,7 @@ from pipeline.errors import InputError, PipelineError
 from pipeline.findings import Finding, worst_first
 from pipeline.problem_codes.commands import INTERRUPTED
 from pipeline.progress import Progress
+from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME
 
 EXIT_FAILED = 1
@@ -113,6 +115,18 @@ def shown_time(moment: datetime) -> str:
 def warn(sentence: str) -> None:
     """Print a warning on stderr."""
     console.print(Text.assemble(("warning ", "yellow"), sentence), soft_wrap=True)
+
+
+def users_cache() -> Path | None:
+    """Folder of the user's cache; ``None``, with a warning, if it can't be written to."""
+    folder = default_cache()
+    if is_usable(folder):
+        return folder
+    warn(
+        f"Intermediate outputs are not kept for later runs: {folder} can't be written to. Choose a folder by "
+        "--cache, or by MULTICAP_CACHE_HOME."
+    )
+    return None
 
 
 def _print_error(sentence: str) -> None:

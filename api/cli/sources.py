@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from pipeline.calibration.contents import Units
+from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.recordings import Recording
-from pipeline.capture.session import CaptureSession, open_session
+from pipeline.capture.session import CaptureSession, Session, open_session
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import PARAMETER_UNREADABLE, SOURCES
 from pipeline.video.images.files import SEQUENCE
@@ -35,6 +36,27 @@ RateOption = Annotated[
         help="Frames that a camera took in a second, if its video states others, such as slow motion; repeatable.",
     ),
 ]
+
+
+def open_source(
+    videos: Sequence[Path] | None,
+    keypoints: Path | None,
+    calibration: Path,
+    timestamps: Path | None,
+    offset: Sequence[str] | None = None,
+    rate: Sequence[str] | None = None,
+    units: Units | None = None,
+    clock: Clock = "declared",
+    frame_rate: float | None = None,
+    pair_by_order: bool = False,
+) -> Session:
+    """Open keypoints if a folder of these is given, else videos; raises ``InputError`` as the functions of both.
+
+    The options are those of ``open_footage`` and ``open_keypoints``, of which ``check_sources`` knows the right ones.
+    """
+    if keypoints is not None:
+        return open_keypoints(keypoints, calibration, timestamps, frame_rate, units, pair_by_order=pair_by_order)
+    return open_footage(videos or [], calibration, offset, rate, units, clock, frame_rate, pair_by_order)
 
 
 def open_footage(
@@ -78,6 +100,12 @@ def open_footage(
     return session
 
 
+def stated_camera(video: Path) -> tuple[str | None, Path]:
+    """Camera and path of ``CAMERA=VIDEO``; no camera for a file or folder that has this name as a whole."""
+    camera, sign, path = str(video).partition("=")
+    return (camera.strip(), Path(path)) if sign and not video.exists() else (None, video)
+
+
 def _footage(
     videos: Sequence[Path], offset: Sequence[str] | None, rate: Sequence[str] | None
 ) -> tuple[list[Path], list[Recording]]:
@@ -85,12 +113,10 @@ def _footage(
     paths: list[Path] = []
     stated: dict[str, list[str]] = {}
     for video in videos:
-        camera, sign, path = str(video).partition("=")
-        if sign and not video.exists():
-            paths.append(Path(path))
-            stated.setdefault(camera.strip(), []).append(str(Path(path)))
-        else:
-            paths.append(video)
+        camera, path = stated_camera(video)
+        paths.append(path)
+        if camera is not None:
+            stated.setdefault(camera, []).append(str(path))
     recordings = {camera: Recording(camera, file, more_files=tuple(more)) for camera, (file, *more) in stated.items()}
     for camera, seconds in parameters(offset or [], "cam_2=0.48").items():
         recordings[camera] = replace(recordings.get(camera, Recording(camera)), offset_s=seconds)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from api.cli.sources import open_footage
+from api.cli.sources import open_source, stated_camera
 from pipeline.calibration.contents import Units
-from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.names import natural_key
 from pipeline.capture.session import Session
 from pipeline.capture.video_files import footage_in
@@ -36,27 +35,24 @@ class TakeSource:
         """Open the session; raises ``InputError`` with all problems of its files."""
         if self.calibration is None:
             raise InputError([Problem(TAKE_UNCALIBRATED, "There is no calibration.", hint="Give --calibration.")])
-        if self.keypoints is not None:
-            return open_keypoints(
-                self.keypoints,
-                self.calibration,
-                self.timestamps,
-                None if self.timestamps is not None else self.frame_rate_hz,
-                units,
-                pair_by_order=pair_by_order,
-            )
-        if not self.videos:
+        if not self.videos and self.keypoints is None:
             hint = f"Put videos, or the folder {_KEYPOINTS}, there."
             raise InputError([Problem(TAKE_EMPTY, "There are neither videos nor keypoints.", hint=hint)])
-        paths = [Path(video) for video in self.videos]
-        return open_footage(
-            paths, self.calibration, units=units, frame_rate=self.frame_rate_hz, pair_by_order=pair_by_order
+        rate_hz = None if self.timestamps is not None else self.frame_rate_hz
+        return open_source(
+            list(map(Path, self.videos)),
+            self.keypoints,
+            self.calibration,
+            self.timestamps,
+            units=units,
+            frame_rate=rate_hz,
+            pair_by_order=pair_by_order,
         )
 
     def fingerprint(self) -> str:
         """Digest of the names, sizes and times of change of all files, and of the calibration's content."""
         digest = hashlib.sha256()
-        given = [Path(video.rpartition("=")[2]) for video in self.videos]
+        given = [stated_camera(Path(video))[1] for video in self.videos]
         for root in (*given, self.keypoints, self.timestamps):
             for path in () if root is None else sorted(_files(root)):
                 facts = path.stat()
@@ -167,8 +163,10 @@ def _listed(path: Path, calibration: Path | None, frame_rate_hz: float | None) -
         takes = _List.model_validate_json(content).takes
     except ValidationError as error:
         problems = [
-            Problem(TAKES_UNREADABLE, f"{one['msg']}.", file=path.name, field=".".join(map(str, one["loc"])) or None)
-            for one in error.errors(include_url=False, include_input=False)
+            Problem(
+                TAKES_UNREADABLE, f"{wrong['msg']}.", file=path.name, field=".".join(map(str, wrong["loc"])) or None
+            )
+            for wrong in error.errors(include_url=False, include_input=False)
         ]
         raise InputError(problems) from error
     names = [entry.name.casefold() for entry in takes]
@@ -192,9 +190,9 @@ def _listed(path: Path, calibration: Path | None, frame_rate_hz: float | None) -
 
 
 def _beside(folder: Path, video: str) -> str:
-    """Video, or ``CAMERA=VIDEO``, with a path relative to a folder."""
-    camera, sign, name = video.rpartition("=")
-    return f"{camera}{sign}{folder / name}"
+    """Video, or ``CAMERA=VIDEO``, of a list in a folder."""
+    camera, sign, name = video.partition("=")
+    return f"{camera}={folder / name}" if sign and not (folder / video).exists() else str(folder / video)
 
 
 def _files(root: Path) -> Iterator[Path]:

@@ -1,4 +1,4 @@
-"""What to do with files that are no calibration of a format that is read."""
+"""Files that are no calibration of a format that is read: what they hold, and what to do."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import PurePath
@@ -15,7 +15,7 @@ _AS_OPENCV = (
     "docs/formats.md has the names of fields."
 )
 _COLMAP = "Convert it by `colmap model_converter --output_type TXT`, and send a zip of cameras.txt and images.txt."
-# What files of other formats are, by their endings, and what to do.
+# Files of other formats by their endings: what they are, and what to do.
 _OTHERS: Mapping[str, tuple[str, str]] = {
     ".cal": ("a calibration of Motive before 3.2", "Open it in a newer Motive, and export it as .mcal."),
     ".bin": ("a binary model, as of COLMAP", _COLMAP),

@@ -81,7 +81,7 @@ class RawCamera:
 
     @property
     def is_posed(self) -> bool:
-        """Whether there are a rotation and a translation, right or wrong."""
+        """A rotation and a translation are there, right or wrong."""
         return self.rotation is not None and self.translation_m is not None
 
 

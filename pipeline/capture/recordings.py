@@ -1,4 +1,4 @@
-"""What is stated of cameras' videos, and the files of each video: those that are stated, and others by their names."""
+"""Recordings of cameras as they are stated, and the files of each video: stated ones, and others by their names."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -87,8 +87,9 @@ def sort_files(files: VideoFiles, recordings: Sequence[Recording], cameras: Sequ
     # The parts that follow a file that is stated alone.
     for camera, paths in list(stated.items()):
         if len(paths) == 1:
-            recording = next(one for one in recordings_of([name_of[paths[0]], *path_of]) if name_of[paths[0]] in one)
-            stated[camera] = tuple(path_of.pop(name, paths[0]) for name in recording)
+            first = name_of[paths[0]]
+            in_parts = next(parts for parts in recordings_of([first, *path_of]) if first in parts)
+            stated[camera] = tuple(path_of.pop(name, paths[0]) for name in in_parts)
     found = cameras_in_names(list(path_of), {camera.name: [camera.section] for camera in cameras})
     free: dict[str, tuple[Path, ...]] = {}
     for recording in recordings_of(path_of):

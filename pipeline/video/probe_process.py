@@ -4,7 +4,7 @@ import json
 import subprocess
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
             with uninterrupted():
                 waiting += [pool.submit(_probe_in_child, path, running) for path in paths]
             # A signal that reached another thread wakes no thread that waits; its handler runs when this one looks.
-            while wait(waiting, timeout=_LOOK_S).not_done:
+            while wait(waiting, _LOOK_S, FIRST_EXCEPTION).not_done and not any(map(_is_failed, waiting)):
                 pass
             return [future.result() for future in waiting]
         except BaseException:
@@ -44,6 +44,10 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
                     child.kill()
                 time.sleep(0.01)
             raise
+
+
+def _is_failed(future: Future[VideoInfo | Problem]) -> bool:
+    return future.done() and future.exception() is not None
 
 
 def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoInfo | Problem:

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import EXIT_FAILED, JsonOption, StageBars, console, emit, print_table, reporting
+from api.cli.console import EXIT_FAILED, JsonOption, StageBars, console, emit, print_table, reporting, users_cache
 from api.cli.options import KeypointRateOption, PairByOrderOption, UnitsOption, checked, known_units, with_choices
 from api.cli.takes import TakeSource, find_takes
 from pipeline.calibration.contents import Units
@@ -22,7 +22,6 @@ from pipeline.export.person_files import replacing
 from pipeline.export.results import not_written
 from pipeline.quality.report import all_checks
 from pipeline.stages.local import UNFINISHED, reconstruct_to_files
-from pipeline.stages.output_folder import default_cache, is_usable
 
 _TABLE = "batch.csv"
 # Kept in the folder of a take's results: what they were made of, and the take's row of the table.
@@ -32,7 +31,7 @@ _COLUMNS = ("take", "state", "people", "frames", "rate_hz", "reprojection_error_
 
 @dataclass(frozen=True, slots=True)
 class _Choices:
-    """What all takes have in common."""
+    """Choices that all takes have in common."""
 
     config: ReconstructionConfig
     typed: Mapping[str, Any]  # Options as they were typed
@@ -74,8 +73,7 @@ def command(
     ):
         config = checked(chosen)
         takes = find_takes(source, out, calibration, frame_rate)
-        cache = default_cache()
-        choices = _Choices(config, chosen, known_units(units), pair_by_order, cache if is_usable(cache) else None)
+        choices = _Choices(config, chosen, known_units(units), pair_by_order, users_cache())
         try:
             for number, take in enumerate(takes, 1):
                 if not as_json:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, warn
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, users_cache, warn
 from api.cli.options import (
     KeypointsOption,
     PairByOrderOption,
@@ -19,14 +19,11 @@ from api.cli.options import (
     known_units,
     with_choices,
 )
-from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_footage, parameters
-from pipeline.capture.keypoints import open_keypoints
+from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source, parameters
 from pipeline.capture.preflight_record import Clock
-from pipeline.capture.session import Session
 from pipeline.config import method_warnings
 from pipeline.quality.report import all_checks
 from pipeline.stages.local import reconstruct_to_files
-from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME
 
 
@@ -73,15 +70,6 @@ def print_summary(metrics: Mapping[str, Any]) -> None:
     )
     for check in all_checks(metrics):
         warn(check.message)
-
-
-def _users_cache() -> Path | None:
-    """Folder of the user's cache; ``None``, with a warning, if it can't be written to."""
-    folder = default_cache()
-    if is_usable(folder):
-        return folder
-    warn(f"Intermediate outputs are not kept for later runs: {folder} can't be written to. Choose a folder by --cache.")
-    return None
 
 
 @with_choices()
@@ -138,26 +126,23 @@ def command(
             clustering=parameters(clustering or [], "tau2=0.25"),
         )
         check_sources(videos, keypoints, timestamps, offset, rate)
-        session: Session
-        if keypoints is not None:
-            session = open_keypoints(
-                keypoints, calibration, timestamps, frame_rate, known_units(units), pair_by_order=pair_by_order
-            )
-        else:
-            session = open_footage(
-                [*(videos or []), *(more_videos or [])],
-                calibration,
-                offset,
-                rate,
-                known_units(units),
-                known_clock(clock),
-                frame_rate,
-                pair_by_order,
-            )
+        footage = [*(videos or []), *(more_videos or [])]
+        session = open_source(
+            footage,
+            keypoints,
+            calibration,
+            timestamps,
+            offset,
+            rate,
+            known_units(units),
+            known_clock(clock),
+            frame_rate,
+            pair_by_order,
+        )
         for warning in session.warnings:
             warn(warning)
         sources = (calibration, *([] if timestamps is None else [timestamps]))
-        kept = None if no_cache else cache or _users_cache()
+        kept = None if no_cache else cache or users_cache()
         written = reconstruct_to_files(session, out, config, bars.update, kept, sources=sources, on_file=paths.append)
     metrics, warnings = written.metrics, method_warnings(config, keypoints is None)
     if as_json:

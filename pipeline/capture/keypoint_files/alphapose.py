@@ -26,7 +26,7 @@ _POINTS = "keypoints"
 
 
 def is_images(content: Mapping[str, Any]) -> bool:
-    """Whether an object is one of images."""
+    """An object has the people of images by their names."""
     if "people" in content or not content:
         return False
     images = list(content.values())

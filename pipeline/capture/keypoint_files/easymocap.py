@@ -27,7 +27,7 @@ _POINTS = "keypoints"
 
 
 def is_person(entry: dict[str, Any]) -> bool:
-    """Whether an entry of a list is a person in this form: its points are lists of numbers, without other scores."""
+    """An entry of a list is a person in this form: its points are lists of numbers, without other scores."""
     points = entry.get(_POINTS)
     return isinstance(points, list) and bool(points) and isinstance(points[0], list) and "keypoint_scores" not in entry
 

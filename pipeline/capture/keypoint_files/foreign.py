@@ -13,7 +13,7 @@ _VIDEO = "Give videos as videos: people are detected in them."
 
 
 class _Kind(NamedTuple):
-    """What a file is, and what to give instead."""
+    """Kind of a file, and what to give instead."""
 
     name: str
     advice: str

@@ -119,7 +119,7 @@ def read_frame(content: np.ndarray) -> People:
 
 
 def _has_scores(content: np.ndarray) -> bool:
-    """Whether the third number of the points is a score: not all of them are missing; raises if they are none."""
+    """The third number of the points is a score, as not all are missing; raises ``KeypointsError`` if it is none."""
     if content.shape[2] < 3:
         return False
     scores = np.asarray(content[..., 2], dtype=np.float64)

@@ -108,7 +108,7 @@ def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
     assert f"The cameras are {', '.join(cameras)}; the folders are view9, view10." in item["hint"]
     answer = sent(others, {"pair_by_order": True})
     assert pairs(answer) == dict(zip(cameras, ["view9.zip", "view10.zip"], strict=True))
-    assert "paired_in_sorted_order" in {one["code"] for one in answer.json()["preflight"]["findings"]}
+    assert "paired_in_sorted_order" in {finding["code"] for finding in answer.json()["preflight"]["findings"]}
 
     write_session(simulation, "AlphaPose", tmp_path)
     for camera, name in zip(cameras, others, strict=True):
@@ -116,7 +116,7 @@ def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
     command = ["check", "--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")]
     command += ["--calibration", str(tmp_path / "calibration.json"), "--json"]
     codes = [
-        {one["code"] for one in json.loads(CliRunner().invoke(app, said).stdout)["findings"]}
+        {finding["code"] for finding in json.loads(CliRunner().invoke(app, said).stdout)["findings"]}
         for said in (command, [*command, "--pair-by-order"])
     ]
     assert codes[0] == {"pairing_unknown"}

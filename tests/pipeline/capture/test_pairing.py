@@ -26,7 +26,7 @@ def test_a_name_goes_before_a_section() -> None:
 def test_never_half_by_name_and_half_by_order() -> None:
     pairs, problems, findings = pair(CAMERAS, ["cam_0", "b"], "video")
     assert (pairs, findings) == ({"left": "cam_0"}, [])
-    assert [(one.code, one.camera or one.file) for one in problems] == [
+    assert [(problem.code, problem.camera or problem.file) for problem in problems] == [
         ("camera_without_video", "right"),
         ("video_without_camera", "b"),
     ]
@@ -58,7 +58,7 @@ def test_eleven_cameras_in_alphabetical_order(pattern: str) -> None:
 
 def test_an_ambiguous_name_is_refused_with_both_lists() -> None:
     _, problems, _ = pair(CAMERAS, ["left_right_1", "right_2"], "video")
-    assert [(one.code, one.camera or one.file) for one in problems] == [
+    assert [(problem.code, problem.camera or problem.file) for problem in problems] == [
         ("camera_without_video", "left"),
         ("pairing_ambiguous", "left_right_1"),
     ]
@@ -70,7 +70,7 @@ def test_stated_pairs_go_before_names_and_order() -> None:
     assert pair(CAMERAS, ["cam_1"], "video", stated) == ({"left": "right", "right": "cam_1"}, [], [])
     assert pair(CAMERAS, ["b"], "video", stated, by_order=True).pairs == {"left": "right", "right": "b"}
     _, problems, _ = pair(CAMERAS, ["walk left"], "video", stated)
-    assert [(one.code, one.camera) for one in problems] == [
+    assert [(problem.code, problem.camera) for problem in problems] == [
         ("camera_without_video", "right"),
         ("camera_with_two_videos", "left"),
     ]

@@ -12,7 +12,7 @@ def found(lengths: dict[str, tuple[float, float]], stated: tuple[str, ...] = ())
     findings = slow_motion(times, files)
     for finding in findings:
         assert finding.message.startswith(f"{finding.camera}.mp4 lasts ")
-    return {str(one.camera): (one.evidence["filmed_hz"], one.evidence["stored_hz"]) for one in findings}
+    return {str(finding.camera): (finding.evidence["filmed_hz"], finding.evidence["stored_hz"]) for finding in findings}
 
 
 @pytest.mark.parametrize(

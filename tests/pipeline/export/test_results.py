@@ -157,7 +157,9 @@ def test_a_joint_beside_its_place_is_said(tmp_path: Path, monkeypatch: pytest.Mo
 def test_survey_coordinates_have_an_origin_near_the_people(tmp_path: Path) -> None:
     """Two people in projected coordinates, 5,400 km from the equator, are within 0.1 mm in files of every format."""
     away_m = np.array([500_123.4, 5_412_345.6, 312.7])
-    cameras = tuple(replace(one, cam_from_world=one.cam_from_world @ Rigid3(np.eye(3), -away_m)) for one in CAMERAS)
+    cameras = tuple(
+        replace(camera, cam_from_world=camera.cam_from_world @ Rigid3(np.eye(3), -away_m)) for camera in CAMERAS
+    )
     tracks = tuple(replace(track_of(walker(30) + away_m), track_id=number) for number in (1, 2))
     timebase = Timebase(0.0, 25.0, 100)
     observations = tuple(observe(track, cameras) for track in tracks)

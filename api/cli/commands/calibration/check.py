@@ -18,9 +18,8 @@ from api.cli.options import (
     known_units,
     with_choices,
 )
-from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_footage
+from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source
 from pipeline.calibration.checks.check import check_cameras
-from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Session
 from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera
@@ -58,11 +57,17 @@ def command(
             contents = read(file, units)
             cameras = contents.cameras
             session: Session | None = None
-            if keypoints is not None:
-                session = open_keypoints(keypoints, file, timestamps, frame_rate, unit, pair_by_order=pair_by_order)
-            elif videos is not None:
-                session = open_footage(
-                    videos, file, offset, rate, unit, frame_rate=frame_rate, pair_by_order=pair_by_order
+            if keypoints is not None or videos is not None:
+                session = open_source(
+                    videos,
+                    keypoints,
+                    file,
+                    timestamps,
+                    offset,
+                    rate,
+                    unit,
+                    frame_rate=frame_rate,
+                    pair_by_order=pair_by_order,
                 )
         except InputError as error:
             findings = [*check_cameras(cameras)] if cameras else []

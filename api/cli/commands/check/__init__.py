@@ -20,9 +20,8 @@ from api.cli.options import (
     known_units,
     with_choices,
 )
-from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_footage
+from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source
 from pipeline.calibration.checks.check import check_cameras
-from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.pictures.look import look_at_pictures
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.config import ReconstructionConfig
@@ -66,15 +65,17 @@ def command(
         config = replace(choices, smoothing="none", sync="declared")
         unit = known_units(units)
         try:
-            session: Session
-            if keypoints is not None:
-                session = open_keypoints(
-                    keypoints, calibration, timestamps, frame_rate, unit, pair_by_order=pair_by_order
-                )
-            else:
-                session = open_footage(
-                    videos or [], calibration, offset, rate, unit, frame_rate=frame_rate, pair_by_order=pair_by_order
-                )
+            session = open_source(
+                videos,
+                keypoints,
+                calibration,
+                timestamps,
+                offset,
+                rate,
+                unit,
+                frame_rate=frame_rate,
+                pair_by_order=pair_by_order,
+            )
         except InputError as error:
             findings = [from_problem(problem) for problem in error.problems]
         else:

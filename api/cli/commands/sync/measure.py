@@ -19,9 +19,7 @@ from api.cli.options import (
     known_units,
     with_choices,
 )
-from api.cli.sources import RateOption, VideosOption, check_sources, open_footage
-from pipeline.capture.keypoints import open_keypoints
-from pipeline.capture.session import Session
+from api.cli.sources import RateOption, VideosOption, check_sources, open_source
 from pipeline.data.cameras import Synchronization
 from pipeline.errors import PipelineError
 from pipeline.synchronization.document import sound_document, sync_document
@@ -53,16 +51,16 @@ def command(
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         check_sources(videos, keypoints, timestamps, None, rate)
         config = checked(chosen)
-        session: Session
-        if keypoints is not None:
-            session = open_keypoints(
-                keypoints, calibration, timestamps, frame_rate, known_units(units), pair_by_order=pair_by_order
-            )
-        else:
-            unit = known_units(units)
-            session = open_footage(
-                videos or [], calibration, rate=rate, units=unit, frame_rate=frame_rate, pair_by_order=pair_by_order
-            )
+        session = open_source(
+            videos,
+            keypoints,
+            calibration,
+            timestamps,
+            rate=rate,
+            units=known_units(units),
+            frame_rate=frame_rate,
+            pair_by_order=pair_by_order,
+        )
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
             warn(sentence)

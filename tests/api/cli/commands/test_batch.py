@@ -16,6 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
+from api.cli.takes import find_takes
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
 from tests.waiting import wait_for
@@ -88,6 +89,16 @@ def test_a_failure_does_not_stop_the_rest(takes: Path, tmp_path: Path) -> None:
     }
     assert "timestamps.csv" in by_name["take2"]["message"]
     assert "neither videos nor keypoints" in by_name["take3"]["message"]
+
+
+def test_an_equals_sign_in_a_path_is_no_camera(takes: Path, tmp_path: Path) -> None:
+    folder = takes.rename(tmp_path / "day=1")
+    (folder / "take2" / "GX010001.mp4").write_bytes(b"")
+    (folder / "take2" / "keypoints").rename(tmp_path / "away")
+    (video,) = [take for take in find_takes(folder, tmp_path, None, None) if take.videos]
+    before = video.fingerprint()
+    (folder / "take2" / "GX010001.mp4").write_bytes(b"more")
+    assert video.fingerprint() != before
 
 
 def test_takes_of_a_list(takes: Path, tmp_path: Path) -> None:

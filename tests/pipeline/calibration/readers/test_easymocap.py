@@ -17,17 +17,17 @@ from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, pro
 
 def easymocap(with_sizes: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """Fields of ``intri.yml`` and of ``extri.yml``."""
-    intri: dict[str, Any] = {"names": [one.name for one in RIG]}
-    extri: dict[str, Any] = {"names": [one.name for one in RIG]}
-    for one in RIG:
-        intri[f"K_{one.name}"] = one.matrix
-        intri[f"dist_{one.name}"] = one.distortion.reshape(1, 5)
+    intri: dict[str, Any] = {"names": [rig_camera.name for rig_camera in RIG]}
+    extri: dict[str, Any] = {"names": [rig_camera.name for rig_camera in RIG]}
+    for rig_camera in RIG:
+        intri[f"K_{rig_camera.name}"] = rig_camera.matrix
+        intri[f"dist_{rig_camera.name}"] = rig_camera.distortion.reshape(1, 5)
         if with_sizes:
-            intri |= {f"H_{one.name}": one.size_px[1], f"W_{one.name}": one.size_px[0]}
-        rotation = one.cam_from_world.rotation
-        extri[f"R_{one.name}"] = Rotation.from_matrix(rotation).as_rotvec().reshape(3, 1)
-        extri[f"Rot_{one.name}"] = rotation
-        extri[f"T_{one.name}"] = one.cam_from_world.translation_m.reshape(3, 1)
+            intri |= {f"H_{rig_camera.name}": rig_camera.size_px[1], f"W_{rig_camera.name}": rig_camera.size_px[0]}
+        rotation = rig_camera.cam_from_world.rotation
+        extri[f"R_{rig_camera.name}"] = Rotation.from_matrix(rotation).as_rotvec().reshape(3, 1)
+        extri[f"Rot_{rig_camera.name}"] = rotation
+        extri[f"T_{rig_camera.name}"] = rig_camera.cam_from_world.translation_m.reshape(3, 1)
     return intri, extri
 
 
@@ -51,15 +51,17 @@ def test_easymocap(tmp_path: Path, way: str, with_sizes: bool) -> None:
     contents = read_contents(write(tmp_path, way, intri, extri))
     assert (contents.format, contents.unit, contents.notes) == ("EasyMocap", None, ())
     if not with_sizes:
-        assert all(one.size_px == UNKNOWN_SIZE for one in contents.cameras)
-        contents = replace(contents, cameras=tuple(replace(one, size_px=(1920, 1080)) for one in contents.cameras))
+        assert all(rig_camera.size_px == UNKNOWN_SIZE for rig_camera in contents.cameras)
+        contents = replace(
+            contents, cameras=tuple(replace(rig_camera, size_px=(1920, 1080)) for rig_camera in contents.cameras)
+        )
     assert_rig(contents)
 
 
 def test_easymocap_without_extrinsics(tmp_path: Path) -> None:
     path = write_storage(tmp_path / "intri.yml", easymocap(True)[0])
     assert problems_of(path) == [("calibration_unposed", None)]
-    assert [one.name for one in read_intrinsics(path).cameras] == [one.name for one in RIG]
+    assert [rig_camera.name for rig_camera in read_intrinsics(path).cameras] == [rig_camera.name for rig_camera in RIG]
 
 
 @pytest.mark.parametrize("way", ["zip", "joined"])

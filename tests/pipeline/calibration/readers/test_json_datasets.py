@@ -78,7 +78,7 @@ def test_voxelpose_has_centres_in_millimetres(tmp_path: Path) -> None:
 
 
 def test_faster_voxelpose_lists_the_cameras_of_a_sequence(tmp_path: Path) -> None:
-    path = write(tmp_path / "calibration.json", {"customized_sequence": [voxelpose(one) for one in RIG]})
+    path = write(tmp_path / "calibration.json", {"customized_sequence": [voxelpose(camera) for camera in RIG]})
     contents = read_contents(path)
     assert (contents.format, contents.unit) == ("VoxelPose JSON", "mm")
     assert_rig(contents, tuple(replace(one, name=str(k), size_px=UNKNOWN_SIZE) for k, one in enumerate(RIG)))

@@ -42,9 +42,10 @@ def test_a_rig_in_one_file(tmp_path: Path, ending: str) -> None:
 @pytest.mark.parametrize("ending", [".yml", ".xml", ".json"])
 def test_a_file_for_each_camera_in_a_zip(tmp_path: Path, ending: str) -> None:
     with zipfile.ZipFile(tmp_path / "rig.zip", "w", zipfile.ZIP_DEFLATED) as archive:
-        for one in RIG:
+        for rig_camera in RIG:
             archive.write(
-                write_storage(tmp_path / f"{one.name}{ending}", fields_of(one)), f"cameras/{one.name}{ending}"
+                write_storage(tmp_path / f"{rig_camera.name}{ending}", fields_of(rig_camera)),
+                f"cameras/{rig_camera.name}{ending}",
             )
     assert_rig(read_contents(tmp_path / "rig.zip"))
 
@@ -140,8 +141,8 @@ def jarvis(one: Camera, unit_per_m: float = 1000.0) -> dict[str, Any]:
 
 def write_jarvis(path: Path, unit_per_m: float = 1000.0) -> Path:
     with zipfile.ZipFile(path, "w") as archive:
-        for one in RIG:
-            part = write_storage(path.with_name(f"{one.name}.yaml"), jarvis(one, unit_per_m))
+        for rig_camera in RIG:
+            part = write_storage(path.with_name(f"{rig_camera.name}.yaml"), jarvis(rig_camera, unit_per_m))
             archive.write(part, f"calib_params/12Cam/{part.name}")
     return path
 
@@ -151,7 +152,7 @@ def test_jarvis(tmp_path: Path, unit_per_m: float, unit: str | None) -> None:
     """Its tool calibrates in millimetres; a program that writes metres for it is told by the lengths."""
     contents = read_contents(write_jarvis(tmp_path / "rig.zip", unit_per_m))
     assert (contents.format, contents.unit, contents.notes) == ("JARVIS", unit, ())
-    assert_rig(contents, tuple(replace(one, size_px=UNKNOWN_SIZE) for one in RIG))
+    assert_rig(contents, tuple(replace(rig_camera, size_px=UNKNOWN_SIZE) for rig_camera in RIG))
 
 
 def test_jarvis_with_its_parts(tmp_path: Path) -> None:
@@ -163,7 +164,7 @@ def test_jarvis_with_its_parts(tmp_path: Path) -> None:
         for name, fields in (("Intrinsics_left", lens), ("Extrinsics_left_right", pose)):
             archive.write(write_storage(tmp_path / f"{name}.yaml", fields), f"{name}.yaml")
     contents = read_contents(path, "mm")
-    assert [one.name for one in contents.cameras] == ["left", "right"]
+    assert [rig_camera.name for rig_camera in contents.cameras] == ["left", "right"]
     assert contents.notes == (
         "rig.zip: camera Extrinsics_left_right is left out: no camera matrix in the file.",
         "rig.zip: camera Intrinsics_left is left out: no pose in the file.",
@@ -201,29 +202,29 @@ def test_openpose(tmp_path: Path) -> None:
     """A file a camera, named by its serial number; the pose is called the camera matrix."""
     path = tmp_path / "cameras.zip"
     with zipfile.ZipFile(path, "w") as archive:
-        for one in RIG:
+        for rig_camera in RIG:
             fields = {
-                "CameraMatrix": one.cam_from_world.matrix,
+                "CameraMatrix": rig_camera.cam_from_world.matrix,
                 "CameraMatrixInitial": np.eye(4)[:3],
-                "Intrinsics": one.matrix,
-                "Distortion": np.append(one.distortion, np.zeros(3)).reshape(8, 1),
+                "Intrinsics": rig_camera.matrix,
+                "Distortion": np.append(rig_camera.distortion, np.zeros(3)).reshape(8, 1),
             }
-            archive.write(write_storage(tmp_path / f"{one.name}.xml", fields), f"models/{one.name}.xml")
+            archive.write(write_storage(tmp_path / f"{rig_camera.name}.xml", fields), f"models/{rig_camera.name}.xml")
     contents = read_contents(path)
     assert contents.notes == ()
-    assert_rig(contents, tuple(replace(one, size_px=UNKNOWN_SIZE) for one in RIG))
+    assert_rig(contents, tuple(replace(rig_camera, size_px=UNKNOWN_SIZE) for rig_camera in RIG))
 
 
 @pytest.mark.parametrize("field", ["name", "camera_name", "serial", "id"])
 def test_names_in_a_list(tmp_path: Path, field: str) -> None:
     path = tmp_path / "rig.json"
-    listed = [{field: one.name, **plain(fields_of(one))} for one in RIG]
+    listed = [{field: rig_camera.name, **plain(fields_of(rig_camera))} for rig_camera in RIG]
     path.write_text(json.dumps({"camera_rig": 3, "cameras": listed}))
-    assert [one.name for one in read_contents(path).cameras] == ["left", "right"]
+    assert [rig_camera.name for rig_camera in read_contents(path).cameras] == ["left", "right"]
 
 
 def test_a_distortion_under_another_name_is_no_unknown_field(tmp_path: Path) -> None:
-    fields = {one.name: fields_of(one) for one in RIG}
+    fields = {rig_camera.name: fields_of(rig_camera) for rig_camera in RIG}
     fields["right"]["radial_distortion"] = fields["right"].pop("distortion_coefficients")
     path = write_storage(tmp_path / "rig.yml", fields)
     assert problems_of(path) == [("unsupported_lens", None)]

@@ -62,7 +62,7 @@ def test_model_names_the_hardware(tmp_path: Path, model: str) -> None:
 def test_marker_cameras_are_left_out(tmp_path: Path, video: tuple[int, int, int, int] | None) -> None:
     markers = [camera(serial, 'model="Oqus 300"', video) for serial in ("11001", "11002")]
     contents = read(tmp_path / "calib.qca.txt", *markers, camera("24021", 'model="Miqus Video"'))
-    assert [one.name for one in contents.cameras] == ["24021"]
+    assert [rig_camera.name for rig_camera in contents.cameras] == ["24021"]
     assert contents.notes == ("calib.qca.txt: cameras 11001, 11002 are left out: markers, no video.",)
 
 
@@ -70,7 +70,7 @@ def test_marker_cameras_are_left_out(tmp_path: Path, video: tuple[int, int, int,
 def test_cameras_that_are_not_calibrated_are_left_out(tmp_path: Path, more: str) -> None:
     idle = camera("24022", more).replace('active="1" active', "active").replace('r11="1"', 'r11="0"')
     contents = read(tmp_path / "calib.qca.txt", camera("24021"), idle)
-    assert [one.name for one in contents.cameras] == ["24021"]
+    assert [rig_camera.name for rig_camera in contents.cameras] == ["24021"]
     assert contents.notes == ("calib.qca.txt: camera 24022 is left out: not calibrated.",)
 
 
@@ -86,7 +86,7 @@ def test_parameters_of_the_real_time_protocol(tmp_path: Path) -> None:
     wrapped = f"<QTM_Parameters_Ver_1.25>{general}{document(camera('24021'))}</QTM_Parameters_Ver_1.25>"
     path.write_text(wrapped)
     contents = read_contents(path)
-    assert [one.name for one in contents.cameras] == ["24021"]
+    assert [rig_camera.name for rig_camera in contents.cameras] == ["24021"]
     np.testing.assert_allclose(contents.cameras[0].cam_from_world.inverse().translation_m, [1.0, -2.0, 1.5])
 
 
@@ -96,7 +96,7 @@ def test_the_turn_of_views_is_noted(tmp_path: Path) -> None:
     contents = read(tmp_path / "calib.qca.txt", *cameras)
     (note,) = contents.notes
     assert note.startswith("calib.qca.txt: camera 24022 is turned in Qualisys's views")
-    assert [one.size_px for one in contents.cameras] == [(1920, 1080)] * 2
+    assert [rig_camera.size_px for rig_camera in contents.cameras] == [(1920, 1080)] * 2
 
 
 def test_lenses_with_skew_are_refused(tmp_path: Path) -> None:

@@ -106,8 +106,8 @@ def test_caliscope_knows_cameras_by_their_numbers(tmp_path: Path) -> None:
 
 def matrices(text: str, rig: tuple[Camera, ...] = RIG) -> str:
     """The same file with rotations as matrices, as versions before 0.1 wrote them."""
-    for one in rig:
-        rotation = one.cam_from_world.rotation
+    for camera in rig:
+        rotation = camera.cam_from_world.rotation
         text = text.replace(str(Rotation.from_matrix(rotation).as_rotvec().tolist()), str(rotation.tolist()))
     return text
 

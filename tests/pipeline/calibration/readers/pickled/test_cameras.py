@@ -65,7 +65,9 @@ def test_opencap(tmp_path: Path, protocol: int, form: str) -> None:
 def test_the_cameras_tell_how_the_board_stood(tmp_path: Path, board_from_upright: list[list[int]], axes: str) -> None:
     """Upside down on the wall, on the floor, and upright but seen from another side."""
     path = tmp_path / "session.zip"
-    path.write_bytes(zipped({f"{one.name}.pickle": pickle.dumps(opencap(one, board_from_upright)) for one in RIG}))
+    path.write_bytes(
+        zipped({f"{camera.name}.pickle": pickle.dumps(opencap(camera, board_from_upright)) for camera in RIG})
+    )
     contents = read_contents(path)
     assert (contents.axes, contents.notes) == (axes, ())
     for found, one in zip(contents.cameras, RIG, strict=True):
