@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
-from api.cli.commands import reconstruct as reconstruct_command
+from api.cli import sources
 from api.cli.main import app
 from api.jobs.spec_checks import spec_errors
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
@@ -140,5 +140,5 @@ def test_choices_that_do_not_suit_a_session(
     ]
     assert of_python(long, chosen) == said
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reconstruct_command, "open_keypoints", lambda *arguments, **options: long)
+        patch.setattr(sources, "open_keypoints", lambda *arguments, **options: long)
         assert of_command(chosen, tmp_path_factory.mktemp("command")) == said
