@@ -141,9 +141,10 @@ def _views(
     times_s: list[float] = []
     boards: list[DetectedBoard] = []
     num_pictures = num_mirrored = num_exchanged = num_tried = 0
+    prints = board.prints
     for time_s, image_rgb in pictures:
         num_pictures += 1
-        if (detected := find_board(image_rgb, board)) is None:
+        if (detected := find_board(image_rgb, *prints)) is None:
             if not boards and num_tried < _TRIED_EXCHANGED:
                 num_tried += 1
                 num_exchanged += is_exchanged(image_rgb, board)
@@ -153,6 +154,11 @@ def _views(
         else:
             times_s.append(time_s)
             boards.append(detected)
+            if detected.is_sure:
+                prints = (detected.board,)
+    if len(prints) == 1:
+        of_print = [k for k, detected in enumerate(boards) if detected.board == prints[0]]
+        times_s, boards = [times_s[k] for k in of_print], [boards[k] for k in of_print]
     return BoardViews(
         camera,
         size_px,

@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import Literal
 
 import cv2
@@ -35,6 +36,10 @@ class Board:
     square_m: float
     marker_m: float = 0.0
     dictionary: str = ""  # Name of the dictionary of the markers, such as ``DICT_4X4_50``
+    # How the board is printed, which no specification states: white on black, and with the markers in the squares that
+    # OpenCV before 4.6 gave them if the number of rows is even
+    is_inverted: bool = False
+    is_legacy: bool = False
 
     @property
     def corner_counts(self) -> tuple[int, int]:
@@ -60,6 +65,22 @@ class Board:
         return self.kind == "chessboard" and (self.cols - self.rows) % 2 == 0
 
     @property
+    def prints(self) -> tuple["Board", ...]:
+        """Boards that the specification may mean, the usual one first.
+
+        The negative of a chessboard is the board itself, turned, unless its numbers are both even or both odd and not
+        equal.
+        """
+        if self.kind == "chessboard":
+            is_turned = not self.is_ambiguous or self.cols == self.rows
+            return (self,) if is_turned else (self, replace(self, is_inverted=True))
+        legacy = (False, True) if self.rows % 2 == 0 else (False,)
+        return tuple(
+            replace(self, is_legacy=is_legacy, is_inverted=is_inverted)
+            for is_legacy, is_inverted in product(legacy, (False, True))
+        )
+
+    @property
     def exchanged(self) -> "Board":
         """Board with its numbers along width and height exchanged: printed or declared the other way round."""
         return replace(self, cols=self.rows, rows=self.cols)
@@ -68,7 +89,14 @@ class Board:
     def charuco(self) -> cv2.aruco.CharucoBoard:
         """Board as OpenCV detects it."""
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
-        return cv2.aruco.CharucoBoard((self.cols, self.rows), self.square_m, self.marker_m, dictionary)
+        board = cv2.aruco.CharucoBoard((self.cols, self.rows), self.square_m, self.marker_m, dictionary)
+        board.setLegacyPattern(self.is_legacy)
+        return board
+
+    @property
+    def margin_shade(self) -> int:
+        """Shade around the pattern, of 255."""
+        return 0 if self.is_inverted else 255
 
     def __str__(self) -> str:
         marker = f":{self.marker_m:g}:{self.dictionary}" if self.kind == "charuco" else ""
@@ -136,16 +164,18 @@ def _problem(message: str, hint: str | None = None) -> Problem:
 def draw_pattern(board: Board, square: int) -> UInt8[np.ndarray, "height width"]:
     """Draw a board without its margin, ``square`` texels a square; its first inner corner is a square off each edge."""
     if board.kind == "charuco":
-        return np.asarray(board.charuco.generateImage((board.cols * square, board.rows * square)))
-    is_first = np.indices((board.rows + 1, board.cols + 1)).sum(0) % 2 == 0
-    # The square behind the first inner corner is black.
-    return np.where(np.kron(is_first, np.ones((square, square))) > 0, 0, 255).astype(np.uint8)
+        pattern = np.asarray(board.charuco.generateImage((board.cols * square, board.rows * square)))
+    else:
+        is_first = np.indices((board.rows + 1, board.cols + 1)).sum(0) % 2 == 0
+        # The square behind the first inner corner is black.
+        pattern = np.where(np.kron(is_first, np.ones((square, square))) > 0, 0, 255).astype(np.uint8)
+    return 255 - pattern if board.is_inverted else pattern
 
 
 @lru_cache(maxsize=8)
 def pattern_levels(board: Board, square: int, num_levels: int) -> tuple[Float[np.ndarray, "height width"], ...]:
-    """Pattern with a white margin of a square, and copies of it, each with half as many texels a side."""
-    levels = [np.pad(draw_pattern(board, square), square, constant_values=255).astype(np.float32)]
+    """Pattern with a margin of a square, and copies of it, each with half as many texels a side."""
+    levels = [np.pad(draw_pattern(board, square), square, constant_values=board.margin_shade).astype(np.float32)]
     for _ in range(num_levels - 1):
         height, width = levels[-1].shape
         coarser = cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)

@@ -103,6 +103,7 @@ def _align(
     side_px = float(np.linalg.norm(arms_px, axis=-1).min())
     half = np.clip(np.ceil(_WINDOW_SQUARES * np.abs(arms_px).max(0)), *_WINDOW_PX).astype(int)
     place_px, nowhere = start_px.copy(), np.full(2, np.nan)
+    share, last_px = 1.0, np.zeros(2)
     for _ in range(_MAX_STEPS):
         shifted = _shift(*(place_px - middle_px)) @ picture_from_board
         window = _window(picture, np.round(place_px).astype(int), half, board, shifted, side_px, blur_px)
@@ -114,7 +115,10 @@ def _align(
             return nowhere
         step_px = solution[:2] / solution[2]
         length_px = float(np.linalg.norm(step_px))
-        place_px = place_px + step_px * min(1.0, _LARGE_STEP_PX / max(length_px, _SMALL_STEP_PX))
+        # Cameras that sharpen have steeper edges than the pattern that is drawn: whole steps would swing for ever.
+        share *= 0.5 if step_px @ last_px < 0 else 1.0
+        last_px = step_px
+        place_px = place_px + step_px * min(share, _LARGE_STEP_PX / max(length_px, _SMALL_STEP_PX))
         if np.linalg.norm(place_px - start_px) > max(1.0, _MAX_MOVE_SQUARES * side_px):
             return nowhere
         if length_px < _SMALL_STEP_PX:
@@ -172,6 +176,6 @@ def _drawn(
         (width * _SUPERSAMPLING, height * _SUPERSAMPLING),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_CONSTANT,
-        borderValue=255,
+        borderValue=board.margin_shade,
     )
     return np.asarray(cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA))

@@ -128,4 +128,4 @@ def _bits(board: Board) -> tuple[Float[np.ndarray, "rows columns bits bits"], Bo
         column, row = np.floor(points_m.mean(0)[:2] / board.square_m).astype(int)
         bits[row, column] = cv2.aruco.Dictionary.getBitsFromByteList(dictionary.bytesList[number : number + 1], size)
         has_marker[row, column] = True
-    return read_only(bits), read_only(has_marker)
+    return read_only(1 - bits if board.is_inverted else bits), read_only(has_marker)

@@ -23,11 +23,11 @@ _FLOOR = Rigid3(read_only(np.diag([1.0, -1.0, -1.0])), read_only(np.zeros(3)))
 
 
 def board_texture(board: Board) -> tuple[UInt8[np.ndarray, "height width"], Float[np.ndarray, " 2"]]:
-    """Draw a board, a texel a millimetre, with a white margin of a square; and the place of its origin in texels."""
+    """Draw a board, a texel a millimetre, with a margin of a square; and the place of its origin in texels."""
     square = round(board.square_m / _TEXEL_M)
     first = 1 if board.kind == "charuco" else 2
     origin = np.array([first * square, first * square])
-    return np.pad(draw_pattern(board, square), square, constant_values=255), origin - 0.5
+    return np.pad(draw_pattern(board, square), square, constant_values=board.margin_shade), origin - 0.5
 
 
 class BoardPainter:
