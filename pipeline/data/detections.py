@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from pipeline.data.arrays import no_changes, no_colours, no_frames, no_samples
+from pipeline.data.turns import turned_axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,15 +60,24 @@ class MapGrid:
     """Positions of the cells of a network's maps on an image."""
 
     offset_px: tuple[float, float]  # Centre of cell (0, 0) in x and y, pixels of the full image
-    pitch_px: tuple[float, float]  # Distance of neighbouring cells in x and y, pixels of the full image
+    pitch_px: tuple[float, float]  # Distance of neighbouring cells along the maps' x and y, pixels of the full image
+    turn_deg: float = 0.0  # Counterclockwise turn of the image before the network saw it
 
     def image_from_map(self, cells: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
         """Map positions in cells to pixels of the full image."""
-        return cells * np.array(self.pitch_px) + np.array(self.offset_px)
+        steps_px = cells * np.array(self.pitch_px)
+        return self._turned(steps_px, turned_axes(self.turn_deg).T) + np.array(self.offset_px)
 
     def map_from_image(self, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
         """Map pixels of the full image to positions in cells."""
-        return (points_px - np.array(self.offset_px)) / np.array(self.pitch_px)
+        steps_px = self._turned(points_px - np.array(self.offset_px), turned_axes(self.turn_deg))
+        return steps_px / np.array(self.pitch_px)
+
+    def _turned(
+        self, vectors_px: Float[np.ndarray, "*batch 2"], rotation: Float[np.ndarray, "2 2"]
+    ) -> Float[np.ndarray, "*batch 2"]:
+        """Vectors after a rotation, unchanged to the last digit if the image was not turned."""
+        return vectors_px if self.turn_deg == 0.0 else vectors_px @ rotation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +91,8 @@ class PafFields:
     peak_joint: Int[np.ndarray, " n"]
     peak_px: Float[np.ndarray, "n 2"]  # Position of each peak in pixels of the full image (distorted, as seen)
     peak_score: Float[np.ndarray, " n"]  # Value of the heatmap at each peak: the detector's confidence
-    # Unit vectors (x, y) along each limb, in the order of ``limbs``; bytes made by ``geometry.fields.quantise``
+    # Unit vectors along each limb in x and y of the maps, in the order of ``limbs``; bytes made by
+    # ``geometry.fields.quantise``
     fields: UInt8[np.ndarray, "frames limbs 2 height width"]
     limbs: Int[np.ndarray, "limbs 2"]  # First and second joint of each field's limb, as numbers on the joint axis
     grid: MapGrid  # Positions of the fields' cells on the image

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from pipeline.data.arrays import read_only
-from pipeline.detect.bodies import ImageBodies
+from pipeline.data.turns import upright_size_px
+from pipeline.detect.bodies import ImageBodies, boxes_around
 from pipeline.detect.decoders.fields import FieldGrid, ImageFields
 from pipeline.detect.decoders.grouping import group
 from pipeline.detect.decoders.movenet import decode_movenet
@@ -33,6 +34,7 @@ class Detector:
     head: NetworkHead
     joints: JointSet
     fields: FieldGrid | None = None  # Grid of the part affinity fields; ``None`` for a network without fields
+    turn_deg: float = 0.0  # Counterclockwise turn that brings images upright before the network sees them
 
     def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""
@@ -49,7 +51,8 @@ class Detector:
     ) -> tuple[Float32[np.ndarray, "1 3 padded_height padded_width"], LetterBox]:
         """Fit an image into the network's input, and return how."""
         height, width = image_rgb.shape[:2]
-        letterbox = fit_letterbox((width, height), self.input.scale((width, height)), self.input.multiple)
+        scale = self.input.scale(upright_size_px((width, height), self.turn_deg))
+        letterbox = fit_letterbox((width, height), scale, self.input.multiple, self.turn_deg)
         padded = apply_letterbox(image_rgb, letterbox)
         channels = padded if self.input.channels == "rgb" else padded[..., ::-1]
         return np.ascontiguousarray(channels.transpose(2, 0, 1)[None], np.float32), letterbox
@@ -63,12 +66,8 @@ class Detector:
         if self.head is NetworkHead.OPENPOSE:
             return group(self._decode_fields(outputs, letterbox), LIMBS, len(self.joints.names))
         bodies = decode_movenet(outputs)
-        corners_px = letterbox.image_from_network(bodies.box_px.reshape(-1, 2, 2))
-        return replace(
-            bodies,
-            keypoints_px=read_only(letterbox.image_from_network(bodies.keypoints_px)),
-            box_px=read_only(corners_px.reshape(-1, 4)),
-        )
+        keypoints_px = letterbox.image_from_network(bodies.keypoints_px)
+        return replace(bodies, keypoints_px=read_only(keypoints_px), box_px=read_only(boxes_around(keypoints_px)))
 
     def _decode_fields(self, outputs: Mapping[str, np.ndarray], letterbox: LetterBox) -> ImageFields:
         if self.fields is None:

@@ -35,9 +35,9 @@ class FieldGrid:
 
     def on_image(self, letterbox: LetterBox) -> MapGrid:
         """Make the grid of the maps' cells on an image."""
-        scale = letterbox.scale
-        offset_px = ((self.stride_px - 1) / 2 - np.array(self.shift_px) + 0.5) / scale - 0.5
-        return MapGrid(offset_px=tuple(offset_px.tolist()), pitch_px=tuple((self.stride_px / scale).tolist()))
+        offset_px = letterbox.image_from_network((self.stride_px - 1) / 2 - np.array(self.shift_px))
+        pitch_px = self.stride_px / letterbox.scale
+        return MapGrid(tuple(offset_px.tolist()), tuple(pitch_px.tolist()), letterbox.turn_deg)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +48,7 @@ class ImageFields:
     joint: Int[np.ndarray, " n"]
     points_px: Float[np.ndarray, "n 2"]
     score: Float[np.ndarray, " n"]
-    # Unit vectors (x, y) along each limb, as bytes; see ``pipeline.data.detections.PafFields``
+    # Unit vectors along each limb in x and y of the maps, as bytes; see ``pipeline.data.detections.PafFields``
     fields: UInt8[np.ndarray, "limbs 2 height width"]
     grid: MapGrid  # Positions of the fields' cells on the image
 

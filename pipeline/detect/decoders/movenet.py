@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pipeline.data.arrays import read_only
-from pipeline.detect.bodies import ImageBodies
+from pipeline.detect.bodies import ImageBodies, boxes_around
 
 _STRIDE_PX = 4
 _MIN_CENTER_SCORE = 0.3
@@ -60,7 +60,7 @@ def decode_movenet(outputs: Mapping[str, np.ndarray]) -> ImageBodies:
     return ImageBodies(
         keypoints_px=read_only(keypoints_px),
         score=read_only(score),
-        box_px=read_only(_boxes(keypoints_px)),
+        box_px=read_only(boxes_around(keypoints_px)),
         center_score=read_only(center_score),
     )
 
@@ -160,7 +160,7 @@ def _pick(
 
 def _without_duplicates(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Int[np.ndarray, " kept"]:
     """Indices of the bodies that are not duplicates of an earlier body, ascending."""
-    box_px = _boxes(keypoints_px)
+    box_px = boxes_around(keypoints_px)
     size_px = np.linalg.norm(box_px[:, 2:] - box_px[:, :2], axis=-1)
     distance_px = np.linalg.norm(keypoints_px[:, None] - keypoints_px[None], axis=-1)
     num_common = np.isfinite(distance_px).sum(-1)
@@ -171,10 +171,3 @@ def _without_duplicates(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Int[np
         if not is_same[kept, body].any():
             kept.append(body)
     return np.array(kept, np.int64)
-
-
-def _boxes(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Float[np.ndarray, "n 4"]:
-    """x0, y0, x1, y1 around the joints of each body."""
-    seen = np.isfinite(keypoints_px)
-    low, high = np.where(seen, keypoints_px, np.inf).min(1), np.where(seen, keypoints_px, -np.inf).max(1)
-    return np.concatenate([low, high], axis=-1)

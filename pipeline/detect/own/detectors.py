@@ -11,8 +11,10 @@ from pipeline.data.arrays import read_only
 from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.decoders.heatmaps import decode_heatmaps
 from pipeline.detect.decoders.own_heads import decode_rtmo, decode_simcc
+from pipeline.detect.letterbox import LetterBox, apply_letterbox
 from pipeline.detect.own_network import OwnNetwork
 from pipeline.detect.session import Network
+from pipeline.detect.turn import PictureTurn
 from pipeline.joints import JointSet
 from pipeline.layouts import LAYOUTS
 
@@ -35,6 +37,7 @@ class OwnInCrops:
     # Network of crops and its description
     network: Network
     own: OwnNetwork
+    turn_deg: float = 0.0  # Counterclockwise turn that brings images upright
 
     @property
     def joints(self) -> JointSet:
@@ -55,7 +58,8 @@ class OwnInCrops:
     def _read(
         self, image_rgb: UInt8[np.ndarray, "height width 3"], seen_px: Float[np.ndarray, "seen 2"]
     ) -> tuple[Float[np.ndarray, "joints 2"], Float[np.ndarray, " joints"]]:
-        crop_from_image = crop_matrix(seen_px, self.own)
+        height, width = image_rgb.shape[:2]
+        crop_from_image = crop_matrix(seen_px, self.own, PictureTurn((width, height), self.turn_deg))
         crop = cv2.warpAffine(image_rgb, crop_from_image, self.own.input_px, flags=cv2.INTER_LINEAR)
         outputs = [output[0] for output in self.network(as_input(crop, self.own)).values()]
         decoded = (
@@ -76,6 +80,7 @@ class OwnInOneStage:
     # Network of whole images and its description
     network: Network
     own: OwnNetwork
+    turn_deg: float = 0.0  # Counterclockwise turn that brings images upright
 
     @property
     def joints(self) -> JointSet:
@@ -85,39 +90,49 @@ class OwnInOneStage:
     def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""
         height, width = image_rgb.shape[:2]
-        scale = min(self.own.input_px[0] / width, self.own.input_px[1] / height)
-        size = (max(1, int(width * scale)), max(1, int(height * scale)))
-        padded = np.full((self.own.input_px[1], self.own.input_px[0], 3), _PADDING, np.uint8)
-        padded[: size[1], : size[0]] = cv2.resize(image_rgb, size, interpolation=cv2.INTER_LINEAR)
+        turn = PictureTurn((width, height), self.turn_deg)
+        turned_width, turned_height = turn.size_px
+        scale = min(self.own.input_px[0] / turned_width, self.own.input_px[1] / turned_height)
+        size = (max(1, int(turned_width * scale)), max(1, int(turned_height * scale)))
+        letterbox = LetterBox(turn.image_size_px, size, self.own.input_px, self.turn_deg)
+        padded = apply_letterbox(image_rgb, letterbox, _PADDING)
         boxes, keypoints = _boxes_and_keypoints(self.network(as_input(padded, self.own)))
         points_px, score, center_score = decode_rtmo(boxes, keypoints)
         used = LAYOUTS[self.own.layout].indices
-        return _bodies(points_px[:, used] / scale, score[:, used], center_score)
+        return _bodies(turn.to_image(points_px[:, used] / scale), score[:, used], center_score)
 
 
-def open_own(network: Network, own: OwnNetwork, body: BodyDetector | None) -> BodyDetector:
-    """Make the detector of a network of one's own; ``body`` finds the people for networks of crops."""
+def open_own(network: Network, own: OwnNetwork, body: BodyDetector | None, turn_deg: float = 0.0) -> BodyDetector:
+    """Make the detector of a network of one's own; ``body`` finds the people for networks of crops.
+
+    ``turn_deg`` is the counterclockwise turn that brings images upright; ``body`` turns them likewise.
+    """
     if not own.reads_crops:
-        return OwnInOneStage(network, own)
+        return OwnInOneStage(network, own, turn_deg)
     if body is None:
         raise ValueError("A network of crops needs another detector.")
-    return OwnInCrops(body, network, own)
+    return OwnInCrops(body, network, own, turn_deg)
 
 
-def crop_matrix(seen_px: Float[np.ndarray, "seen 2"], own: OwnNetwork) -> Float[np.ndarray, "2 3"]:
-    """Pixels of a network's input from pixels of the image, for the box around joints.
+def crop_matrix(seen_px: Float[np.ndarray, "seen 2"], own: OwnNetwork, turn: PictureTurn) -> Float[np.ndarray, "2 3"]:
+    """Pixels of a network's input from pixels of the image, for the box around joints in the turned image.
 
     The centre of the box becomes the centre of the input. Networks of heatmaps count pixels from the first to the last
     (UDP), networks of SimCC from edge to edge.
     """
     width, height = own.input_px
-    low, high = seen_px.min(0), seen_px.max(0)
+    turned_px = turn.to_turned(seen_px)
+    low, high = turned_px.min(0), turned_px.max(0)
     box_width, box_height = np.maximum((high - low) * _BOX_FACTOR, _MIN_BOX_PX)
     box_width = max(box_width, box_height * width / height)
     shorter = 1 if own.head == "heatmaps" else 0
     scale = (width - shorter) / box_width
     shift = np.array([width - shorter, height - shorter]) / 2 - (low + high) / 2 * scale
-    return np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
+    if turn.turn_deg == 0.0:
+        return np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
+    crop_from_image = scale * turn.turned_from_image
+    crop_from_image[:, 2] += shift
+    return crop_from_image
 
 
 def as_input(

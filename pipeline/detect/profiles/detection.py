@@ -54,14 +54,19 @@ load_landmarks = functools.cache(open_landmarks)
 """``open_landmarks``, once a process for each network."""
 
 
-@functools.cache
-def load_own(name: str) -> BodyDetector:
-    """Open a network of the user's own, once a process; MultiPose finds the people for networks of crops."""
+_load_network = functools.cache(lambda name: open_network(verify(name)))
+
+
+def load_own(name: str, turn_deg: float = 0.0) -> BodyDetector:
+    """Open a network of the user's own, once a process; MultiPose finds the people for networks of crops.
+
+    ``turn_deg`` is the counterclockwise turn that brings images upright.
+    """
     own = entry_of(name).own
     if own is None:
         raise ModelError(f"{name} is a network of the registry.")
-    body = load_detector(_FINDER) if own.reads_crops else None
-    return open_own(open_network(verify(name)), own, body)
+    body = turned(load_detector(_FINDER), turn_deg) if own.reads_crops else None
+    return open_own(_load_network(name), own, body, turn_deg)
 
 
 def joints_of(networks: Networks, joints: Literal["body", "feet", "whole"]) -> JointSet:
@@ -85,7 +90,10 @@ def mark_offsets(choices: MotionChoices) -> JointOffsets:
 
 
 def open_detection(
-    networks: Networks, joints: Literal["body", "feet", "whole"], sizes: CameraSizes | None = None
+    networks: Networks,
+    joints: Literal["body", "feet", "whole"],
+    sizes: CameraSizes | None = None,
+    turn_deg: float = 0.0,
 ) -> BodyDetector:
     """Open the networks of a reconstruction for the images of one camera.
 
@@ -97,6 +105,8 @@ def open_detection(
         Joints to detect; see ``pipeline.config.detected_joints``.
     sizes
         Image sizes of the camera; ``None``: the usual size of the network.
+    turn_deg
+        Counterclockwise turn that brings the camera's images upright.
 
     Raises
     ------
@@ -104,8 +114,8 @@ def open_detection(
         If a network is unknown or not installed, or its file was changed.
     """
     if entry_of(networks.body).own is not None:
-        return load_own(networks.body)
-    body = sized(load_detector(networks.body), sizes)
+        return load_own(networks.body, turn_deg)
+    body = sized(turned(load_detector(networks.body), turn_deg), sizes)
     if networks.near is None:
         return body
     return TopDown(
@@ -114,7 +124,20 @@ def open_detection(
         None if networks.hand is None else load_landmarks(networks.hand),
         networks.refines_body,
         joints_of(networks, joints),
+        turn_deg,
     )
+
+
+def open_finder(networks: Networks, turn_deg: float = 0.0) -> BodyDetector:
+    """Open the network that finds bodies in whole images at its usual size; see ``open_detection``."""
+    if entry_of(networks.body).own is not None:
+        return load_own(networks.body, turn_deg)
+    return turned(load_detector(networks.body), turn_deg)
+
+
+def turned(detector: Detector, turn_deg: float) -> Detector:
+    """Detector that turns images counterclockwise before the network sees them; bodies are in pixels of the image."""
+    return detector if turn_deg == 0.0 else replace(detector, turn_deg=turn_deg)
 
 
 def sized(detector: Detector, sizes: CameraSizes | None) -> Detector | TwoSizes:

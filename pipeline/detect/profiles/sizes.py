@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.config import Profile
+from pipeline.data.turns import turned_axes
 from pipeline.detect.bodies import ImageBodies
 
 USUAL_PX = 512
@@ -57,11 +58,15 @@ RULES: dict[Profile, SizeRule] = {
 """Rule of each profile; docs/detectors.md has the measurements."""
 
 
-def body_spans_px(bodies: ImageBodies) -> Float[np.ndarray, " n"]:
-    """Longer side of the box around the sure joints of each body, in pixels; NaN with fewer than eight sure joints."""
-    sure = (bodies.score >= _MIN_SCORE) & np.isfinite(bodies.keypoints_px).all(-1)
-    low = np.where(sure[..., None], bodies.keypoints_px, np.inf).min(1)
-    high = np.where(sure[..., None], bodies.keypoints_px, -np.inf).max(1)
+def body_spans_px(bodies: ImageBodies, turn_deg: float = 0.0) -> Float[np.ndarray, " n"]:
+    """Longer side of the box around the sure joints of each body, in pixels; NaN with fewer than eight sure joints.
+
+    The box is upright in the image turned counterclockwise by ``turn_deg``.
+    """
+    points_px = bodies.keypoints_px @ turned_axes(turn_deg) if turn_deg else bodies.keypoints_px
+    sure = (bodies.score >= _MIN_SCORE) & np.isfinite(points_px).all(-1)
+    low = np.where(sure[..., None], points_px, np.inf).min(1)
+    high = np.where(sure[..., None], points_px, -np.inf).max(1)
     with np.errstate(invalid="ignore"):  # a body without sure joints
         longer = (high - low).max(-1)
     return np.where(sure.sum(-1) >= _MIN_JOINTS, longer, np.nan)
@@ -77,7 +82,7 @@ def choose_sizes(
     spans_px
         Spans of the bodies in some frames, an array a frame; NaN for a body of unknown size.
     image_size_px
-        Width and height of the camera's images.
+        Width and height of the camera's images, upright.
 
     Returns
     -------

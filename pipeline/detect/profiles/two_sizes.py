@@ -39,17 +39,20 @@ class TwoSizes:
 
     def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image."""
-        return merge_passes(self.coarse.detect(image_rgb), self.fine.detect(image_rgb), self.border_px)
+        return merge_passes(
+            self.coarse.detect(image_rgb), self.fine.detect(image_rgb), self.border_px, self.coarse.turn_deg
+        )
 
 
-def merge_passes(coarse: ImageBodies, fine: ImageBodies, border_px: float) -> ImageBodies:
+def merge_passes(coarse: ImageBodies, fine: ImageBodies, border_px: float, turn_deg: float = 0.0) -> ImageBodies:
     """Merge the bodies of two passes over one image.
 
     Tall bodies come from the coarse pass. Bodies of the fine pass follow, unless they repeat a tall body or a part of
     it. The other bodies of the coarse pass are kept if the fine pass lacks them. A body is tall from a span of joints
-    of ``border_px`` on, and not if its span is unknown. The bodies are in descending order of confidence.
+    of ``border_px`` on, and not if its span is unknown; ``turn_deg`` is as of ``body_spans_px``. The bodies are in
+    descending order of confidence.
     """
-    is_tall = np.asarray(body_spans_px(coarse) >= border_px)
+    is_tall = np.asarray(body_spans_px(coarse, turn_deg) >= border_px)
     tall, small = _select(coarse, is_tall), _select(coarse, ~is_tall)
     added = _select(fine, ~_repeats(fine, tall))
     kept = _select(small, ~_repeats(small, added) & ~_repeats(small, tall))

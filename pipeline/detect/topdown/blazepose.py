@@ -123,8 +123,13 @@ def score_of_peak(peak: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shap
     return np.where(peak >= SURE_PEAK, peak - _SCORE_BELOW_PEAK, 0.0)
 
 
-def body_region(keypoints_px: Float[np.ndarray, "joints 2"], score: Float[np.ndarray, " joints"]) -> Region | None:
+def body_region(
+    keypoints_px: Float[np.ndarray, "joints 2"], score: Float[np.ndarray, " joints"], turn_deg: float = 0.0
+) -> Region | None:
     """Region of a body: a circle around its joints, with hips and shoulders upright.
+
+    A body whose trunk has no certain direction is taken as upright in the image turned counterclockwise by
+    ``turn_deg``.
 
     Joints are those of ``COCO_17`` in pixels of the image, NaN where missing, with their scores. ``None`` for a body
     that is too small or has too few joints.
@@ -136,7 +141,7 @@ def body_region(keypoints_px: Float[np.ndarray, "joints 2"], score: Float[np.nda
     box_px = np.stack([keypoints_px[seen].min(0), keypoints_px[seen].max(0)])
     center_px = box_px.mean(0) if hips_px is None else hips_px
     radius_px = _BODY_RADIUS * np.linalg.norm(keypoints_px[seen] - center_px, axis=-1).max()
-    angle_rad = 0.0
+    angle_rad = float(np.radians(turn_deg))
     if hips_px is not None and shoulders_px is not None:
         trunk_px = shoulders_px - hips_px
         if np.linalg.norm(trunk_px) > _MIN_TRUNK * radius_px:

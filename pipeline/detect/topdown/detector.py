@@ -38,6 +38,7 @@ class TopDown:
     # Whether the joints of the body are averaged with BlazePose's, at the common marks of both; see ``fusion``
     refines_body: bool
     joints: JointSet  # Joints to detect: ``COCO_17``, ``BODY_FEET`` or ``WHOLE_BODY``
+    turn_deg: float = 0.0  # Counterclockwise turn that brings images upright
 
     def __post_init__(self) -> None:
         if self.body.joints.names != COCO_17.names:
@@ -76,7 +77,7 @@ class TopDown:
         score: Float[np.ndarray, " joints"],
     ) -> blazepose.PoseOutputs | None:
         """BlazePose's outputs for a body; ``None`` for a body without a region."""
-        region = blazepose.body_region(keypoints_px, score)
+        region = blazepose.body_region(keypoints_px, score, self.turn_deg)
         if region is None:
             return None
         return blazepose.decode_pose(self.near(crop(image_rgb, region, blazepose.CROP_PX)), region)

@@ -4,15 +4,21 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pipeline.data.detections import MapGrid
+from pipeline.data.turns import upright_size_px
 from pipeline.detect.chunk import stack_fields
 from pipeline.detect.decoders.fields import FieldGrid, find_peaks
 from pipeline.detect.decoders.grouping import group
 from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detect.detector import Detector
 from pipeline.detect.entries import REGISTRY
+from pipeline.detect.letterbox import fit_letterbox
+from pipeline.detect.profiles.detection import turned
 from pipeline.detect.registry import NetworkHead, NetworkInput
+from pipeline.geometry.fields import connectivity, quantise
 from pipeline.joints import COCO_18
 
 # In the last three, rounded sizes make the axes' scales differ.
@@ -46,19 +52,49 @@ def find_blob(shift_px: tuple[float, float]) -> Detector:
 @pytest.mark.parametrize("size_px", SIZES)
 @pytest.mark.parametrize("shift_px", SHIFTS)
 @pytest.mark.parametrize("place", [(0.31, 0.36), (0.68, 0.55)])
+@pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0, 130.0])
 def test_from_image_to_map_and_back_nothing_is_shifted(
-    size_px: tuple[int, int], shift_px: tuple[float, float], place: tuple[float, float]
+    size_px: tuple[int, int], shift_px: tuple[float, float], place: tuple[float, float], turn_deg: float
 ) -> None:
     center_px = np.array(size_px) * place + (0.23, -0.31)
-    sigma_px = 4 * size_px[1] / 480
+    height_px = upright_size_px(size_px, turn_deg)[1]
+    sigma_px = 4 * height_px / 480
     width, height = size_px
     squared_px = (np.arange(width) - center_px[0]) ** 2 + ((np.arange(height) - center_px[1]) ** 2)[:, None]
     image = np.repeat((255 * np.exp(-squared_px / (2 * sigma_px**2))).round().astype(np.uint8)[..., None], 3, axis=2)
-    found = find_blob(shift_px).detect_fields(image)
+    found = turned(find_blob(shift_px), turn_deg).detect_fields(image)
     assert found.joint.tolist() == list(range(18))
-    cell_px = 8 * size_px[1] / 480
+    cell_px = 8 * height_px / 480
     np.testing.assert_allclose(found.points_px, np.tile(center_px, (18, 1)), atol=cell_px / 30)
     np.testing.assert_allclose(found.grid.map_from_image(found.grid.image_from_map(found.points_px)), found.points_px)
+
+
+def draw_limb(begin: np.ndarray, end: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Field of a limb between two cells: unit vectors within a cell and a half of the segment."""
+    unit = (end - begin) / np.linalg.norm(end - begin)
+    cells = np.stack(np.meshgrid(np.arange(shape[1]), np.arange(shape[0])), axis=-1) - begin
+    along, across = cells @ unit, cells @ np.array([-unit[1], unit[0]])
+    inside = (along > -1) & (along < np.linalg.norm(end - begin) + 1) & (np.abs(across) < 1.5)
+    return np.where(inside, unit[:, None, None], 0.0)
+
+
+@given(
+    turn_deg=st.one_of(st.floats(0.0, 359.0), st.sampled_from([0.0, 90.0, 180.0, 270.0])), limb_deg=st.floats(0, 360)
+)
+def test_fields_of_a_turned_picture_connect_the_same_points(turn_deg: float, limb_deg: float) -> None:
+    """A limb of the picture, as a network draws its field that sees the picture turned."""
+    letterbox = fit_letterbox((640, 480), 1.0, 8, turn_deg)
+    grid = FieldGrid(8, (0.0, 0.0), 0.3).on_image(letterbox)
+    direction = np.array([np.cos(np.radians(limb_deg)), np.sin(np.radians(limb_deg))])
+    begin_px, end_px = np.array([320.0, 240.0]) - 60 * direction, np.array([320.0, 240.0]) + 60 * direction
+    begin, end = (grid.map_from_image(point_px) for point_px in (begin_px, end_px))
+    np.testing.assert_allclose(8 * begin + 3.5, letterbox.network_from_image(begin_px), atol=1e-8)
+    width, height = (side // 8 for side in letterbox.padded_size_px)
+    fields = quantise(draw_limb(begin, end, (height, width))[None])
+    pairs = np.array([begin, end, begin]), np.array([end, begin, begin + (end - begin)[::-1] * (1, -1)])
+    mean, _ = connectivity(fields, np.zeros(3, int), *pairs)
+    np.testing.assert_allclose(mean[:2], [1.0, -1.0], atol=0.05)
+    assert abs(mean[2]) < 0.5  # across the limb
 
 
 @pytest.mark.parametrize("center", [(10.0, 7.0), (10.25, 7.5), (10.5, 7.9), (3.3, 12.7)])

@@ -10,6 +10,7 @@ from pipeline.detect.bodies import BodyDetector, ImageBodies
 from pipeline.detect.own.detectors import as_input, crop_matrix, open_own
 from pipeline.detect.own_network import usual_network
 from pipeline.detect.session import open_network
+from pipeline.detect.turn import PictureTurn
 from pipeline.joints import COCO_17
 from tests.pipeline.detect.own.networks import heatmaps, rtmo, simcc, write
 
@@ -37,14 +38,16 @@ def image_of(x: float, y: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("head", "model"), [("simcc", simcc()), ("heatmaps", heatmaps())])
 @pytest.mark.parametrize("place", [(150.0, 100.0), (201.3, 222.6)])
+@pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0, 50.0])
 def test_points_of_a_crop_are_in_pixels_of_the_image(
-    head: str, model: onnx.ModelProto, place: tuple[float, float], tmp_path: Path
+    head: str, model: onnx.ModelProto, place: tuple[float, float], turn_deg: float, tmp_path: Path
 ) -> None:
     own = usual_network("simcc" if head == "simcc" else "heatmaps", "coco-17")
     own = replace(own, mean=(0.0, 0.0, 0.0), std=(255.0, 255.0, 255.0))
     # The network's outputs are means over a whole axis: small numbers.
     network = open_network(write(model, tmp_path / "net.onnx"))
-    detector = open_own(lambda tensor: {name: 20 * value for name, value in network(tensor).items()}, own, OneBody())
+    strong = lambda tensor: {name: 20 * value for name, value in network(tensor).items()}  # noqa: E731
+    detector = open_own(strong, own, OneBody(), turn_deg)
     assert isinstance(detector, BodyDetector)
     bodies = detector.detect(image_of(*place))
     assert bodies.keypoints_px.shape == (1, 17, 2)
@@ -75,10 +78,28 @@ def test_people_of_one_stage_are_scaled_to_the_image(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("head", "shorter"), [("simcc", 0), ("heatmaps", 1)])
 def test_the_box_around_joints_is_in_the_middle_of_the_crop(head: str, shorter: int) -> None:
     own = usual_network("simcc" if head == "simcc" else "heatmaps", "coco-17")
-    matrix = crop_matrix(np.array([(100.0, 50.0), (140.0, 250.0)]), own)
+    matrix = crop_matrix(np.array([(100.0, 50.0), (140.0, 250.0)]), own, PictureTurn(SIZE, 0.0))
     np.testing.assert_allclose(matrix @ [120, 150, 1], [(192 - shorter) / 2, (256 - shorter) / 2])
     # 1.4 x 200 pixels of height, and so 210 pixels of width.
     assert matrix[0, 0] == pytest.approx((192 - shorter) / 210)
+
+
+def test_a_crop_is_turned_upright() -> None:
+    own = usual_network("simcc", "coco-17")
+    # A person with the head to the right: 200 pixels long, which is the height of the turned box.
+    matrix = crop_matrix(np.array([(250.0, 140.0), (50.0, 100.0)]), own, PictureTurn(SIZE, 90.0))
+    np.testing.assert_allclose(matrix @ [150, 120, 1], [192 / 2, 256 / 2])
+    scale = 192 / 210
+    np.testing.assert_allclose(matrix @ [250, 120, 1], [192 / 2, 256 / 2 - 100 * scale])
+
+
+def test_people_of_one_stage_are_turned_back(tmp_path: Path) -> None:
+    keypoints = np.tile([64.0, 32.0, 0.9], (1, 17, 1))
+    boxes = np.array([[0, 0, 1, 1, 0.95]])
+    network = open_network(write(rtmo(boxes, keypoints), tmp_path / "net.onnx"))
+    bodies = open_own(network, usual_network("rtmo", "coco-17"), None, 90.0).detect(image_of(5, 5))
+    # 300 x 400 pixels become 480 x 640: 40 pixels from the left of the turned picture, which is the top of the image.
+    np.testing.assert_allclose(bodies.keypoints_px[0, 0], [399 - 20, 40])
 
 
 def test_colours_are_normalised_in_the_network_s_order() -> None:

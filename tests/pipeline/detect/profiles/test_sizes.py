@@ -35,6 +35,13 @@ def test_the_span_is_the_longer_side_around_sure_joints() -> None:
     assert body_spans_px(far).tolist() == [120.0]
 
 
+def test_the_span_is_measured_in_the_upright_picture() -> None:
+    leaning = wide(100.0, 100.0, 8)
+    assert body_spans_px(leaning, 90.0).tolist() == [100.0]
+    # From the corner in the middle, both sides of the square rise by 100 / sqrt(2).
+    np.testing.assert_allclose(body_spans_px(leaning, 45.0), [100.0 * math.sqrt(2.0)])
+
+
 @given(
     tall_px=st.floats(60.0, 900.0),
     size_px=st.sampled_from([(1920, 1080), (1080, 1920), (640, 480), (1088, 1920), (3840, 2160)]),

@@ -101,3 +101,13 @@ def test_small_bodies_keep_the_joints_of_the_detector() -> None:
 def test_an_image_without_bodies() -> None:
     detector = TopDown(FixedBodies(np.zeros((0, 17, 2))), network_of(landmarks_px()), hand_network, True, WHOLE_BODY)
     assert detector.detect(IMAGE).keypoints_px.shape == (0, 61, 2)
+
+
+def test_a_body_without_a_trunk_is_upright_in_the_turned_picture() -> None:
+    score = np.full(17, 0.6)
+    score[COCO_17.indices(("left_hip", "right_hip"))] = 0.0
+    regions = [body_region(standing_px(), score, turn_deg) for turn_deg in (0.0, 90.0)]
+    assert [region and region.angle_rad for region in regions] == [0.0, pytest.approx(np.pi / 2)]
+    trunk = body_region(standing_px(), np.full(17, 0.6), 90.0)
+    assert trunk is not None
+    assert abs(trunk.angle_rad) < 0.2  # the trunk says more
