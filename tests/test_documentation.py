@@ -116,6 +116,6 @@ def test_every_folder_of_code_has_a_row() -> None:
         for path in (ROOT / package).rglob("*.py")
         if path.parent.name != "versions"
     }
-    rows = set(re.findall(r"^\| `([a-z_/]+)` \|", page, re.MULTILINE))
+    rows = set(re.findall(r"^\| `([a-z0-9_/]+)` \|", page, re.MULTILINE))
     assert folders <= rows
     assert {row for row in rows if not (ROOT / row).is_dir()} == set()

@@ -126,7 +126,7 @@ class UploadedSession(UploadedFiles):
     keypoints: tuple[UUID, ...] = Field(
         default=(),
         description="Uploads of keypoints in place of videos: for each camera a zip of its keypoint files, named as "
-        "the camera.",
+        "the camera; or FreeMoCap's array of all cameras.",
     )
     calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
     calibration_id: UUID | None = Field(

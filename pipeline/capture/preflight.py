@@ -173,9 +173,8 @@ def _no_archive(path: Path) -> Problem:
 
 def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
-        unpack_keypoints(arguments.keypoints, Path(folder))
         session = open_keypoints(
-            Path(folder),
+            unpack_keypoints(arguments.keypoints, Path(folder)),
             arguments.calibration,
             arguments.timestamps,
             arguments.frame_rate,
@@ -183,7 +182,9 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
             arguments.max_joints,
             arguments.pair_by_order,
         )
-    files = [[session.folders[camera.name] + ".zip"] for camera in session.cameras]
+    archives = {path.stem: path.name for path in arguments.keypoints}
+    # Parts of an array of all cameras have no archives of their own.
+    files = [[archives.get(session.folders[camera.name], arguments.keypoints[0].name)] for camera in session.cameras]
     preflight = report(session, files, arguments.units)
     if arguments.thumbnails:
         preflight = _with_findings(preflight, check_cameras(session.cameras))

@@ -1,7 +1,7 @@
-"""Limits and exit codes of the child processes that open untrusted videos. Standard library only.
+"""Limits and exit codes of the child processes that open untrusted files. Standard library only.
 
-A file may make FFmpeg crash, hang or exhaust memory, so each video is opened in its own process. If the process ends by
-a signal from outside, the file is not to blame.
+A file may make FFmpeg or HDF5 crash, hang or exhaust memory, so each file is opened in its own process. If the process
+ends by a signal from outside, the file is not to blame.
 """
 
 import resource
@@ -25,7 +25,7 @@ _LOGGED_CHARACTERS = 2000
 def start_child(max_cpu_s: int) -> None:
     """Limit this process's memory, computing time and files, and print the line ``READY``.
 
-    The process opens one video. It writes nothing but its log, and no core dump when it crashes.
+    The process opens one file. It writes nothing but its log, and no core dump when it crashes.
     """
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     # SIGXCPU at the first limit, which is caused by the file; SIGKILL, whose cause is unknown, at the second.
@@ -56,6 +56,6 @@ def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str)
     else:
         last = errors.strip().rpartition("\n")[2]
         ending, hint = f"ended with exit code {exit_code} ({last})", "If it happens again, install Multicap anew."
-    error = ChildError(f"Multicap's own {printable(task)} failed, the video is not at fault: it {ending}. {hint}")
+    error = ChildError(f"Multicap's own {printable(task)} failed, the file is not at fault: it {ending}. {hint}")
     error.add_note(f"stderr of the {task}:\n{errors[-_LOGGED_CHARACTERS:]}")
     return error

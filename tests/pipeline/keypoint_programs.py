@@ -3,10 +3,12 @@
 import csv
 import io
 import json
+import pickle
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from pipeline.data.cameras import Camera
@@ -168,6 +170,68 @@ def deeplabcut(frames: Frames, camera: Camera) -> Files:
     return {name: content.getvalue().encode()}
 
 
+def _columns(frames: Frames) -> tuple[list[tuple[str, str, str, str]], np.ndarray]:
+    """Labels of DeepLabCut's columns, and a row a frame."""
+    people = [f"individual{k + 1}" for k in range(max(map(len, frames.values())))]
+    coords = ("x", "y", "likelihood")
+    columns = [("DLC", one, part, coord) for one in people for part in COCO_17.names for coord in coords]
+    rows = np.full((len(frames), len(columns)), np.nan)
+    for row, seen in zip(rows, frames.values(), strict=True):
+        cells = [value for person in seen for value in _flat(person)]
+        row[: len(cells)] = cells
+    return columns, rows
+
+
+def deeplabcut_hdf5(frames: Frames, camera: Camera) -> Files:
+    """Table that pandas writes by PyTables: labels of columns are a pickle in an attribute."""
+    columns, rows = _columns(frames)
+    table = np.zeros(len(rows), [("index", "<i8"), ("values_block_0", "<f8", (len(columns),))])
+    table["index"], table["values_block_0"] = list(frames), rows
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        group = file.create_group("df_with_missing")
+        group.attrs["pandas_type"] = np.bytes_("frame_table")
+        stored = group.create_dataset("table", data=table, chunks=(7,), compression="gzip", shuffle=True)
+        stored.attrs["values_block_0_kind"] = np.bytes_(pickle.dumps(columns, 0))
+    return {f"{camera.name}DLC_resnet50_peopleshuffle1_100000_el.h5": content.getvalue()}
+
+
+def deeplabcut_hdf5_fixed(frames: Frames, camera: Camera) -> Files:
+    """Of labelled pictures, in the form that pandas calls fixed: rows are paths of pictures in three levels."""
+    columns, rows = _columns(frames)
+    pictures = [("labeled-data", camera.name, f"img{number:04d}.png") for number in frames]
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        group = file.create_group("df_with_missing")
+        group.attrs["pandas_type"] = np.bytes_("frame")
+        group.attrs["nblocks"] = 1
+        group["block0_values"] = rows
+        for axis, labels in (("block0_items", columns), ("axis1", pictures)):
+            for level, of_level in enumerate(zip(*labels, strict=True)):
+                known = sorted(set(of_level))
+                group[f"{axis}_level{level}"] = np.array(known, "S")
+                group[f"{axis}_label{level}"] = np.array([known.index(label) for label in of_level], "i1")
+    return {"CollectedData_us.h5": content.getvalue()}
+
+
+def sleap(frames: Frames, camera: Camera) -> Files:
+    """Analysis file; points that were not found are NaN, and have no score."""
+    num_people = max(map(len, frames.values()))
+    people = np.full((len(frames), num_people, len(COCO_17.names), 3), np.nan)
+    for row, seen in zip(people, frames.values(), strict=True):
+        row[: len(seen)] = np.reshape(seen, (-1, len(COCO_17.names), 3))
+    people[people[..., 2] == 0] = np.nan
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        file.create_dataset("tracks", data=people[..., :2].transpose(1, 3, 2, 0), compression="gzip")
+        file.create_dataset("point_scores", data=people[..., 2].transpose(1, 2, 0), compression="gzip")
+        file.create_dataset("track_occupancy", data=np.isfinite(people[..., 0]).any(-1).astype("u1"))
+        file["node_names"] = np.array(COCO_17.names, "S")
+        file["track_names"] = np.array([f"track_{k}" for k in range(num_people)], "S")
+        file["video_path"] = f"{camera.name}.mp4"
+    return {f"labels.v001.000_{camera.name}.analysis.h5": content.getvalue()}
+
+
 def mediapipe_results(frames: Frames, camera: Camera) -> Files:
     """Results of the task in Python: shares of the image."""
     points = LAYOUTS["mediapipe-33"].points
@@ -212,6 +276,9 @@ PROGRAMS: Mapping[str, Callable[[Frames, Camera], Files]] = {
     "COCO": coco_results,
     "COCO, annotations": coco_annotations,
     "DeepLabCut": deeplabcut,
+    "DeepLabCut, HDF5": deeplabcut_hdf5,
+    "DeepLabCut, HDF5 of pictures": deeplabcut_hdf5_fixed,
+    "SLEAP": sleap,
     "MediaPipe": mediapipe_results,
     "YOLO": yolo,
 }
@@ -237,3 +304,17 @@ def write_session(simulation: Simulation, program: str, folder: Path) -> None:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
+
+
+def freemocap_array(simulation: Simulation) -> np.ndarray:
+    """Array of all cameras, in their natural order, with the first person of each frame."""
+    num_frames = min(len(times.time_s) for times in simulation.times.values())
+    content = np.full((len(simulation.cameras), num_frames, 17, 3), np.nan)
+    for place, camera in enumerate(sorted(simulation.cameras, key=lambda camera: camera.name)):
+        detections = simulation.detections[camera.name]
+        for frame in range(num_frames):
+            rows = np.flatnonzero(detections.frame == frame)
+            if len(rows):
+                content[place, frame, :, :2] = detections.keypoints_px[rows[0]]
+                content[place, frame, :, 2] = np.clip(detections.score[rows[0]], 0, 1)
+    return content

@@ -6,7 +6,7 @@ const KINDS = {
   calibration: ["toml", "json", "yml", "yaml", "xml", "txt", "npz", "pickle", "pkl"],
 };
 const IMAGES = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "webp"];
-const KEYPOINTS = ["json", "csv", "npy"];
+const KEYPOINTS = ["json", "csv", "npy", "h5", "hdf5"];
 const LABELS = /\d\.txt$/i; // YOLO's; the texts of calibrations have no numbers at the ends of their names
 const MOST_FILES = 1000; // of a dropped folder
 // The directory of a zip is at its end; its first entries are enough to tell what the zip has.

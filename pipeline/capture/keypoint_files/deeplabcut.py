@@ -67,7 +67,7 @@ def frames_of(content: bytes) -> Mapping[int, tuple[Columns, str]]:
         if name.lower() not in _HEADERS:
             raise KeypointsError("The headers must be scorer, individuals (if there are several), bodyparts, coords.")
         headers[name.lower()] = ["", *cells]
-    columns = _columns(headers)
+    columns = columns_of(headers)
     frames: dict[int, tuple[Columns, str]] = {}
     for line in lines:
         if not line.strip(","):
@@ -101,7 +101,11 @@ def read_frame(content: tuple[Columns, str]) -> People:
     return with_detected_joints(arranged(points, columns.layout))
 
 
-def _columns(headers: Mapping[str, Sequence[str]]) -> Columns:
+def columns_of(headers: Mapping[str, Sequence[str]]) -> Columns:
+    """Columns of the points that are joints, by the rows of headers, which have an entry for each column.
+
+    Raises ``KeypointsError`` if the headers can't be used.
+    """
     if not {"bodyparts", "coords"} <= headers.keys():
         raise KeypointsError("The rows of headers bodyparts and coords are missing.")
     if len({len(cells) for cells in headers.values()}) > 1:

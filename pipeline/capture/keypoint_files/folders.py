@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from pipeline.capture.keypoint_files import foreign, freemocap, yolo
 from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
+from pipeline.capture.keypoint_files.hdf5.process import read_in_child
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.capture.passed_over import is_passed_over, passed_over
@@ -28,7 +29,9 @@ from pipeline.problem_codes.sessions import (
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _NUMBERED = re.compile(r"(?:.*\D)?(\d{1,15})\.json", re.ASCII)
 _LABELS = re.compile(r"(?:.*\D)?(\d{1,15})\.txt", re.ASCII)
-_CAPTURES = frozenset({".json", ".csv", ".npy"})
+_HDF5 = frozenset({".h5", ".hdf5"})
+CAPTURES = frozenset({".json", ".csv", ".npy"}) | _HDF5
+"""Endings of files of all frames, in lower case; those of JSON may be of a single frame."""
 _MAX_FRAME_BYTES = 4 * 2**20
 MAX_FILE_BYTES = 64 * 2**20
 """Limit on a file of all frames."""
@@ -98,8 +101,8 @@ def read_folder(
 ) -> Contents:
     """Read the people of a camera; stop above ``max_joints``.
 
-    A folder has files of single frames, named by their numbers, or one file of all frames: JSON, CSV or an
-    array. ``size_px`` has width and height of the camera's images; ``None`` if unknown.
+    A folder has files of single frames, named by their numbers, or one file of all frames: JSON, CSV, HDF5
+    or an array. ``size_px`` has width and height of the camera's images; ``None`` if unknown.
     """
     found = _Problems(folder)
     files = _Files({}, folder.path, []) if isinstance(folder, freemocap.CameraArray) else _choose(folder, found)
@@ -162,7 +165,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
     paths = sorted(path for path in folder.iterdir() if not is_passed_over(path))
     files = [path for path in paths if path.is_file()]
     named = [path for path in files if _FILE_NAME.fullmatch(path.name)]
-    captures = [path for path in files if path.suffix.lower() in _CAPTURES]
+    captures = _captures(files)
     labels = _labels(files)
     if labels and captures:
         message = f"The folder has files of two forms: {captures[0].name} and YOLO's labels {labels[0].name}."
@@ -186,7 +189,8 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
     if not numbered:
         message = "The folder has no keypoint file."
         hint = (
-            "Name the files like frame_000000000123_keypoints.json, or provide one file of all frames: JSON, CSV, .npy."
+            "Name the files like frame_000000000123_keypoints.json, or provide one file of all frames: "
+            "JSON, CSV, HDF5, .npy."
         )
         if captures:
             some = ", ".join(path.name for path in captures[:3])
@@ -195,6 +199,13 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
             message, hint = f"{message} {known[0]}", known[1]
         problems.add(Problem(KEYPOINTS_NONE, message, file=folder.name, hint=hint))
     return _Files(numbered, None, others)
+
+
+def _captures(files: Sequence[Path]) -> Sequence[Path]:
+    """Files that may be of all frames; of DeepLabCut's CSV and HDF5 of one name, which have the same, the CSV."""
+    tables = {path.stem for path in files if path.suffix.lower() == ".csv"}
+    captures = [path for path in files if path.suffix.lower() in CAPTURES]
+    return [path for path in captures if path.suffix.lower() not in _HDF5 or path.stem not in tables]
 
 
 def _labels(files: Sequence[Path]) -> Sequence[Path]:
@@ -260,11 +271,13 @@ def _split(path: Path, form_in: _FormOf, content: Any) -> tuple[Callable[[Any], 
 
 
 def _read(path: Path, max_bytes: int) -> Any:
-    """Parsed JSON, the bytes of a CSV file, YOLO's labels, or an array."""
+    """Parsed JSON, the bytes of a CSV file, YOLO's labels, an array, or the people of an HDF5 file."""
     if path.stat().st_size > max_bytes:
         raise KeypointsError(f"The file is larger than {max_bytes // 2**20} MiB.")
     if path.suffix.lower() == ".npy":
         return freemocap.opened(path)
+    if path.suffix.lower() in _HDF5:
+        return read_in_child(path)
     content = path.read_bytes()
     if path.suffix.lower() == ".txt":
         return yolo.labels_of(content)

@@ -5,8 +5,11 @@ from pathlib import PurePath
 from typing import NamedTuple
 
 _MAX_SHOWN = 3
-_DLC_CSV = "Give DeepLabCut's CSV, which is read (save_as_csv=True, or analyze_videos_converth5_to_csv)."
-_COCO = "Export the points as COCO's JSON, or as a CSV in DeepLabCut's form."
+_DLC = "Give DeepLabCut's table of points, which is read: its HDF5 or CSV."
+_ANALYSIS = (
+    "Give SLEAP's analysis file (.analysis.h5), which is read: Export Analysis HDF5 in its menu, "
+    "sleap-convert --format analysis, or save_analysis_h5 of sleap-io."
+)
 _PICKLE = "A pickle may run programs."
 _ONLY_2D = "Give the 2D keypoints of each camera, from which these were made."
 _VIDEO = "Give videos as videos: people are detected in them."
@@ -20,8 +23,8 @@ class _Kind(NamedTuple):
 
 
 _KINDS = {
-    ".slp": _Kind("SLEAP's project", _COCO),
-    ".pickle": _Kind("a pickle", f"{_PICKLE} {_DLC_CSV}"),
+    ".slp": _Kind("SLEAP's project", _ANALYSIS),
+    ".pickle": _Kind("a pickle", f"{_PICKLE} {_DLC}"),
     ".pkl": _Kind("a pickle", f"{_PICKLE} Give JSON or CSV."),
     ".mat": _Kind("MATLAB's", "Give JSON or CSV."),
     ".npz": _Kind("an archive of NumPy's", "Give JSON or CSV."),
@@ -37,31 +40,19 @@ _KINDS = {
     **dict.fromkeys((".zip", ".7z", ".rar", ".gz", ".tar"), _Kind("an archive", "Unpack it.")),
 }
 
-_HDF5 = (".h5", ".hdf5")
-ENDINGS = frozenset((*_HDF5, *_KINDS))
+ENDINGS = frozenset(_KINDS)
 """Endings of these files, in lower case."""
-
-
-def _kind_of(name: str) -> _Kind | None:
-    suffix = PurePath(name).suffix.casefold()
-    if suffix in _HDF5:
-        if "sleap" in name.casefold() or name.casefold().endswith(".analysis.h5"):
-            return _Kind("SLEAP's HDF5", _COCO)
-        if "dlc" in name.casefold() or "collecteddata" in name.casefold():
-            return _Kind("DeepLabCut's HDF5", _DLC_CSV)
-        return _Kind("HDF5", f"{_DLC_CSV} For SLEAP: {_COCO}")
-    return _KINDS.get(suffix)
 
 
 def described(names: Iterable[str]) -> tuple[str, str] | None:
     """Sentence of the files that are known but not read, and what to give instead; ``None`` without any.
 
-    >>> described(["camDLC_resnet50.h5", "notes.txt"])[0]
-    "camDLC_resnet50.h5 is DeepLabCut's HDF5, which is not read."
+    >>> described(["walk.slp", "notes.txt"])[0]
+    "walk.slp is SLEAP's project, which is not read."
     """
     of_kind: dict[_Kind, str] = {}
     for name in sorted(names):
-        kind = _kind_of(name)
+        kind = _KINDS.get(PurePath(name).suffix.casefold())
         if kind is not None:
             of_kind.setdefault(kind, name)
     if not of_kind:

@@ -17,6 +17,7 @@ from pipeline.capture.keypoint_files import (
     openpose,
     yolo,
 )
+from pipeline.capture.keypoint_files.hdf5 import tracks
 from pipeline.capture.keypoint_files.people import KeypointsError, People
 
 
@@ -48,19 +49,27 @@ _FIELDS = {
 
 
 def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
-    """Find the form of a file's content: parsed JSON, the bytes of a CSV file, YOLO's labels, or an array.
+    """Find the form of a file's content.
 
+    ``content`` is parsed JSON, the bytes of a CSV file, YOLO's labels, an array, or the people of an HDF5 file.
     ``size_px`` has width and height of the camera's images; ``None`` if unknown. Unknown JSON is taken as OpenPose's.
     Raises ``KeypointsError`` if a CSV file is of no known form, or if JSON has the fields of several.
     """
-    if isinstance(content, bytes):
-        if not deeplabcut.is_table(content):
-            raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
-        return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
-    if isinstance(content, yolo.PoseLabels):
-        return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px), None)
-    if isinstance(content, np.ndarray):
-        return KeypointForm("FreeMoCap", freemocap.read_frame, freemocap.frames_of)
+    match content:
+        case bytes():
+            if not deeplabcut.is_table(content):
+                raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
+            return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
+        case yolo.PoseLabels():
+            return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px), None)
+        case tracks.PeopleByFrame():
+            return KeypointForm(content.form, tracks.read_frame, tracks.frames_of)
+        case np.ndarray():
+            return KeypointForm("FreeMoCap", freemocap.read_frame, freemocap.frames_of)
+    return _form_of_json(content, size_px)
+
+
+def _form_of_json(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
     if isinstance(content, list):
         return _form_of_list(content, size_px)
     if isinstance(content, dict):

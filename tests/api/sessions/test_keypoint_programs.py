@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -16,7 +17,7 @@ from api.settings import Settings
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from tests.api.conftest import Live, problem_of, running
-from tests.pipeline.keypoint_programs import Files, keypoint_files, write_session
+from tests.pipeline.keypoint_programs import Files, freemocap_array, keypoint_files, write_session
 
 # One form of each program; tests/pipeline/capture/keypoint_files has the others.
 PROGRAMS = [
@@ -26,6 +27,8 @@ PROGRAMS = [
     "MMPose",
     "COCO, annotations",
     "DeepLabCut",
+    "DeepLabCut, HDF5",
+    "SLEAP",
     "MediaPipe",
     "YOLO",
 ]
@@ -68,6 +71,32 @@ def test_a_session_of_the_service(checking: Live, simulation: Simulation, progra
         {"forms": [program.split(",", maxsplit=1)[0]]}
     ]
     assert {camera["name"] for camera in preflight["cameras"]} == {camera.name for camera in simulation.cameras}
+
+
+@pytest.mark.parametrize("is_zip", [True, False])
+def test_an_array_of_all_cameras(checking: Live, simulation: Simulation, is_zip: bool) -> None:
+    content, archive = io.BytesIO(), io.BytesIO()
+    np.save(content, freemocap_array(simulation))
+    name = "mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy"
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as entries:
+        entries.writestr(f"raw_data/{name}", content.getvalue())
+        entries.writestr("raw_data/mediapipe_3dData.npy", content.getvalue()[:300])
+    file = ("raw_data.zip", archive.getvalue()) if is_zip else (name, content.getvalue())
+    sent = [part for part in parts(simulation, {}) if part[0] == "calibration"] + [("keypoints", file)]
+
+    def answer(**manifest: Any) -> Any:
+        part = ("manifest", (None, json.dumps({"frame_rate_hz": 25.0} | manifest)))
+        return checking.client.post("/v1/sessions", files=[*sent, part])
+
+    (item,) = problem_of(answer(), 422, "invalid_request")["errors"]
+    assert (item["code"], "part1, part2" in item["hint"]) == ("pairing_unknown", True)
+    preflight = answer(pair_by_order=True).raise_for_status().json()["preflight"]
+    assert {camera["name"]: camera["file"] for camera in preflight["cameras"]} == {
+        camera.name: file[0] for camera in simulation.cameras
+    }
+    sent[-1] = ("keypoints", (name, content.getvalue()[:200]))
+    (item,) = problem_of(answer(pair_by_order=True), 422, "invalid_request")["errors"]
+    assert (item["code"], item["pointer"]) == ("keypoints_unreadable", "/keypoints/0")
 
 
 def test_a_wrong_cell_is_named_with_file_frame_and_field(checking: Live, simulation: Simulation) -> None:

@@ -2,7 +2,7 @@
 
 A pickle is a program that may call any function of any installed module. ``pickle`` itself is not used: a stack
 machine follows the operations that ``pickletools`` lists. It knows only the operations that Python writes for plain
-values in protocols 2 to 5, and only the four names of functions that NumPy writes for arrays. It imports nothing and
+values in protocols 0 to 5, and only the four names of functions that NumPy writes for arrays. It imports nothing and
 calls nothing that the file names.
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 
 from pipeline.parsing import UnreadableError
 
-# OpenCap's files have about 130 operations and 2 kB.
-_MAX_OPERATIONS = 20_000
+# OpenCap's files have about 130 operations and 2 kB; names of columns, as PyTables stores them, some 5 a column.
+_MAX_OPERATIONS = 100_000
 _MAX_BYTES = 1 * 2**20
 _MAX_ITEMS = 100_000
 _MAX_DEPTH = 10
@@ -98,9 +98,9 @@ class _Machine:
             self._stack.append(tuple(self._pop_last(_TUPLES[operation])))
         elif operation in {"PROTO", "FRAME", "STOP"}:
             return
-        elif operation in {"BINPUT", "LONG_BINPUT", "MEMOIZE"}:
+        elif operation in {"PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}:
             self._memory[len(self._memory) if argument is None else argument] = self._stack[-1]
-        elif operation in {"BINGET", "LONG_BINGET"}:
+        elif operation in {"GET", "BINGET", "LONG_BINGET"}:
             self._stack.append(self._memory[argument])
         elif operation in _METHODS:
             _METHODS[operation](self, argument)
@@ -132,6 +132,14 @@ class _Machine:
 
     def _tuple(self, _: Any) -> None:
         self._stack.append(tuple(self._pop_marked()))
+
+    def _list(self, _: Any) -> None:
+        self._stack.append(self._pop_marked())
+
+    def _dict(self, _: Any) -> None:
+        items = self._pop_marked()
+        self._stack.append({})
+        self._update(items)
 
     def _global(self, argument: str) -> None:
         module, _, name = argument.partition(" ")
@@ -224,6 +232,7 @@ def _plain(value: Any, num_left: list[int], depth: int = 0) -> Any:
 
 _PLAIN = frozenset(
     {
+        "INT", "LONG", "FLOAT", "UNICODE",
         "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT", "SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8",
         "SHORT_BINBYTES", "BINBYTES", "BINBYTES8", "BYTEARRAY8",
     }
@@ -240,6 +249,8 @@ _TUPLES: Mapping[str, int] = {"TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
 _METHODS: Mapping[str, Callable[[_Machine, Any], None]] = {
     "MARK": _Machine._mark,
     "TUPLE": _Machine._tuple,
+    "LIST": _Machine._list,
+    "DICT": _Machine._dict,
     "GLOBAL": _Machine._global,
     "STACK_GLOBAL": _Machine._stack_global,
     "APPEND": _Machine._append,

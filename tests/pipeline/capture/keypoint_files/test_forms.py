@@ -52,11 +52,8 @@ def test_an_object_of_two_formats_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "words", "advice"),
     [
-        ("camDLC_resnet50shuffle1_100000_el.h5", "DeepLabCut's HDF5", "DeepLabCut's CSV"),
-        ("take.analysis.h5", "SLEAP's HDF5", "COCO"),
-        ("take.H5", "HDF5", "DeepLabCut's CSV"),
-        ("labels.v001.slp", "SLEAP's project", "COCO"),
-        ("camDLC_full.pickle", "a pickle", "CSV"),
+        ("labels.v001.slp", "SLEAP's project", "Export Analysis HDF5"),
+        ("camDLC_full.pickle", "a pickle", "its HDF5 or CSV"),
         ("walk.c3d", "C3D, points in 3D", "2D keypoints"),
         ("walk.trc", "TRC, points in 3D", "2D keypoints"),
         ("cam1.mp4", "a video", "as videos"),

@@ -12,7 +12,7 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_FEET, WHOLE_BODY
 from pipeline.simulation.scenes import Simulation, find_scene, record
-from tests.pipeline.keypoint_programs import write_session
+from tests.pipeline.keypoint_programs import freemocap_array, write_session
 
 
 @pytest.fixture(scope="module")
@@ -113,25 +113,11 @@ def test_a_pickle_in_an_array_is_not_run(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def cameras_array(simulation: Simulation) -> np.ndarray:
-    """First person of each camera and frame, in the natural order of the cameras."""
-    num_frames = min(len(times.time_s) for times in simulation.times.values())
-    content = np.full((len(simulation.cameras), num_frames, 17, 3), np.nan)
-    for place, camera in enumerate(sorted(simulation.cameras, key=lambda camera: camera.name)):
-        detections = simulation.detections[camera.name]
-        for frame in range(num_frames):
-            rows = np.flatnonzero(detections.frame == frame)
-            if len(rows):
-                content[place, frame, :, :2] = detections.keypoints_px[rows[0]]
-                content[place, frame, :, 2] = np.clip(detections.score[rows[0]], 0, 1)
-    return content
-
-
 def test_the_file_of_all_cameras_of_freemocap(tmp_path: Path, simulation: Simulation) -> None:
     write_session(simulation, "YOLO", tmp_path)
     folder = tmp_path / "raw_data"
     folder.mkdir()
-    content = cameras_array(simulation)
+    content = freemocap_array(simulation)
     np.save(folder / "yolo_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy", content)
     np.save(folder / "yolo_3dData_numFrames_numTrackedPoints_reprojectionError.npy", content[0, ..., 0])
     files = folder, tmp_path / "calibration.json", tmp_path / "timestamps.csv"

@@ -1,0 +1,87 @@
+"""Tracks of named points, as they go from the child process that opens a file to the reader of folders."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames, with_detected_joints
+from pipeline.capture.keypoint_files.points import arranged, named_layout
+from pipeline.layouts import KeypointLayout
+from pipeline.parsing import UnreadableError
+
+MAX_POINTS = 2**24
+"""Limit on the points of a file, those of people of a frame without any detected point left out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracks:
+    """Points of the people in the frames of a file."""
+
+    form: str  # Program, as users know it
+    layout: KeypointLayout  # Layout of the points, all of which are joints
+    frames: Sequence[int]  # Number of each frame
+    points: Float[np.ndarray, "frames people points 3"]  # X, y and score; NaN or 0 where a point was not found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeopleByFrame:
+    """Points of the people of each frame, as a child process sends them."""
+
+    form: str  # Program, as users know it
+    layout: KeypointLayout  # Layout of the points
+    people: Mapping[int, Float[np.ndarray, "people points 3"]]  # People with a detected point, by frame
+
+
+def frames_of(content: PeopleByFrame) -> Mapping[int, tuple[KeypointLayout, np.ndarray]]:
+    """Split the people by frame."""
+    return {number: (content.layout, people) for number, people in content.people.items()}
+
+
+def read_frame(content: tuple[KeypointLayout, np.ndarray]) -> People:
+    """Read the people of a frame; raises ``KeypointsError`` or ``CrowdError`` if they can't be used."""
+    layout, people = content
+    return with_detected_joints(arranged(people, layout))
+
+
+def encoded(tracks: Tracks) -> bytes:
+    """Tracks as a line of JSON, and the points of people with a detected point, frame by frame.
+
+    Raises ``KeypointsError`` if a frame is listed twice, or if there are too many frames or points.
+    """
+    check_frames(len(tracks.frames))
+    frames = list(tracks.frames)
+    if len(set(frames)) < len(frames):
+        twice = next(number for k, number in enumerate(sorted(frames)[1:]) if number == sorted(frames)[k])
+        raise KeypointsError(f"Frame {twice} is listed twice.", "frame")
+    seen = (np.isfinite(tracks.points).all(-1) & (tracks.points[..., 2] > 0)).any(-1)
+    joints = tracks.layout.points
+    if seen.sum() * len(joints) > MAX_POINTS:
+        raise KeypointsError(f"The file has more than {MAX_POINTS:,} points; cut it into several.")
+    header = {"form": tracks.form, "joints": joints, "frames": frames, "counts": seen.sum(1).tolist()}
+    return json.dumps(header).encode() + b"\n" + np.ascontiguousarray(tracks.points[seen], "<f8").tobytes()
+
+
+def decoded(content: bytes) -> PeopleByFrame:
+    """Tracks that ``encoded`` wrote.
+
+    Raises ``KeypointsError`` for a problem that was written in their place, ``UnreadableError`` for a file without a
+    message.
+    """
+    header, _, rest = content.partition(b"\n")
+    answer = json.loads(header)
+    if "problem" in answer:
+        if answer["problem"] is None:
+            raise UnreadableError
+        raise KeypointsError(answer["problem"], answer["field"])
+    points = np.frombuffer(rest, "<f8").reshape(-1, len(answer["joints"]), 3)
+    people = np.split(points, np.cumsum(answer["counts"])[:-1]) if answer["counts"] else []
+    layout = named_layout(answer["joints"], "joints")
+    return PeopleByFrame(answer["form"], layout, dict(zip(answer["frames"], people, strict=True)))
+
+
+def problem(message: str | None, field: str | None = None) -> bytes:
+    """Problem in place of tracks; without a message the file is damaged."""
+    return json.dumps({"problem": message, "field": field}).encode() + b"\n"
