@@ -64,6 +64,7 @@ class SessionCheck:
     findings: tuple[Finding, ...] = ()  # What is wrong
     people: Mapping[str, int] = field(default_factory=dict)  # Number of people by camera, at all instants together
     num_instants: int = 0  # Number of instants
+    num_located: int = 0  # Number of people whom pairs of cameras that agree locate, at all instants together
 
 
 def _shown(value: Any) -> Any:

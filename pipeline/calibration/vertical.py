@@ -21,6 +21,8 @@ AXES: Mapping[str, Float[np.ndarray, " 3"]] = {
 # Distance from ankles to shoulders, as a share of its largest values, at which somebody stands upright.
 _UPRIGHT, _LARGEST = 0.97, 95
 _ITERATIONS, _LEAN_RAD = 10, np.radians(4.0)
+# Least length of the mean of the cameras' up directions at which it is a direction.
+_MIN_MEAN_UP = 0.6
 
 
 def upright_direction(
@@ -75,6 +77,16 @@ def up_of_cameras(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"]:
     """Mean of the cameras' up directions; its length is 1 if all stand alike, and near 0 if they cancel out."""
     mean: np.ndarray = np.mean([-camera.cam_from_world.rotation[1] for camera in cameras], axis=0)
     return mean
+
+
+def cameras_lean_deg(cameras: Sequence[Camera]) -> float | None:
+    """Angle in degrees between the cameras' up direction and Z: most cameras stand upright.
+
+    ``None`` if the cameras do not tell: those that look straight down, or are turned by quarters, cancel out.
+    """
+    up = up_of_cameras(cameras)
+    length = float(np.linalg.norm(up))
+    return None if length < _MIN_MEAN_UP else float(np.degrees(np.arccos(np.clip(up[2] / length, -1.0, 1.0))))
 
 
 def nearest_axis(direction: Float[np.ndarray, " 3"]) -> str:

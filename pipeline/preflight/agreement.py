@@ -4,6 +4,7 @@ The measure has no unit, and needs neither the scale of the world nor an associa
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -15,22 +16,38 @@ from pipeline.preflight.sightings import Points
 # Distance, as a share of a person's extent in the picture, from which on a pair of bodies counts as not the same.
 # Detectors are off by 1 to 2 % of it. The next person is a body's width, a quarter of it, away.
 _FAR = 0.1
+# Distance within which a pair of bodies counts as exactly the same.
+_EXACT = 0.03
 # Fewer common joints are no evidence.
 _MIN_JOINTS = 5
 
 
-def disagreement(
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Agreement of two cameras about people."""
+
+    disagreement: float = np.nan  # Mean distance of pairs of bodies: 0 if they agree, 1 if they do not; NaN without any
+    exact_share: float = np.nan  # Share of these pairs that are exactly the same; NaN without any
+    num_pairs: int = 0  # Number of pairs of bodies at all instants together
+    num_instants: int = 0  # Number of instants with a pair
+
+
+def compare(
     fundamental: Float[np.ndarray, "3 3"], left: Sequence[Points | None], right: Sequence[Points | None]
-) -> float:
-    """Mean epipolar distance of people who are matched at the same instants: 0 if they agree, 1 if they do not.
+) -> Agreement:
+    """Compare the people whom two cameras see at the same instants by their epipolar distances.
 
     At each instant the people are paired so that the sum of their distances is least. The distance of a pair is the
     median over its joints, as a share of the people's extents in the pictures; above 0.1 it counts as 0.1, and the mean
-    is divided by 0.1. The people are undistorted, and ``x_left^T F x_right = 0``. NaN if the cameras see people at no
-    common instant.
+    is divided by 0.1. A pair is exactly the same below 0.03. The people are undistorted, and
+    ``x_left^T F x_right = 0``.
     """
-    distances = [distance for _, _, _, distance in matches(fundamental, left, right)]
-    return float(np.mean(np.minimum(distances, _FAR))) / _FAR if distances else np.nan
+    pairs = [(instant, distance) for instant, _, _, distance in matches(fundamental, left, right)]
+    if not pairs:
+        return Agreement()
+    instants, distances = np.array(pairs).T
+    mean = float(np.mean(np.minimum(distances, _FAR))) / _FAR
+    return Agreement(mean, float(np.mean(distances < _EXACT)), len(pairs), len(set(instants)))
 
 
 def matches(

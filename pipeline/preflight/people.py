@@ -2,12 +2,13 @@
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from pipeline.data.cameras import Camera
-from pipeline.findings import Finding
+from pipeline.findings import Finding, Severity
 from pipeline.preflight.explain import DOUBTFUL, Hypothesis, PairDisagreement, as_given, explain, move_points
 from pipeline.preflight.sightings import SimultaneousPeople
 from pipeline.preflight.world import check_world, locate
@@ -24,20 +25,30 @@ from pipeline.problem_codes.findings import (
 from pipeline.problem_codes.warnings import CAMERA_DISAGREES
 from pipeline.quality.names import first_names
 
+# Instants with the same points in two cameras that are no chance: detectors find the same in equal noise.
+_MIN_SAME = 3
 _OTHER_RIG = "Check that the calibration belongs to these videos, and that the videos are synchronised."
 
 
-def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> list[Finding]:
+@dataclass(frozen=True, slots=True)
+class PeopleCheck:
+    """What people at a few instants tell of cameras."""
+
+    findings: tuple[Finding, ...]
+    num_located: int = 0  # Number of poses that pairs of agreeing cameras locate
+
+
+def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> PeopleCheck:
     """Check whether cameras agree about people, and whether the world does.
 
     Cameras are in the order of the sightings. Findings have numbers as evidence.
     """
     seen = list(_check_anybody(cameras, sightings))
-    if any(finding.severity == "error" for finding in seen):
-        return seen
+    if any(finding.code == NOBODY_DETECTED for finding in seen):
+        return PeopleCheck(tuple(seen))
     if copies := list(_check_copies(cameras, sightings)):
         # The second camera of a copy has the wrong people, whatever its calibration.
-        return [*seen, *copies]
+        return PeopleCheck((*seen, *copies))
     evidence = PairDisagreement(cameras, sightings)
     given, best = as_given(len(cameras)), explain(evidence)
     disagreeing = list(_check_rest(cameras, evidence, best))
@@ -45,8 +56,9 @@ def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> li
     agreeing = [pair for pair, value in evidence.of_pairs(best, range(len(cameras))).items() if value <= DOUBTFUL]
     mended = _mended(cameras, sightings, best)
     rig = [cameras[place] for place in best.places]
-    of_world = check_world(rig, locate(rig, mended, agreeing), sightings.joints)
-    return [*seen, *explained, *disagreeing, *of_world]
+    poses_m = locate(rig, mended, agreeing)
+    of_world = check_world(rig, poses_m, sightings.joints)
+    return PeopleCheck((*seen, *explained, *disagreeing, *of_world), len(poses_m))
 
 
 def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Iterator[Finding]:
@@ -62,7 +74,8 @@ def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> 
             "See whether people are in the pictures, upright, bright and large enough. Choose a more exact profile, or "
             "another detector."
         )
-        yield Finding(NOBODY_DETECTED, message, None, "error", hint, {"people": counts, "num_instants": num_instants})
+        # A place may be empty at these instants, or all the time: an empty result is right then.
+        yield Finding(NOBODY_DETECTED, message, None, "warning", hint, {"people": counts, "num_instants": num_instants})
         return
     for name in empty:
         message = f"Nobody was detected at {num_instants} instants, while other cameras see people."
@@ -79,7 +92,7 @@ def _check_copies(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> I
             if left is not None and right is not None and len(left) + len(right)
         ]
         same = sum(left.shape == right.shape and np.array_equal(left, right, equal_nan=True) for left, right in pairs)
-        if pairs and 2 * same > len(pairs):
+        if same >= _MIN_SAME and 2 * same > len(pairs):
             first = cameras[left_camera].name
             message = f"The people are the same points as those of {first}: one video or folder was given twice."
             evidence = {"other_camera": first, "num_same": same, "num_instants": len(pairs)}
@@ -140,23 +153,41 @@ def _check_rest(cameras: Sequence[Camera], evidence: PairDisagreement, best: Hyp
     if by_pair and min(by_pair.values()) > DOUBTFUL:
         numbers = {"disagreement": round(float(np.mean(list(by_pair.values()))), 3), "num_pairs": len(by_pair)}
         message = "No two cameras agree about people: the calibration is that of another rig, or the clocks are wrong."
-        yield Finding(CALIBRATION_OF_ANOTHER_RIG, message, None, "error", _OTHER_RIG, numbers)
+        severity: Severity = "error"
+        if not evidence.is_clear(list(by_pair), best):
+            message = (
+                "No two cameras agree about most people: they see different people, or the calibration or the clocks "
+                "are wrong."
+            )
+            severity = "warning"
+        yield Finding(CALIBRATION_OF_ANOTHER_RIG, message, None, severity, _OTHER_RIG, numbers)
         return
     disagreeing = _disagreeing(by_pair)
     agreeing = [camera.name for number, camera in enumerate(cameras) if number not in disagreeing]
     for number, value in disagreeing.items():
-        message = f"The camera sees people elsewhere than {first_names(agreeing)} do."
+        pairs = [pair for pair in by_pair if number in pair and not set(pair) & (disagreeing.keys() - {number})]
+        is_clear = evidence.is_clear(pairs, best)
+        others = f"elsewhere than {first_names(agreeing)} do"
+        message = f"The camera sees {'people' if is_clear else 'many people'} {others}."
         hint = (
             "If the camera was moved, calibrate it again or refine the calibration (`refine_calibration`); else check "
             "its offset, and that its video and its calibration belong together."
         )
-        yield Finding(CAMERA_DISAGREES, message, cameras[number].name, "error", hint, {"disagreement": round(value, 3)})
+        yield Finding(
+            CAMERA_DISAGREES,
+            message,
+            cameras[number].name,
+            "error" if is_clear else "warning",
+            hint,
+            {"disagreement": round(value, 3)},
+        )
     by_camera = evidence.of_cameras(best)
     for number, value in enumerate(by_camera):
         if np.isnan(value) and evidence.sees_people(number):
             message = "The camera sees people, but never at an instant at which another camera does."
             hint = "Check its offset, and that it looks at the same place as another camera."
-            yield Finding(NO_COMMON_PEOPLE, message, cameras[number].name, "error", hint)
+            # The instants are few: at others the camera may see people together with others.
+            yield Finding(NO_COMMON_PEOPLE, message, cameras[number].name, "warning", hint)
 
 
 def _disagreeing(by_pair: Mapping[tuple[int, int], float]) -> Mapping[int, float]:

@@ -35,11 +35,11 @@ def check_detections(session: Session, near: DetectionsNear, joints: JointSet, p
 def with_clocks(
     check: SessionCheck, session: Session, near: DetectionsNear, joints: JointSet, parts: Sequence[range]
 ) -> SessionCheck:
-    """Add the findings about declared times to a check, unless it found errors: those would tell other times.
+    """Add the findings about declared times to a check, unless cameras are wrong or nobody is located.
 
     Arguments are as of ``check_detections``; the detections are whole bodies.
     """
-    if has_error(check.findings):
+    if has_error(check.findings) or not check.num_located:
         return check
     return replace(check, findings=(*check.findings, *check_clocks(session, near, joints, parts)))
 
@@ -50,7 +50,8 @@ def check_bodies(
     """Check a session by the people at a few instants, with the detections at least of these instants."""
     sightings = sightings_of(session.cameras, detections, frames_at_instants(session, parts), joints)
     people = {camera.name: sightings.num_people(number) for number, camera in enumerate(session.cameras)}
-    return SessionCheck(tuple(check_people(session.cameras, sightings)), people, len(choose_instants(parts)))
+    checked = check_people(session.cameras, sightings)
+    return SessionCheck(checked.findings, people, len(choose_instants(parts)), checked.num_located)
 
 
 def frames_at_instants(session: Session, parts: Sequence[range]) -> Mapping[str, Sequence[int | None]]:

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from pipeline.data.cameras import Camera
 from pipeline.data.people import Source, Track3D
-from pipeline.findings import Finding
+from pipeline.findings import Finding, Severity
 from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.triangulation import triangulate
@@ -18,23 +18,23 @@ from pipeline.problem_codes.warnings import (
     CAMERA_BELOW_FLOOR,
     FLOOR_NOT_AT_ZERO,
     MIRRORED_WORLD,
-    NOT_UPRIGHT,
     STATURE_OUT_OF_RANGE,
-    UPSIDE_DOWN,
 )
 from pipeline.quality.report import estimate_stature_m
 from pipeline.quality.world_checks import (
-    MAX_LEAN_DEG,
     MIRRORED_SHARE,
     STATURE_RANGE_M,
     feet_to_head_m,
     hint_of_unit,
+    lean_fault,
     leftness,
 )
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
 
 # With fewer people, chance decides.
-_MIN_POSES, _MIN_FACES = 6, 10
+_MIN_POSES, _MIN_FACES = 6, 20
+# No person is smaller or taller, whatever the error of the estimate: the unit is another one.
+_POSSIBLE_M = (0.4, 3.0)
 # Heights are less exact than those of a reconstruction, which has its own check.
 _MAX_FLOOR_M = 0.3
 _ANKLES = ("left_ankle", "right_ankle")
@@ -68,7 +68,7 @@ def check_world(
     if len(poses_m) < _MIN_POSES:
         return []
     poses = _as_track(poses_m)
-    wrong = [*_check_upright(poses, joints), *_check_stature(poses, joints), *_check_sides(poses, joints)]
+    wrong = [*_check_upright(cameras, poses, joints), *_check_stature(poses, joints), *_check_sides(poses, joints)]
     # Heights mean nothing in another unit, or along another axis.
     return wrong or list(_check_heights(cameras, poses_m, joints))
 
@@ -80,19 +80,16 @@ def _as_track(poses_m: Float[np.ndarray, "poses joints 3"]) -> Track3D:
     return Track3D(1, 0, poses_m, known.astype(np.float64), source, np.where(known, 0.0, np.nan), 2 * known)
 
 
-def _check_upright(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
+def _check_upright(cameras: Sequence[Camera], poses: Track3D, joints: JointSet) -> Iterator[Finding]:
     upwards = feet_to_head_m(poses, joints)
     upwards = upwards[np.isfinite(upwards).all(-1)]
     if len(upwards) < _MIN_POSES:
         return
     lean_deg = float(np.median(np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))))
-    evidence = {"lean_deg": lean_deg, "num_people": len(upwards)}
-    if lean_deg > 180.0 - MAX_LEAN_DEG:
-        message = "Heads are below feet: the calibration's Z axis points down."
-        yield Finding(UPSIDE_DOWN, message, None, "error", "Turn the calibration: Z must point up.", evidence)
-    elif lean_deg > MAX_LEAN_DEG:
-        message = f"People lean {lean_deg:.0f} degrees: the calibration's up axis may not be Z."
-        yield Finding(NOT_UPRIGHT, message, None, "error", "Check that the calibration's up axis is Z.", evidence)
+    if (fault := lean_fault(lean_deg, cameras)) is not None:
+        severity: Severity = "error" if fault.is_agreed else "warning"
+        evidence = {"lean_deg": lean_deg, "num_people": len(upwards)}
+        yield Finding(fault.code, fault.message, None, severity, fault.hint, evidence)
 
 
 def _check_stature(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
@@ -101,7 +98,8 @@ def _check_stature(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
     if np.isfinite(stature_m) and not lowest_m <= stature_m <= highest_m:
         message = f"People are {stature_m:.3g} m tall: the unit of the calibration may not be the metre."
         evidence = {"stature_m": stature_m, "num_people": poses.num_frames}
-        yield Finding(STATURE_OUT_OF_RANGE, message, None, "error", hint_of_unit(stature_m), evidence)
+        severity: Severity = "warning" if _POSSIBLE_M[0] <= stature_m <= _POSSIBLE_M[1] else "error"
+        yield Finding(STATURE_OUT_OF_RANGE, message, None, severity, hint_of_unit(stature_m), evidence)
 
 
 def _check_sides(poses: Track3D, joints: JointSet) -> Iterator[Finding]:

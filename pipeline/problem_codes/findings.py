@@ -209,7 +209,7 @@ WORLD_UNIT = FINDINGS.code(
 NO_COMMON_VIEW = FINDINGS.code(
     "no_common_view",
     _FINDING,
-    "No other camera sees any place that the camera sees.",
+    "No other camera sees any place that the camera sees; an error if that holds for all cameras.",
     "Check the pose of the camera, or turn it to the view of the others.",
 )
 FOCAL_LENGTH = FINDINGS.code(

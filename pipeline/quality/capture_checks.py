@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from pipeline.data.cameras import Refinement, Synchronization
 from pipeline.data.detections import DamagedVideo
 from pipeline.data.reconstruction import Reconstruction
-from pipeline.findings import SessionCheck
+from pipeline.findings import Finding, SessionCheck
 from pipeline.problem_codes.warnings import (
     APPROXIMATE_ASSOCIATION,
     CALIBRATION_REFINED,
@@ -39,6 +39,8 @@ _SHOWN_TIMES = 5
 # A single doubled picture does no harm.
 _MAX_DOUBLED = 0.01
 _NOBODY = "nobody_found"
+# Findings that explain an empty result, and are no errors: places may be empty.
+_OF_NOBODY = frozenset({"nobody_detected", "no_common_people"})
 # Findings that a message quotes.
 _MAX_REASONS = 3
 
@@ -123,7 +125,7 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
         yield EVERYBODY_REMOVED, "The edits leave nobody of the people who were found. Undo an edit to get them back."
         return
     check = take.check
-    errors = [finding for finding in check.findings if finding.severity == "error"]
+    errors = list(_reasons(check))
     reason = (
         "Check that the calibration belongs to these videos, that the videos are synchronised, and that at least two "
         "cameras see the same person."
@@ -137,9 +139,14 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
     yield NOBODY_FOUND, f"Nobody was found. {reason}"
 
 
+def _reasons(check: SessionCheck) -> Iterator[Finding]:
+    """Findings that explain why nobody was found."""
+    return (finding for finding in check.findings if finding.severity == "error" or finding.code in _OF_NOBODY)
+
+
 def _why_nobody(check: SessionCheck) -> dict[str, Any]:
     """Reason why nobody was found, and the people who were detected at some instants."""
-    errors = [finding.code for finding in check.findings if finding.severity == "error"]
+    errors = [finding.code for finding in _reasons(check)]
     not_matched = "not_matched" if any(check.people.values()) else "unknown"
     return {
         "reason": errors[0] if errors else not_matched,

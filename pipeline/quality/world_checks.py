@@ -5,17 +5,20 @@ world, or a camera that was moved after it was calibrated.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.calibration.vertical import cameras_lean_deg
 from pipeline.data.animation import Floor
 from pipeline.data.cameras import Camera
 from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
+from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.warnings import (
     CAMERA_BELOW_FLOOR,
     CAMERA_DISAGREES,
@@ -101,7 +104,7 @@ def world_checks(
     floor = reconstruction.animation.floor
     floor_m = _floor_m(tracks, joints, floor)
     checks = (
-        _check_upright(tracks, joints),
+        _check_upright(reconstruction.cameras, tracks, joints),
         _check_floor(floor, floor_m),
         _check_statures(statures_m),
         _check_cameras(reconstruction.cameras, floor_m),
@@ -116,18 +119,49 @@ def world_checks(
     ]
 
 
-def _check_upright(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
+@dataclass(frozen=True, slots=True)
+class LeanFault:
+    """Reason why people are not upright in the world."""
+
+    code: Code
+    message: str
+    hint: str
+    is_agreed: bool  # Whether the cameras are tilted as the people are, so that the world must be
+
+
+def lean_fault(lean_deg: float, cameras: Sequence[Camera], when: str = "") -> LeanFault | None:
+    """Judge the angle of people from Z by that of the cameras; ``None`` if people are upright.
+
+    Most cameras stand upright, while people also lie, crawl and stand on their hands. ``when`` says in a sentence at
+    which instants people lean.
+    """
+    if lean_deg <= MAX_LEAN_DEG:
+        return None
+    cameras_deg = cameras_lean_deg(cameras)
+    is_down, is_camera_upright = lean_deg > 180.0 - MAX_LEAN_DEG, cameras_deg is not None and cameras_deg < MAX_LEAN_DEG
+    is_agreed = not is_camera_upright and cameras_deg is not None and abs(cameras_deg - lean_deg) < MAX_LEAN_DEG
+    if is_camera_upright:
+        pose = "are upside down" if is_down else "lie or crawl"
+        message = (
+            f"People lean {lean_deg:.0f} degrees{when}, and the cameras are upright: people {pose}, or the "
+            "calibration's up axis is not Z."
+        )
+        return LeanFault(NOT_UPRIGHT, message, "If people stand, check that the calibration's up axis is Z.", is_agreed)
+    if is_down:
+        message = "Heads are below feet: the calibration's Z axis points down."
+        return LeanFault(UPSIDE_DOWN, message, "Turn the calibration: Z must point up.", is_agreed)
+    message = f"People lean {lean_deg:.0f} degrees{when}: the calibration's up axis may not be Z."
+    return LeanFault(NOT_UPRIGHT, message, "Check that the calibration's up axis is Z.", is_agreed)
+
+
+def _check_upright(cameras: Sequence[Camera], tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
     upwards = np.concatenate([np.zeros((0, 3)), *(feet_to_head_m(track, joints) for track in tracks)])
     upwards = upwards[np.isfinite(upwards).all(-1)]
     if len(upwards) == 0:
         return
     lean_deg = float(np.median(np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))))
-    if lean_deg > 180.0 - MAX_LEAN_DEG:
-        message = "Heads are below feet: the calibration's Z axis points down."
-        yield UPSIDE_DOWN, message, None, lean_deg, "Turn the calibration: Z must point up."
-    elif lean_deg > MAX_LEAN_DEG:
-        message = f"People lean {lean_deg:.0f} degrees in most frames: the calibration's up axis may not be Z."
-        yield NOT_UPRIGHT, message, None, lean_deg, "Check that the calibration's up axis is Z."
+    if (fault := lean_fault(lean_deg, cameras, " in most frames")) is not None:
+        yield fault.code, fault.message, None, lean_deg, fault.hint
 
 
 def _check_floor(floor: Floor | None, floor_m: float) -> Iterator[_Found]:

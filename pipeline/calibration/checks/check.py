@@ -9,17 +9,17 @@ from pipeline.calibration.checks.lenses import check_lens, growing_radius
 from pipeline.calibration.checks.places import check_places
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.cameras import Camera
-from pipeline.findings import Finding
+from pipeline.findings import Finding, Severity
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.problem_codes.findings import NO_COMMON_VIEW
 from pipeline.problem_codes.warnings import TOO_FEW_CAMERAS
 
 MIN_CAMERAS = 2
-# Places in the view of a camera: a grid on the picture, and distances at which people are, up to three times the
-# extent of the rig.
+# Places in the view of a camera: a grid on the picture, and distances at which people are, up to thirty times the
+# extent of the rig: cameras with long lenses side by side share a view far away only.
 _GRID = (9, 7)
-_NEAREST_M, _FARTHEST_M, _FARTHEST = 0.5, 10.0, 3.0
+_NEAREST_M, _FARTHEST_M, _FARTHEST = 0.5, 10.0, 30.0
 _NUM_DISTANCES = 100
 
 
@@ -60,25 +60,27 @@ def check_views(cameras: Sequence[Camera]) -> list[Finding]:
     """
     centers_m = np.array([center_in_world(camera) for camera in cameras])
     apart_m = np.linalg.norm(centers_m[:, None] - centers_m[None], axis=-1)
-    findings = []
+    alone = []
     for number, camera in enumerate(cameras):
         places_m = _places_m(camera, float(apart_m.max()))
         # Neighbours first: they share most.
         others = [other for other in np.argsort(apart_m[number], kind="stable") if other != number]
         if others and not any(sees(cameras[other], places_m).any() for other in others):
-            message = "No other camera sees any place that the camera sees: people there can't be located."
-            hint = "Check the camera's pose and the axes of the calibration, or turn the camera to the others' view."
-            findings.append(Finding(NO_COMMON_VIEW, message, camera.name, "error", hint))
-    return findings
+            alone.append(camera.name)
+    message = "No other camera sees any place that the camera sees: people there can't be located."
+    hint = "Check the camera's pose and the axes of the calibration, or turn the camera to the others' view."
+    # Without this camera the others can do.
+    severity: Severity = "error" if len(alone) == len(cameras) else "warning"
+    return [Finding(NO_COMMON_VIEW, message, name, severity, hint) for name in alone]
 
 
 def _places_m(camera: Camera, extent_m: float) -> Float[np.ndarray, "places 3"]:
-    """Places that a camera sees, from half a metre to three times the extent of the rig away."""
+    """Places that a camera sees, from half a metre to thirty times the extent of the rig away."""
     columns, rows = (np.linspace(0.0, side - 1.0, count) for side, count in zip(camera.size_px, _GRID, strict=True))
     grid_px = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     ideal_px = undistort_px(camera, grid_px)
     rays = rays_in_world(camera, ideal_px[np.isfinite(ideal_px).all(-1)])
-    distance_m = np.linspace(_NEAREST_M, max(_FARTHEST_M, _FARTHEST * extent_m), _NUM_DISTANCES)
+    distance_m = np.geomspace(_NEAREST_M, max(_FARTHEST_M, _FARTHEST * extent_m), _NUM_DISTANCES)
     places_m = (center_in_world(camera) + distance_m[:, None, None] * rays).reshape(-1, 3)
     return places_m[sees(camera, places_m)]
 

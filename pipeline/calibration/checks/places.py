@@ -6,24 +6,24 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.contents import UNITS_M
-from pipeline.calibration.vertical import AXES, nearest_axis, up_of_cameras
+from pipeline.calibration.vertical import AXES, cameras_lean_deg, nearest_axis, up_of_cameras
 from pipeline.data.cameras import Camera
-from pipeline.findings import Finding
+from pipeline.findings import Finding, Severity
 from pipeline.geometry.camera import center_in_world
 from pipeline.problem_codes.findings import SAME_PLACE, WORLD_UNIT
 from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
 from pipeline.problem_codes.warnings import CAMERA_BELOW_FLOOR, NOT_UPRIGHT, UPSIDE_DOWN
 
-# Distance in metres of the cameras that are farthest apart, in rigs for people.
+# Distance in metres of the cameras that are farthest apart, in rigs for people, and in any rig that sees people.
 _EXTENT_RANGE_M = (0.05, 300.0)
+_POSSIBLE_EXTENT_M = (0.01, 1000.0)
 # Extent of a usual rig, by which a unit is guessed.
 _USUAL_EXTENT_M = 6.0
 _SAME_PLACE_M, _SAME_TURN_DEG = 0.01, 1.0
 # Depth below z = 0 at which a camera must be below the floor.
 _MAX_DEPTH_M = 0.15
-# Least length of the mean of the cameras' up directions, and largest angle from Z, at which Z counts as up. Cameras
-# that look straight down, or are turned by a quarter, have up directions that cancel out.
-_MIN_MEAN_UP, _MAX_ANGLE_DEG = 0.6, 45.0
+# Largest angle of the cameras' up direction from Z at which Z counts as up.
+_MAX_ANGLE_DEG = 45.0
 _TURN = "Z must point up: turn the file by `multicap calibration convert FILE TARGET --up={}`."
 
 
@@ -77,7 +77,9 @@ def _unit(extent_m: float) -> Iterator[Finding]:
     if lowest_m <= extent_m <= highest_m:
         return
     message = f"The cameras are up to {extent_m:,.3g} m apart: the unit of the calibration may not be the metre."
-    yield Finding(WORLD_UNIT, message, None, "error", _hint_of_unit(extent_m), {"extent_m": extent_m})
+    is_possible = _POSSIBLE_EXTENT_M[0] <= extent_m <= _POSSIBLE_EXTENT_M[1]
+    severity: Severity = "warning" if is_possible else "error"
+    yield Finding(WORLD_UNIT, message, None, severity, _hint_of_unit(extent_m), {"extent_m": extent_m})
 
 
 def _hint_of_unit(extent_m: float) -> str:
@@ -95,11 +97,9 @@ def _hint_of_unit(extent_m: float) -> str:
 
 def _up_axis(cameras: Sequence[Camera]) -> Iterator[Finding]:
     """Compare the mean of the cameras' up directions with Z: most cameras stand upright."""
-    up = up_of_cameras(cameras)
-    length = float(np.linalg.norm(up))
-    if length < _MIN_MEAN_UP:
+    up, angle_deg = up_of_cameras(cameras), cameras_lean_deg(cameras)
+    if angle_deg is None:
         return
-    angle_deg = float(np.degrees(np.arccos(np.clip(up[2] / length, -1.0, 1.0))))
     if angle_deg > 180.0 - _MAX_ANGLE_DEG:
         message = "The cameras are upside down: the calibration's Z axis points down."
         yield Finding(
@@ -107,7 +107,7 @@ def _up_axis(cameras: Sequence[Camera]) -> Iterator[Finding]:
         )
     elif angle_deg > _MAX_ANGLE_DEG:
         axis = nearest_axis(up)
-        near_deg = float(np.degrees(np.arccos(np.clip(AXES[axis] @ up / length, -1.0, 1.0))))
+        near_deg = float(np.degrees(np.arccos(np.clip(AXES[axis] @ up / np.linalg.norm(up), -1.0, 1.0))))
         message = (
             f"The cameras' up direction is {angle_deg:.0f} degrees from Z and {near_deg:.0f} degrees from "
             f"{axis.upper()}: the calibration's up axis may be {axis.upper()}."

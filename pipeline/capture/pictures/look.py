@@ -18,7 +18,7 @@ from pipeline.capture.pictures.copies import MIN_INSTANTS, same_video, similar_v
 from pipeline.capture.pictures.figures import PictureFigures, figures_of, reduced
 from pipeline.capture.session import CaptureSession
 from pipeline.errors import ChildError, InputError
-from pipeline.findings import Finding, from_problem
+from pipeline.findings import Finding, Severity, from_problem
 from pipeline.problem_codes.findings import PICTURES_LEFT_OUT
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
@@ -117,7 +117,10 @@ def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: fl
         # The decoder was stopped, or had no time to start.
         is_left_out = time.monotonic() >= deadline_s
         listed = () if is_left_out else error.problems
-        problems += [from_problem(replace(problem, camera=camera)) for problem in listed]
+        # Detection allows for some damaged frames, which these may be.
+        severity: Severity = "warning" if figures else "error"
+        found = (from_problem(replace(problem, camera=camera)) for problem in listed)
+        problems += [replace(finding, severity=severity) for finding in found]
     except ChildError:
         # The decoder was ended from outside, such as for lack of memory: no reason to refuse the session.
         is_left_out = True

@@ -1,4 +1,6 @@
 from pipeline.findings import Finding
+from pipeline.problem_codes.findings import DISTORTION_FOLDS
+from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
 from pipeline.problem_codes.warnings import CAMERA_BELOW_FLOOR
 from pipeline.quality.findings import join_findings, people_findings
 from pipeline.quality.report import quality_report
@@ -23,6 +25,17 @@ def test_people_decide_where_the_floor_is() -> None:
     found = people_findings(quality_report(reconstruction(track_of(walker(60)))))
     assert found == []
     assert join_findings([DOUBT], found) == []
+
+
+def test_people_outweigh_errors_of_cameras_alone_but_for_those_with_which_nobody_is_located() -> None:
+    folds = Finding(DISTORTION_FOLDS, "The distortion folds the picture.", "a", "error")
+    unposed = Finding(CALIBRATION_UNPOSED, "All cameras have the same pose.", None, "error")
+    joined = join_findings([folds, unposed], [])
+    assert [(one.code, one.severity) for one in joined] == [
+        ("distortion_folds", "warning"),
+        ("calibration_unposed", "error"),
+    ]
+    assert join_findings([folds], people_findings(quality_report(reconstruction())))[0] == folds
 
 
 def test_nobody_decides_nothing() -> None:

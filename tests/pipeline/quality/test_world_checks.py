@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.data.cameras import Camera
+from pipeline.data.rigid import Rigid3
 from pipeline.joints import COCO_17
 from pipeline.quality.epipolar_distances import CameraPairs, Pairs, median_distances_m
 from pipeline.quality.report import estimate_stature_m
@@ -27,11 +30,22 @@ WALK_M = walker(60)
         ((1.0, 1.0, 1.0), 0.4, ["floor_not_at_zero"]),
         ((0.1, 0.1, 0.1), 0.0, ["stature_out_of_range"]),
         ((1000.0, 1000.0, 1000.0), 0.0, ["floor_not_at_zero", "stature_out_of_range", "camera_below_floor"]),
-        ((1.0, -1.0, -1.0), 1.75, ["upside_down", "floor_not_at_zero"]),
+        # The cameras stay upright: people may stand on their hands.
+        ((1.0, -1.0, -1.0), 1.75, ["not_upright", "floor_not_at_zero"]),
     ],
 )
 def test_each_kind_of_wrong_world_is_named(scale: tuple[float, ...], shift_m: float, expected: list[str]) -> None:
     assert codes(WALK_M * scale + np.array([0.0, 0.0, shift_m])) == expected
+
+
+def test_a_world_is_upside_down_if_people_and_cameras_are() -> None:
+    turn = np.diag([1.0, -1.0, -1.0])
+    turned = [camera.cam_from_world for camera in CAMERAS]
+    cameras = tuple(
+        replace(camera, cam_from_world=Rigid3(pose.rotation @ turn, pose.translation_m))
+        for camera, pose in zip(CAMERAS, turned, strict=True)
+    )
+    assert "upside_down" in codes(WALK_M @ turn, cameras)
 
 
 def test_people_along_another_axis_are_not_upright() -> None:

@@ -115,8 +115,9 @@ def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
     answer = CliRunner().invoke(app, [*words, "--calibration", str(rig), "--thumbnails", str(thumbnails), "--json"])
     findings = json.loads(answer.stdout)["findings"]
     dark = next(one for one in findings if one["code"] == "picture_dark")
-    assert (answer.exit_code, dark["camera"]) == (2, "right")
-    assert [one["code"] for one in findings if one["severity"] == "error"] == ["nobody_detected"]
+    assert (answer.exit_code, dark["camera"]) == (0, "right")
+    # A place may be empty.
+    assert [one["severity"] for one in findings if one["code"] == "nobody_detected"] == ["warning"]
     shown = {path.name: np.asarray(cv2.imread(str(path))).mean() for path in thumbnails.iterdir()}
     assert set(shown) == {f"{name}-{number}.jpg" for name in ("left", "right") for number in range(NUM_PICTURES)}
     assert all(

@@ -22,7 +22,7 @@ def test_an_encoded_copy_is_found_and_named() -> None:
     assert similar_views(cameras) == [(0, 2)]
     finding = same_video(FIRST, copy, FIRST.figures, copy.figures)
     assert finding is not None
-    assert (finding.code, finding.camera, finding.severity) == ("same_video", "cam_2", "error")
+    assert (finding.code, finding.camera, finding.severity) == ("same_video", "cam_2", "warning")
     assert finding.evidence["other_camera"] == "cam_0"
     assert finding.evidence["similarity"] > 0.9
     assert finding.evidence["pictures"] == [2]
