@@ -90,9 +90,9 @@ def read_camera(name: str, fields: Mapping[str, Any], reading: Reading) -> RawCa
         name=name,
         size_px=_size(fields),
         matrix=matrix,
-        distortion=[] if distortion is None else _flat(distortion),
+        distortion=[] if distortion is None else flat(distortion),
         rotation=cam_from_world,
-        translation_m=_flat(translation),
+        translation_m=flat(translation),
         lens="fisheye" if _is_fisheye(fields) else "standard",
     )
 
@@ -116,10 +116,10 @@ def _size(fields: Mapping[str, Any]) -> Any:
     if width is not None and height is not None:
         return [width, height]
     size = _first(fields, _SIZE)
-    return UNKNOWN_SIZE if size is None else _flat(size)
+    return UNKNOWN_SIZE if size is None else flat(size)
 
 
-def _flat(value: Any) -> Any:
+def flat(value: Any) -> Any:
     """Flatten a row or a column of numbers; other values are left to the checks."""
     if isinstance(value, list) and len(value) == 1 and isinstance(value[0], list):
         return value[0]

@@ -11,6 +11,7 @@ from itertools import islice
 from typing import Any
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.readers.fields import flat
 from pipeline.calibration.readers.rotations import read_rotation
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
@@ -95,9 +96,9 @@ def _raw(default_name: str, title: str, section: Mapping[str, Any], reading: Rea
         name=name,
         size_px=values.get("size"),
         matrix=values.get("matrix"),
-        distortion=values.get("distortions", []),
+        distortion=flat(values.get("distortions", [])),
         rotation=read_rotation(values.get("rotation"), str(name), reading),
-        translation_m=values.get("translation"),
+        translation_m=flat(values.get("translation")),
         section=title,
         lens="fisheye" if values.get("fisheye") is True else "standard",
     )

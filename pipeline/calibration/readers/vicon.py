@@ -26,8 +26,11 @@ _ASPECT = Quantity(0.01, 100, "")
 _RADIAL = Quantity(-1e-4, 1e-4, "")
 _MODEL = "Vicon3Parameter"
 _NUM_SAMPLES = 25
-_MAX_RESIDUAL_PX = 0.5
-_MAX_SHARE = 0.5
+# Largest distance of a point by OpenCV's coefficients from its place, by their number. Wide lenses of Vue cameras show
+# their corners at 0.6 of the ideal radius; five coefficients are off by 13 pixels there, eight by a twentieth of one.
+_MAX_RESIDUAL_PX = {5: 0.05, 8: 0.5}
+_MIN_GROWTH = 0.05
+_FAR_PX = 1e6
 
 
 def read(content: bytes, file: str) -> CameraFile:
@@ -42,7 +45,7 @@ def read(content: bytes, file: str) -> CameraFile:
 
 
 def _films_video(element: Any) -> bool:
-    return "video" in element.get("TYPE", "").lower()
+    return element.get("SYSTEM") == "DV" or "video" in element.get("TYPE", "").lower()
 
 
 def _raw(element: Any, reading: Reading) -> RawCamera:
@@ -109,31 +112,48 @@ def _lens(frame: Any, principal_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _fitted(centre_px: np.ndarray, radial: np.ndarray, size_px: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
-    """OpenCV's k1, k2, p1, p2, k3 by least squares over the picture; ``None`` if they are off by over half a pixel."""
+    """OpenCV's coefficients by least squares over the picture; ``None`` if they are off by over half a pixel.
+
+    They are k1, k2, p1, p2, k3, and for wide lenses also k4, k5, k6.
+    """
     if not radial.any():
         return np.zeros(5)
     seen_px = np.stack(np.meshgrid(*(np.linspace(0, side - 1, _NUM_SAMPLES) for side in size_px)), -1).reshape(-1, 2)
     offset_px = seen_px - centre_px
-    r2 = (offset_px**2).sum(-1, keepdims=True)
-    growth = r2 * (radial[0] + r2 * (radial[1] + r2 * radial[2]))
-    # A picture that folds back on itself is no lens.
-    if np.abs(growth).max() > _MAX_SHARE:
+    # Growth of the radius; in a picture that folds back on itself it is negative somewhere.
+    r2 = np.linspace(0.0, (offset_px**2).sum(-1).max(), _NUM_SAMPLES)
+    if (1 + r2 * (3 * radial[0] + r2 * (5 * radial[1] + r2 * 7 * radial[2])) <= _MIN_GROWTH).any():
         return None
+    r2 = (offset_px**2).sum(-1, keepdims=True)
+    ideal_px = seen_px + offset_px * r2 * (radial[0] + r2 * (radial[1] + r2 * radial[2]))
     focal_px, principal_px = matrix.diagonal()[:2], matrix[:2, 2]
-    x, y = ((seen_px + offset_px * growth - principal_px) / focal_px).T
-    displacement = -offset_px * growth / focal_px
+    x, y = ((ideal_px - principal_px) / focal_px).T
+
+    def residuals_px(coefficients: np.ndarray) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            seen = _distorted(x, y, coefficients)
+        return np.nan_to_num((seen * focal_px + principal_px - seen_px).ravel(), nan=_FAR_PX, posinf=_FAR_PX)
+
+    for num_coefficients in (5, 8):
+        # Imported here: most calibrations need no SciPy.
+        from scipy.optimize import least_squares  # noqa: PLC0415
+
+        fit = least_squares(residuals_px, np.zeros(num_coefficients), method="lm")
+        error_px = np.linalg.norm(residuals_px(fit.x).reshape(-1, 2), axis=-1).max()
+        if error_px <= _MAX_RESIDUAL_PX[num_coefficients]:
+            return np.asarray(fit.x)
+    return None
+
+
+def _distorted(x: np.ndarray, y: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Points of the image plane where OpenCV's lens shows ideal ones."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = np.append(coefficients, np.zeros(8 - len(coefficients)))
     r2 = x * x + y * y
-    columns = np.stack(
+    growth = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    return np.stack(
         [
-            np.concatenate([x * r2, y * r2]),
-            np.concatenate([x * r2**2, y * r2**2]),
-            np.concatenate([2 * x * y, r2 + 2 * y * y]),
-            np.concatenate([r2 + 2 * x * x, 2 * x * y]),
-            np.concatenate([x * r2**3, y * r2**3]),
+            x * growth + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * growth + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         ],
         axis=-1,
     )
-    target = np.concatenate([displacement[:, 0], displacement[:, 1]])
-    coefficients = np.linalg.lstsq(columns, target, rcond=None)[0]
-    residual_px = np.abs(columns @ coefficients - target).max() * focal_px.max()
-    return coefficients if residual_px <= _MAX_RESIDUAL_PX else None

@@ -1,5 +1,6 @@
 """TOML of Caliscope, anipose, Pose2Sim and FreeMoCap, as each program writes it."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,6 +40,14 @@ def test_anipose(tmp_path: Path) -> None:
     contents = read_contents(path, "mm")
     assert (contents.format, contents.unit) == ("TOML", None)
     assert_rig(contents)
+
+
+def test_vectors_as_columns_and_rows(tmp_path: Path) -> None:
+    """Versions of Pose2Sim wrote columns."""
+    path = write(tmp_path / "calibration.toml", 1.0, "adjusted = false")
+    text = re.sub(r"(rotation|translation) = \[(.*), (.*), (.*)\]", r"\1 = [[\2], [\3], [\4]]", path.read_text())
+    path.write_text(re.sub(r"distortions = (.*)", r"distortions = [\1]", text))
+    assert_rig(read_contents(path, "m"))
 
 
 def test_anipose_in_millimetres_is_asked_for_its_unit(tmp_path: Path) -> None:

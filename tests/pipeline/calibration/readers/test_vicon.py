@@ -10,16 +10,19 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.registry import read_contents
 from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, project
+from pipeline.geometry.undistortion import undistort_px
 from tests.pipeline.calibration.readers.rigs import POINTS_M, RIG, problems_of
 
 RADIAL = (2.4e-8, -1.7e-15, 3e-22)
+# A lens that shows the corners of the picture at 0.6 of the ideal radius.
+WIDE = (2.6e-7, 4.1e-14, 8.9e-20)
 
 
-def element(one: Camera, lens: str, kind: str = "FLIR.Video") -> str:
+def element(one: Camera, lens: str, kind: str = "FLIR.Video", system: str = "MX") -> str:
     quaternion = Rotation.from_matrix(one.cam_from_world.rotation).as_quat().tolist()
     centre_mm = (1000.0 * center_in_world(one)).tolist()
     return f"""<Camera DEVICEID="{one.name}" DISPLAY_TYPE="Vue" NAME="Vue {one.name}" PIXEL_ASPECT_RATIO="{1450 / 1460}"
- SENSOR_SIZE="1920 1080" SKEW="0" TYPE="{kind}" USERID="1">
+ SENSOR_SIZE="1920 1080" SKEW="0" SYSTEM="{system}" TYPE="{kind}" USERID="1">
 <ThresholdGrid BIT_DEPTH="1"/><ControlFrames/>
 <KeyFrames><KeyFrame FOCAL_LENGTH="1450" FRAME="0" IMAGE_ERROR="0.2" ORIENTATION="{" ".join(map(repr, quaternion))}"
  POSITION="{" ".join(map(repr, centre_mm))}" PRINCIPAL_POINT="951.5 548.25" {lens} WORLD_ERROR="0.3"/>
@@ -69,6 +72,25 @@ def test_points_are_seen_where_vicon_sees_them(
         assert np.abs(project(contents.cameras[1], POINTS_M) - ideal_px).max() > 0.4
 
 
+def test_a_wide_lens_in_the_whole_picture(tmp_path: Path) -> None:
+    lens = f'VICON_RADIAL2="Vicon3Parameter 951.5 548.25 {WIDE[0]} {WIDE[1]} {WIDE[2]}"'
+    square = [element(one, lens).replace(str(1450 / 1460), "1") for one in RIG]
+    contents = read_contents(write(tmp_path / "session.xcp", *square))
+    seen_px = np.stack(np.meshgrid(np.linspace(0, 1919, 49), np.linspace(0, 1079, 31)), -1).reshape(-1, 2)
+    for camera in contents.cameras:
+        assert len(camera.distortion) == 8
+        ideal_px = ideal_from_seen(seen_px, np.array([951.5, 548.25]), WIDE)
+        assert np.abs(ideal_px - seen_px).max() > 400
+        np.testing.assert_allclose(undistort_px(camera, seen_px), ideal_px, atol=0.6)
+
+
+def test_video_cameras_of_other_makers(tmp_path: Path) -> None:
+    video, marker = element(RIG[0], "", "Blackfly", "DV"), element(RIG[1], "", "Vantage16V")
+    contents = read_contents(write(tmp_path / "session.xcp", video, marker))
+    assert [camera.name for camera in contents.cameras] == ["left"]
+    assert "camera right is left out: markers, no video" in contents.notes[0]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "problems"),
     [
@@ -77,7 +99,7 @@ def test_points_are_seen_where_vicon_sees_them(
         ('PRINCIPAL_POINT="951.5 548.25"', 'PRINCIPAL_POINT="951.5"', [("invalid_number", "left")]),
         ('SENSOR_SIZE="1920 1080"', 'SENSOR_SIZE="nan 1080"', [("invalid_number", "left")]),
         ('VICON_RADIAL="0 0"', 'VICON_RADIAL="1 0"', [("unsupported_lens", "left")]),
-        ('VICON_RADIAL="0 0"', 'VICON_RADIAL="5e-7 0"', [("unsupported_lens", "left")]),
+        ('VICON_RADIAL="0 0"', 'VICON_RADIAL="-5e-7 0"', [("unsupported_lens", "left")]),
         ('VICON_RADIAL="0 0"', 'VICON_RADIAL2="Fisheye 1 2 3"', [("unsupported_lens", "left")]),
     ],
 )
