@@ -197,4 +197,4 @@ def test_the_page_is_small(live: Live) -> None:
     assert sum(sizes.values()) <= 1_000_000
     # The views before the viewer, which is loaded when it is opened.
     first = [name for name in sizes if not name.startswith(("vendor/three", "vendor/uPlot", "viewer/"))]
-    assert sum(sizes[name] for name in first) <= 125_000
+    assert sum(sizes[name] for name in first) <= 128_000

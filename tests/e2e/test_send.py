@@ -222,3 +222,45 @@ def test_keypoints_without_timestamps_need_a_frame_rate(page: Page, served: Serv
     assert answer.value.json()["preflight"]["timebase"]["frame_rate_hz"] == 25
     assert served.client.get(session["links"]["self"]).status_code == 404
     page.get_by_role("button", name="Discard the capture").click()
+
+
+def write_takes(folder: Path, videos: dict[str, Path]) -> Path:
+    """Folder with the takes "run" (which lacks a video), "take 9" and "take 10", and the calibration of all."""
+    for take in ("take 10", "take 9", "run"):
+        (folder / take).mkdir(parents=True)
+        for name in ("left.mp4", "right.mp4"):
+            (folder / take / name).write_bytes(videos[name].read_bytes())
+    (folder / "run" / "right.mp4").unlink()
+    (folder / "calibration.json").write_bytes(videos["calibration.json"].read_bytes())
+    return folder
+
+
+def test_a_folder_of_takes_is_sent_take_by_take(
+    page: Page, served: Served, videos: dict[str, Path], tmp_path: Path
+) -> None:
+    folder = write_takes(tmp_path / "day", videos)
+    page.get_by_label("Choose a folder").set_input_files(folder)
+    page.get_by_role("button", name="They are 3 takes").click(timeout=180_000)
+    page.get_by_role("button", name="Send and reconstruct 3 takes").click(timeout=180_000)
+    takes = page.get_by_role("list", name="Takes").get_by_role("listitem")
+    run, ninth, tenth = (takes.filter(has_text=name) for name in ("run", "take 9", "take 10"))
+    expect(run).to_contain_text("Add the videos of at least 2 cameras.", timeout=180_000)
+    for row in (ninth, tenth):
+        expect(row.locator(".state")).to_have_text("sent", timeout=180_000)
+    expect(page.get_by_role("heading", name="3 takes, 2 sent")).to_be_visible()
+    jobs = [row.get_by_role("link").get_attribute("href") for row in (ninth, tenth)]
+    assert len({*jobs}) == 2
+
+    # The folder is chosen again after a reload: nothing is sent twice, and the take that was mended is sent alone.
+    page.reload()
+    (folder / "run" / "right.mp4").write_bytes(videos["right.mp4"].read_bytes())
+    page.get_by_label("Choose a folder").set_input_files(folder)
+    page.get_by_role("button", name="They are 3 takes").click(timeout=180_000)
+    expect(ninth.locator(".state")).to_have_text("sent before", timeout=180_000)
+    assert [row.get_by_role("link").get_attribute("href") for row in (ninth, tenth)] == jobs
+    send(page).click(timeout=180_000)
+    expect(run.locator(".state")).to_have_text("sent", timeout=180_000)
+    expect(page.get_by_role("heading", name="3 takes, 3 sent")).to_be_visible()
+    for row in (run, ninth, tenth):
+        link = row.get_by_role("link").get_attribute("href") or ""
+        assert served.wait_for_end(link.removeprefix("#/jobs/"))["state"] == "succeeded"

@@ -28,7 +28,7 @@ function specOf({ source, title, board, stature, units, session }) {
 function fileForm(spec, file) {
   const form = new FormData();
   form.append("spec", jsonPart(spec));
-  form.append("calibration", file);
+  form.append("calibration", file, file.name);
   return form;
 }
 

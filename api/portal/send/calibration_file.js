@@ -47,7 +47,7 @@ export async function storedCalibration(file, units) {
   if (earlier?.state === "ready") return earlier;
   const form = new FormData();
   form.append("spec", jsonPart({ method: "file", name: stem(file.name), units }));
-  form.append("calibration", file);
+  form.append("calibration", file, file.name); // a file of a chosen folder would have its path as its name
   const calibration = await call("/v1/calibrations", { method: "POST", form });
   remember(name, calibration.id);
   return calibration;

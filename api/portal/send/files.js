@@ -1,5 +1,7 @@
 // Files of a capture: what they are, by their names.
 
+import { RequestProblem } from "../shared/api.js";
+
 const KINDS = {
   video: ["mp4", "mov", "m4v", "mkv", "webm", "avi", "ts", "mts", "m2ts", "mpg", "mpeg"],
   timestamps: ["csv"],
@@ -8,7 +10,7 @@ const KINDS = {
 const IMAGES = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "webp"];
 const KEYPOINTS = ["json", "csv", "npy", "h5", "hdf5"];
 const LABELS = /\d\.txt$/i; // YOLO's; the texts of calibrations have no numbers at the ends of their names
-const MOST_FILES = 1000; // of a dropped folder
+const MOST_FILES = 20_000; // of dropped folders
 // The directory of a zip is at its end; its first entries are enough to tell what the zip has.
 const TAIL_BYTES = 1 << 16;
 const ENTRY = "PK\u0001\u0002";
@@ -64,11 +66,14 @@ export async function droppedFiles(transfer) {
   if (entries.length === 0) return [...transfer.files];
   const files = [];
   for (const entry of entries) await walk(entry, files);
+  if (files.length > MOST_FILES) {
+    throw new RequestProblem({ detail: `The folders have more than ${MOST_FILES} files.`, hint: "Drop fewer takes at a time. Put the images or keypoints of a camera into a zip." }, 413);
+  }
   return files;
 }
 
 async function walk(entry, files) {
-  if (files.length >= MOST_FILES || (entry.name.startsWith(".") && !isPassedOver(entry.name))) return;
+  if (files.length > MOST_FILES || (entry.name.startsWith(".") && !isPassedOver(entry.name))) return;
   if (entry.isFile) {
     const file = await new Promise((resolve, reject) => entry.file(resolve, reject));
     paths.set(file, entry.fullPath.replace(/^\//, ""));

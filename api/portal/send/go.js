@@ -25,15 +25,15 @@ function progressPart(sending) {
   return html`<div class="upload"><progress max="1" .value=${sending.fraction} aria-label="Upload"></progress><p class="quiet" role="status">${text}</p></div>`;
 }
 
-function buttons({ sending, send, failed, change }) {
+function buttons({ sending, numTakes, send, failed, change }) {
   if (sending.phase === "checked") {
     return html`<button type="button" class="button primary" @click=${() => sending.start()}>Reconstruct</button>
       <button type="button" class="button" title="The files are sent again." @click=${() => sending.reopen().then(change, failed)}>Change the files</button>
       <button type="button" class="button" @click=${() => sending.discardSession().catch(failed)}>Discard the capture</button>`;
   }
   if (sending.phase === "paused") return html`<button type="submit" class="button primary">Go on</button>`;
-  return html`<button type="submit" class="button primary" aria-disabled=${sending.isBusy ? "true" : nothing}>Send and reconstruct</button>
-    ${["waiting", "sending"].includes(sending.phase) ? html`<button type="button" class="button" @click=${() => sending.pause()}>Pause</button>`
+  return html`<button type="submit" class="button primary" aria-disabled=${sending.isBusy ? "true" : nothing}>${numTakes > 1 ? `Send and reconstruct ${numTakes} takes` : "Send and reconstruct"}</button>
+    ${["waiting", "sending"].includes(sending.phase) ? html`<button type="button" class="button" @click=${() => sending.pause()}>Pause</button>` : numTakes ? nothing
     : html`<button type="button" class="button" aria-disabled=${sending.isBusy ? "true" : nothing} @click=${() => send({ isCheckOnly: true })}>Send and check only</button>`}`;
 }
 
@@ -49,8 +49,9 @@ function checkPart(sending) {
     ${findingList(general, preflight.cameras)}${warningList(preflight.warnings.filter((warning) => !known.has(warning)))}</div>`;
 }
 
-// `send(options)` sends, `failed(problem)` hears of what could not be done, `change()` of files that are to be changed.
-export function goPanel({ sending, send, failed, change }) {
+// `numTakes` is the number of takes that wait. `send(options)` sends, `failed(problem)` hears of what could not be done,
+// `change()` of files that are to be changed.
+export function goPanel({ sending, numTakes, send, failed, change }) {
   const { rig } = sending;
   return html`<section class="panel go" aria-label="Send">
     <div class="notes">
@@ -60,6 +61,6 @@ export function goPanel({ sending, send, failed, change }) {
     </div>
     ${progressPart(sending)}
     ${summary(sending)}
-    <div class="actions">${buttons({ sending, send, failed, change })}</div>
+    <div class="actions">${buttons({ sending, numTakes, send, failed, change })}</div>
   </section>`;
 }

@@ -16,6 +16,8 @@ import { recentJobs } from "./recent.js";
 import { fileTable } from "./rows.js";
 import { sampleButton } from "./sample.js";
 import { sending } from "./sending.js";
+import { takes } from "./takes.js";
+import { takesPanel } from "./takes_panel.js";
 
 const HIDDEN = ["sync"]; // stands with the start of the videos
 const MEASURE = [MEASURED, "I don't know: measure their clocks from people and sound"];
@@ -54,11 +56,12 @@ export function open(place) {
   // Text that is no number is empty for a script, though the page shows it.
   const send = (options) => {
     const unread = [...place.querySelectorAll("input[type=number]")].filter(({ validity }) => validity.badInput);
-    if (unread.length === 0) return sending.send(options);
+    if (unread.length === 0) return takes.waiting.length ? takes.run().catch(failed) : sending.send(options);
     const items = unread.map((field) => ({ message: `${field.ariaLabel ?? field.labels[0].innerText.split("\n")[0]}: type a number.` }));
     return failed({ message: "The capture is not complete.", items });
   };
-  const add = (files) => sending.add(files).catch(failed);
+  const takesFiles = () => sending.takesFiles && !takes.isRunning;
+  const add = (files) => takes.add(files).catch(failed);
   const chosen = (event) => {
     const files = [...event.target.files];
     event.target.value = "";
@@ -71,11 +74,11 @@ export function open(place) {
   function dropPart(isLocked) {
     const isEmpty = sending.rows.length === 0;
     return html`<div class="drop ${isOver ? "over" : ""} ${isEmpty ? "" : "small"}">
-      ${isEmpty ? html`<p class="lead">Drop the videos of all cameras here, with their calibration, or a whole folder.</p>` : nothing}
+      ${isEmpty ? html`<p class="lead">Drop the videos of all cameras here, with their calibration, or a whole folder, also one with a folder for each take.</p>` : nothing}
       <div class="actions">
         <label class="button">Choose files<input id="choose-files" class="unseen" type="file" multiple accept=${ACCEPTED} ?disabled=${isLocked} @change=${chosen}></label>
         <label class="button">Choose a folder<input class="unseen" type="file" webkitdirectory ?disabled=${isLocked} @change=${chosen}></label>
-        ${isEmpty ? sampleButton({ sending, draw, failed }) : html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => { sending.clear(); place.querySelector("#choose-files").focus(); }}>Remove all</button>`}
+        ${isEmpty ? sampleButton({ sending, draw, failed }) : html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => { takes.clear(); place.querySelector("#choose-files").focus(); }}>Remove all</button>`}
       </div>
       ${isEmpty ? html`<p class="quiet">One file a camera. A zip of images or of 2D keypoints does instead of a video.</p>` : nothing}
     </div>`;
@@ -102,7 +105,7 @@ export function open(place) {
       ${isMissing ? html`<p class="notice" role="status">${sending.draft.wasSending
     ? `The upload was interrupted at ${percent(sending.fraction)}. Choose the same files again: it goes on where it stopped.`
     : "The page was loaded anew, and browsers keep no files. Choose the same files again."}</p>` : nothing}
-      ${dropPart(!sending.takesFiles)}
+      ${dropPart(!takesFiles())}
       ${sending.notes.map((note) => html`<p class="notice" role="status">${note}</p>`)}
       ${sending.rows.length ? fileTable({ sending, change, remove }) : nothing}
       ${timePart(isLocked)}
@@ -132,12 +135,13 @@ export function open(place) {
     return html`<form class="send" novalidate @submit=${(event) => { event.preventDefault(); send(); }}
         @dragover=${(event) => { event.preventDefault(); if (!isOver) { isOver = true; draw(); } }}
         @dragleave=${(event) => { if (!place.contains(event.relatedTarget)) { isOver = false; draw(); } }}
-        @drop=${(event) => { event.preventDefault(); isOver = false; draw(); if (sending.takesFiles) add(droppedFiles(event.dataTransfer)); }}>
+        @drop=${(event) => { event.preventDefault(); isOver = false; draw(); if (takesFiles()) add(droppedFiles(event.dataTransfer)); }}>
       <div class="bar"><h1 class="title">New capture</h1>
         <label class="take"><span>Name of the take</span>
           <input name="name" maxlength="200" placeholder="Handshake, take 3" autocomplete="off" .value=${typed(sending.capture.name)}
             ?disabled=${isLocked} @input=${(event) => { sending.draft.name = event.target.value; sending.changed(); }}></label></div>
       <div class="steps">
+        ${takesPanel(takes, failed)}
         ${filesPart(isLocked)}
         <section class="panel" aria-labelledby="calibration-title"><h2 id="calibration-title">Calibration</h2>
           ${calibrationPart({ sending, stored, away, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (file, units) => sending.readCalibration(file, units) })}
@@ -146,11 +150,11 @@ export function open(place) {
           ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, noteOf })}
         </section>
       </div>
-      <aside class="side">${goPanel({ sending, send, failed, change: () => place.querySelector("#choose-files").focus() })}${recentJobs(feed)}</aside>
+      <aside class="side">${goPanel({ sending, numTakes: takes.waiting.length, send, failed, change: () => place.querySelector("#choose-files").focus() })}${recentJobs(feed)}</aside>
     </form>`;
   }
 
-  const onSent = ({ detail: job }) => go("jobs", job.id);
+  const onSent = ({ detail: job }) => { if (takes.list.length === 0) go("jobs", job.id); };
   sending.addEventListener("sent", onSent);
   sending.addEventListener("change", draw);
   feed.addEventListener("change", draw);
