@@ -50,6 +50,7 @@ SLOW = (
     "e2e/test_postgres.py",
     "e2e/test_python_page.py",
     "e2e/test_rendered.py",
+    "e2e/test_rolled.py",
     "e2e/test_send_waits.py",
     "e2e/test_serve.py",
     "e2e/test_shelf.py",

@@ -8,6 +8,8 @@ from jaxtyping import Float, UInt8
 
 from pipeline.detect.turn import PictureTurn
 
+_ROTATIONS = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
+
 
 @dataclass(frozen=True, slots=True)
 class LetterBox:
@@ -60,15 +62,16 @@ def _ceil(value: int, multiple: int) -> int:
 def apply_letterbox(
     image: UInt8[np.ndarray, "height width 3"], letterbox: LetterBox, padding: int = 0
 ) -> UInt8[np.ndarray, "padded_height padded_width 3"]:
-    """Resample an image (bilinear) into a network's input, once; ``padding`` is the grey around it."""
+    """Resample an image (bilinear) into a network's input; ``padding`` is the grey around it."""
     width, height = letterbox.scaled_size_px
     padded_width, padded_height = letterbox.padded_size_px
     if letterbox.turn.is_quarter:
         padded = np.full((padded_height, padded_width, 3), padding, np.uint8)
-        quarters = round(letterbox.turn_deg / 90.0)
-        # Turned when it is small.
-        size = (height, width) if quarters % 2 else (width, height)
-        padded[:height, :width] = np.rot90(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), quarters)
+        # Turned first: the network sees, to the last bit, what it sees of an upright camera. Turned afterwards, a pixel
+        # in 300 would differ by a grey level, which moves joints by a third of a pixel of the network's input.
+        quarters = round(letterbox.turn_deg / 90.0) % 4
+        upright = cv2.rotate(image, _ROTATIONS[quarters]) if quarters else image
+        padded[:height, :width] = cv2.resize(upright, (width, height), interpolation=cv2.INTER_LINEAR)
         return padded
     corners_px = letterbox.network_from_image(np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]))
     matrix = np.column_stack([corners_px[1] - corners_px[0], corners_px[2] - corners_px[0], corners_px[0]])

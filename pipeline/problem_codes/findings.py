@@ -162,6 +162,12 @@ CAMERAS_EXCHANGED = PEOPLE.code(
     "The video of a camera fits the calibration of another camera.",
     "Exchange the videos, or the entries of the calibration.",
 )
+CAMERA_HANGS_TURNED = PEOPLE.code(
+    "camera_hangs_turned",
+    _PEOPLE,
+    "A camera hangs on its side, upside down or askew: its pictures are turned upright before people are detected.",
+    "Nothing, if the camera hangs so.",
+)
 PICTURE_TURNED = PEOPLE.code(
     "picture_turned",
     _PEOPLE,

@@ -1,11 +1,12 @@
 """Calibrate cameras: from the views of a board, or from the people of a session. The output is the calibration."""
 
 import json
+from collections.abc import Sequence
 
 from pipeline.errors import PipelineError, listed
 from pipeline.findings import Finding
 from pipeline.job_choices import CalibrationChoices
-from pipeline.stages.stage import CALIBRATE, DETECT, FIND_BOARD, Context, Output, ResultFile, Stage, Task
+from pipeline.stages.stage import CALIBRATE, DETECT, FIND_BOARD, LOOK, Context, Output, ResultFile, Stage, Task
 
 _MEDIA_TYPES = {".json": "application/json", ".svg": "image/svg+xml"}
 
@@ -18,7 +19,9 @@ def calibrate(task: Task, context: Context) -> Output:
     from pipeline.calibration.people.calibrate import calibrate_people
     from pipeline.calibration.report import report_document
     from pipeline.calibration.write import encodings
+    from pipeline.preflight.hanging import hanging_cameras
 
+    hanging: Sequence[Finding] = ()
     making, on_share = context.config.making, context.on_share(task)
     if not isinstance(making, CalibrationChoices):
         raise PipelineError("The job makes no calibration.")
@@ -34,6 +37,7 @@ def calibrate(task: Task, context: Context) -> Output:
             on_share,
             making.known_points,
         )
+        hanging = tuple(hanging_cameras(context.detections.turns_deg))
     else:
         outline = context.outline()
         given = {camera.name: camera for camera in outline.cameras} if making.has_intrinsics else None
@@ -56,7 +60,8 @@ def calibrate(task: Task, context: Context) -> Output:
         Finding(problem.code, str(problem), problem.camera, hint=problem.hint)
         for problem in listed(calibration.warnings)
     )
-    return Output(texts["multicap"].encode(), tuple(files), warnings, calibration={"files": texts, "report": report})
+    made = {"files": texts, "report": report}
+    return Output(texts["multicap"].encode(), tuple(files), (*warnings, *hanging), calibration=made)
 
 
 STAGE = Stage(
@@ -64,7 +69,7 @@ STAGE = Stage(
     "Calibrate cameras",
     calibrate,
     cut="whole",
-    follows=(DETECT, FIND_BOARD),
+    follows=(LOOK, DETECT, FIND_BOARD),
     choices=("making",),
     is_planned=lambda facts, config: isinstance(config.making, CalibrationChoices),
     is_reusable=False,

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeVar
 
 from pipeline.capture.keypoints import KeypointSession
@@ -19,6 +20,7 @@ from pipeline.data.detections import DamagedVideo, Detections, DetectionsByCamer
 from pipeline.detect.chunk import concatenate
 from pipeline.detect.damage import CheckedPictures, damaged_videos
 from pipeline.detect.entries import entry_of
+from pipeline.detect.look import CameraLook
 from pipeline.detect.profiles.detection import detection_joints, mark_offsets
 from pipeline.errors import PipelineError
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
@@ -27,7 +29,7 @@ from pipeline.runtime.npz import decode_arrays
 from pipeline.stages.codec import decode
 from pipeline.stages.people import StoredPeople
 from pipeline.stages.refinement import RefinedCalibration
-from pipeline.stages.stage import DETECT, REFINE, SYNCHRONIZE, FrameCut, SessionFacts, Task
+from pipeline.stages.stage import DETECT, LOOK, REFINE, SYNCHRONIZE, FrameCut, SessionFacts, Task
 from pipeline.synchronization.session import largest_shift_s, on_measured_clocks
 from pipeline.tracking.observations import Detections2D, gather
 from pipeline.video.timeline import frames_in
@@ -205,6 +207,11 @@ class DetectionSource(ABC):
     def offsets(self) -> JointOffsets:
         """Offsets of the marks from the joints' centres."""
 
+    @property
+    @abstractmethod
+    def turns_deg(self) -> Mapping[str, float]:
+        """Counterclockwise turns that brought the pictures upright, by camera, in degrees."""
+
     @abstractmethod
     def joints(self, session: Session) -> JointSet:
         """Joints of the detections in a session."""
@@ -237,6 +244,7 @@ class _FileDetections(DetectionSource):
     measures_colours = False
     # Nobody knows which program marked the joints.
     offsets = MARKED_AT_CENTERS
+    turns_deg: Mapping[str, float] = MappingProxyType({})
 
     def joints(self, session: Session) -> JointSet:
         return _of_kind(session, KeypointSession).joints
@@ -272,6 +280,11 @@ class _VideoDetections(DetectionSource):
     @property
     def offsets(self) -> JointOffsets:
         return mark_offsets(self._context.config)
+
+    @property
+    def turns_deg(self) -> Mapping[str, float]:
+        looks = self._context.records(LOOK, CameraLook)
+        return {name: look.turn_deg for name, look in zip(self._context.facts.camera_rates_hz, looks, strict=True)}
 
     def joints(self, session: Session) -> JointSet:
         return detection_joints(self._context.config)

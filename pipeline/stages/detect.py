@@ -15,8 +15,8 @@ def detect(task: Task, context: Context) -> Output:
     from pipeline.data.arrays import no_colours
     from pipeline.data.detections import Detections
     from pipeline.detect.chunk import detect_chunk, detect_fields_chunk, measure_colours
-    from pipeline.detect.profiles.detection import load_detector, open_detection
-    from pipeline.detect.profiles.sizes import CameraSizes
+    from pipeline.detect.look import CameraLook
+    from pipeline.detect.profiles.detection import load_detector, open_detection, turned
     from pipeline.runtime.npz import encode_arrays
     from pipeline.stages.codec import decode, encode
     from pipeline.video.timeline import span_s
@@ -24,19 +24,17 @@ def detect(task: Task, context: Context) -> Output:
     session, config, camera, stored = context.videos(), context.config, task.one_camera, context.stored_output()
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
     networks = networks_of(config)
+    number = list(context.facts.camera_rates_hz).index(camera)
+    (look,) = context.records(LOOK, CameraLook, slice(number, number + 1))
     with context.video(camera):
         if stored is not None:
             joints = context.detections.joints(session)
             detections = measure_colours(session, span, decode(Detections, stored), joints, context.on_unit)
         elif config.uses_fields:
-            fields = detect_fields_chunk(session, camera, span, load_detector(networks.body), context.on_unit)
-            return Output(encode(fields))
+            finder = turned(load_detector(networks.body), look.turn_deg)
+            return Output(encode(detect_fields_chunk(session, camera, span, finder, context.on_unit)))
         else:
-            sizes = None
-            if networks.is_sized:
-                number = list(context.facts.camera_rates_hz).index(camera)
-                (sizes,) = context.records(LOOK, CameraSizes, slice(number, number + 1))
-            detector = open_detection(networks, detected_joints(config), sizes)
+            detector = open_detection(networks, detected_joints(config), look.sizes, look.turn_deg)
             detections = detect_chunk(session, camera, span, detector, context.on_unit, config.uses_colours)
     content = stored or encode(replace(detections, colour=no_colours()))
     return Output(content, interim=encode_arrays({"colour": detections.colour}) if config.uses_colours else None)

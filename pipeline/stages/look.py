@@ -1,29 +1,40 @@
-"""Look at people: the size of each camera's images, chosen by the people in a few of its frames.
+"""Look at people: how each camera hangs and the size of its images, by the people in a few of its frames.
 
-The output is a ``CameraSizes``. It belongs to the whole video, whatever part of it is wanted.
+The output is a ``CameraLook``. It belongs to the whole video, whatever part of it is wanted.
 """
+
+from functools import partial
 
 from pipeline.config import ReconstructionConfig, networks_of
 from pipeline.job_choices import CalibrationChoices
 from pipeline.stages.stage import LOOK, Context, Output, SessionFacts, Stage, Task
 
 LOOKED_AT_FRAMES = 12
-"""Largest number of frames of a camera that are decoded."""
+"""Largest number of frames of a camera that are looked at."""
+# Fewer are enough for networks that are not sized, of which a pass takes longer.
+_UNSIZED_FRAMES = 4
 
 
 def look(task: Task, context: Context) -> Output:
-    """Look at the people in some frames of a camera's whole video, and choose the size of its images."""
+    """Look at the people in some frames of a camera's whole video: turn and size of its images."""
     from pipeline.detect.look import look_at_people
-    from pipeline.detect.profiles.detection import load_detector
+    from pipeline.detect.profiles.detection import open_finder
     from pipeline.detect.profiles.sizes import RULES
+    from pipeline.detect.upright import turn_of_roll
     from pipeline.stages.codec import encode
 
-    session = context.videos()
-    detector = load_detector(networks_of(context.config).body)
-    rule = RULES[context.config.profile]
-    with context.video(task.one_camera):
-        sizes = look_at_people(session, task.one_camera, detector, rule, LOOKED_AT_FRAMES, context.on_unit)
-    return Output(encode(sizes))
+    session, config, name = context.videos(), context.config, task.one_camera
+    networks = networks_of(config)
+    rule = RULES[config.profile] if networks.is_sized else None
+    camera = next(camera for camera in session.cameras if camera.name == name)
+    # A camera that is to be calibrated has no pose.
+    known_deg = turn_of_roll(camera) if config.is_of_people else None
+    max_frames = LOOKED_AT_FRAMES if networks.is_sized else _UNSIZED_FRAMES
+    with context.video(name):
+        seen = look_at_people(
+            session, name, partial(open_finder, networks), rule, known_deg, max_frames, context.on_unit
+        )
+    return Output(encode(seen))
 
 
 def is_detecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
@@ -39,8 +50,8 @@ STAGE = Stage(
     look,
     cut="cameras",
     follows=(),
-    choices=("profile", "detector"),
-    is_planned=lambda facts, config: is_detecting(facts, config) and networks_of(config).is_sized,
+    choices=("profile", "detector", "poses"),
+    is_planned=is_detecting,
     unit="frames",
     max_frames=LOOKED_AT_FRAMES,
 )

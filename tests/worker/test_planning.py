@@ -115,8 +115,8 @@ CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
 def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
-    detect, _, lengths, poses, *_ = stages = plan_job(make_session(60), CLUSTERING, 25)
-    assert [stage.name for stage in stages] == [DETECT, CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    _, detect, _, lengths, poses, *_ = stages = plan_job(make_session(60), CLUSTERING, 25)
+    assert [stage.name for stage in stages] == [LOOK, DETECT, CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
     assert next(iter(lengths.chunks)).payload["chunk_frames"] == 25
     ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in poses.chunks]
     assert ranges == [(0, 25), (25, 50), (50, 60)]
@@ -297,7 +297,7 @@ def ranges_of(stage: StagePlan) -> list[tuple[int, int]]:
 
 def test_pauses_have_no_chunks() -> None:
     session = paused(900_000, [[0, 60], [899_950, 900_000]])
-    detect, _, lengths, poses, *_ = plan_job(session, CLUSTERING, 25)
+    _, detect, _, lengths, poses, *_ = plan_job(session, CLUSTERING, 25)
     assert (
         ranges_of(detect) == ranges_of(poses) == [(0, 25), (25, 50), (50, 75), (899_950, 899_975), (899_975, 900_000)]
     )

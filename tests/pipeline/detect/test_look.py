@@ -9,8 +9,8 @@ import pytest
 from pipeline.calibration.write import encode
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.detect.bodies import ImageBodies
-from pipeline.detect.look import frames_to_look_at, look_at_people
-from pipeline.detect.profiles.sizes import CameraSizes, SizeRule
+from pipeline.detect.look import CameraLook, frames_to_look_at, look_at_people
+from pipeline.detect.profiles.sizes import CameraSizes, SizeRule, choose_sizes
 from pipeline.joints import COCO_17, JointSet
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import write_video
@@ -20,10 +20,15 @@ RULE = SizeRule(span_px=200.0, max_px=640)
 
 
 class TallBody:
-    """Detector that finds a body of 48 pixels in every image, and keeps the images."""
+    """Detector that finds a body of 48 pixels in every image, and keeps the images; all turns alike."""
 
     def __init__(self) -> None:
         self.grey: list[float] = []
+        self.turns_deg: list[float] = []
+
+    def turned(self, turn_deg: float) -> "TallBody":
+        self.turns_deg.append(turn_deg)
+        return self
 
     @property
     def joints(self) -> JointSet:
@@ -48,13 +53,37 @@ def make_session(folder: Path, num_frames: int, keyframe_every: int) -> CaptureS
 @pytest.mark.parametrize("keyframe_every", [5, 250])
 def test_the_whole_video_is_looked_at(tmp_path: Path, keyframe_every: int) -> None:
     session, detector, steps = make_session(tmp_path, 80, keyframe_every), TallBody(), []
-    sizes = look_at_people(session, "right", detector, RULE, 8, lambda: steps.append(1))
-    assert sizes == CameraSizes((384,))  # 400 pixels need more padding
+    look = look_at_people(session, "right", detector.turned, RULE, 0.0, 8, lambda: steps.append(1))
+    assert look == CameraLook(CameraSizes((384,)))  # 400 pixels need more padding
     chosen = frames_to_look_at(session.videos[1], 8)
     np.testing.assert_allclose(detector.grey, [20 + 2 * frame for frame in chosen], atol=3.0)
     assert len(steps) == len(chosen) == 8
     assert chosen[0] <= 5
     assert chosen[-1] >= 70
+
+
+def test_an_upright_camera_of_a_network_of_one_size_is_not_looked_at(tmp_path: Path) -> None:
+    session, detector = make_session(tmp_path, 20, 5), TallBody()
+    assert look_at_people(session, "right", detector.turned, None, 0.0, 8) == CameraLook()
+    assert detector.grey == []
+
+
+def test_all_turns_of_an_unknown_camera_are_looked_at_once(tmp_path: Path) -> None:
+    """The detector finds as much in all turns, so the picture stays as it is."""
+    session, detector, steps = make_session(tmp_path, 20, 5), TallBody(), []
+    look = look_at_people(session, "right", detector.turned, None, None, 4, lambda: steps.append(1))
+    assert look == CameraLook(turn_deg=0.0)
+    assert len(detector.grey) == 4 * 4
+    assert set(detector.turns_deg) == {0.0, 90.0, 180.0, 270.0}
+    assert len(steps) == 4
+
+
+def test_the_size_is_that_of_the_upright_picture(tmp_path: Path) -> None:
+    """A camera on its side, in whose picture the body lies: 48 pixels of the upright picture's width of 80."""
+    session, detector = make_session(tmp_path, 20, 5), TallBody()
+    look = look_at_people(session, "right", detector.turned, RULE, 90.0, 8)
+    assert look.turn_deg == 90.0
+    assert look.sizes == choose_sizes([np.array([48.0])] * 4, (80, 96), RULE)
 
 
 def test_keyframes_are_preferred(tmp_path: Path) -> None:
