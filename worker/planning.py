@@ -117,6 +117,8 @@ def _inputs(session: PlannableSession) -> tuple[str, ...]:
     files = sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
     if (units := session.preflight.units) != "m":
         files.append(units)
+    if (up := session.preflight.up) != "z":
+        files.append(f"up {up}")
     if not has_videos(session):
         return (*files, repr(session.preflight.timebase.frame_rate_hz))
     if (clock := session.preflight.clock) != "declared":

@@ -199,7 +199,9 @@ async def _contents(
 ) -> CalibrationContents:
     """Read the calibration file in a child process."""
     (file,) = form.files[CALIBRATION]
-    arguments = ["--calibration", str(file.path), *(["--units", spec.units] if spec.units else [])]
+    arguments = ["--calibration", str(file.path), f"--up={spec.up}"]
+    if spec.units is not None:
+        arguments.append(f"--units={spec.units}")
     try:
         return await services.checks.run(owner, services.preflight.read_calibration, arguments, sent.folder)
     except InvalidFilesError as invalid:

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from api.contract.schemas import Id, NextCursor, ResponseModel, printable_name
 from api.http.bodies.form_kinds import UploadedFiles
 from api.jobs.schemas import JobError
-from api.sessions.schemas import CameraManifest
+from api.sessions.schemas import CameraManifest, Up
 from pipeline.job_choices import (
     MAX_KNOWN_POINTS,
     MAX_POINT_M,
@@ -83,6 +83,11 @@ class CalibrationSpec(BaseModel):
         default=None,
         description="Unit of length of a file whose format does not state it. Null: metres; if they are not plausible, "
         "the answer `calibration_units_unstated` asks for it.",
+    )
+    up: Up = Field(
+        default="z",
+        description="Axis of a file that points up, after the turn that its format needs by itself: the world "
+        "is turned so that it becomes Z.",
     )
     board: str | None = Field(
         default=None,

@@ -8,12 +8,12 @@ from typing import Annotated, Any, cast, get_args
 
 import typer
 
-from pipeline.calibration.contents import UNITS_M, Units
+from pipeline.calibration.contents import UNITS_M, Units, Up
 from pipeline.capture.preflight_record import Clock
 from pipeline.choices import Choice
 from pipeline.config import ReconstructionConfig
 from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.commands import UNKNOWN_CLOCK, UNKNOWN_UNITS
+from pipeline.problem_codes.commands import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_UNITS
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.specs import FRAME_RANGE
 from pipeline.requirements import requirement
@@ -53,6 +53,9 @@ UnitsOption = Annotated[
         help="Unit of the calibration's lengths, if its format does not state it; metres, if they are plausible.",
         show_default=False,
     ),
+]
+UpOption = Annotated[
+    str, typer.Option(metavar="|".join(get_args(Up)), help="Axis of the calibration that points up: it becomes Z.")
 ]
 KeypointsOption = Annotated[
     Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
@@ -153,6 +156,11 @@ def _frame_range(text: str | None) -> tuple[int, int] | None:
 def known_units(name: str | None) -> Units | None:
     """Check the name of a unit; ``InputError`` if there is none of that name."""
     return None if name is None else cast(Units, _known(UNKNOWN_UNITS, "units", name, tuple(UNITS_M)))
+
+
+def known_up(name: str) -> Up:
+    """Check the name of an axis; ``InputError`` if there is none of that name."""
+    return cast(Up, _known(UNKNOWN_AXIS, "axis", name, get_args(Up)))
 
 
 def known_clock(name: str) -> Clock:

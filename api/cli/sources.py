@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.calibration.contents import Units
+from pipeline.calibration.contents import Units, Up
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.recordings import Recording
@@ -49,14 +49,15 @@ def open_source(
     clock: Clock = "declared",
     frame_rate: float | None = None,
     pair_by_order: bool = False,
+    up: Up = "z",
 ) -> Session:
     """Open keypoints if a folder of these is given, else videos; raises ``InputError`` as the functions of both.
 
     The options are those of ``open_footage`` and ``open_keypoints``, of which ``check_sources`` knows the right ones.
     """
     if keypoints is not None:
-        return open_keypoints(keypoints, calibration, timestamps, frame_rate, units, pair_by_order=pair_by_order)
-    return open_footage(videos or [], calibration, offset, rate, units, clock, frame_rate, pair_by_order)
+        return open_keypoints(keypoints, calibration, timestamps, frame_rate, units, pair_by_order=pair_by_order, up=up)
+    return open_footage(videos or [], calibration, offset, rate, units, clock, frame_rate, pair_by_order, up=up)
 
 
 def open_footage(
@@ -69,6 +70,7 @@ def open_footage(
     frame_rate: float | None = None,
     pair_by_order: bool = False,
     keeps_poses: bool = True,
+    up: Up = "z",
 ) -> CaptureSession:
     """Open videos, or images, with what options state of them.
 
@@ -80,7 +82,7 @@ def open_footage(
         ``CAMERA=NUMBER`` of each option.
     frame_rate
         Rate of images.
-    pair_by_order, keeps_poses
+    pair_by_order, keeps_poses, up
         See ``open_session``.
 
     Raises
@@ -91,7 +93,7 @@ def open_footage(
     paths, recordings = _footage(videos, offset, rate)
     files = paths[0] if len(paths) == 1 else paths
     session = open_session(
-        files, calibration, recordings, units, clock, frame_rate, pair_by_order, keeps_poses=keeps_poses
+        files, calibration, recordings, units, clock, frame_rate, pair_by_order, keeps_poses=keeps_poses, up=up
     )
     if frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
         message = "A frame rate belongs to keypoints and to images; videos have their own times."

@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from api.cli.sources import open_source, stated_camera
-from pipeline.calibration.contents import Units
+from pipeline.calibration.contents import Units, Up
 from pipeline.capture.names import natural_key
 from pipeline.capture.session import Session
 from pipeline.capture.video_files import footage_in
@@ -31,7 +31,7 @@ class TakeSource:
     calibration: Path | None  # ``None``: the batch has none, and neither has the take
     frame_rate_hz: float | None  # Rate of keypoints without timestamps, or of images
 
-    def open(self, units: Units | None, pair_by_order: bool) -> Session:
+    def open(self, units: Units | None, pair_by_order: bool, up: Up = "z") -> Session:
         """Open the session; raises ``InputError`` with all problems of its files."""
         if self.calibration is None:
             raise InputError([Problem(TAKE_UNCALIBRATED, "There is no calibration.", hint="Give --calibration.")])
@@ -47,6 +47,7 @@ class TakeSource:
             units=units,
             frame_rate=rate_hz,
             pair_by_order=pair_by_order,
+            up=up,
         )
 
     def fingerprint(self) -> str:

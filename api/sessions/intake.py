@@ -299,6 +299,8 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
     arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
     if manifest.units is not None:
         arguments.append(f"--units={manifest.units}")
+    if manifest.up != "z":
+        arguments.append(f"--up={manifest.up}")
     if manifest.clock != "declared":
         arguments.append(f"--clock={manifest.clock}")
     if manifest.cameras:

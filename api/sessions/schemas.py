@@ -30,6 +30,8 @@ def _json(value: dict[str, Any]) -> dict[str, Any]:
     return value
 
 
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+
 SessionName = Annotated[
     str,
     AfterValidator(printable_name),
@@ -104,6 +106,11 @@ class Manifest(BaseModel):
         default=None,
         description="Unit of length of a calibration whose format does not state it (such as TOML). "
         "Null: metres; if they are not plausible, the answer `calibration_units_unstated` asks for it.",
+    )
+    up: Up = Field(
+        default="z",
+        description="Axis of the calibration that points up, after the turn that its format needs by itself: the world "
+        "is turned so that it becomes Z.",
     )
     clock: Clock = Field(
         default="declared",

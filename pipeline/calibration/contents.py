@@ -9,6 +9,8 @@ from pipeline.data.cameras import Camera
 from pipeline.data.rigid import Rigid3
 
 Units = Literal["m", "cm", "mm"]
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+"""Axis of a file's world that points up."""
 
 UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 

@@ -7,11 +7,12 @@ from pathlib import Path
 from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.advice import SUPPORTED, other_format, other_keys
-from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
+from pipeline.calibration.contents import UNITS_M, CameraFile, Units, Up, scaled
 from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.units import possible_units, question
+from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.parsing import UnreadableError, parse
@@ -101,9 +102,9 @@ def _reader(name: str, content: bytes) -> Reader | None:
     return next((reader for start, reader in _BY_START.items() if head.startswith(start)), None)
 
 
-def read_calibration(path: Path, units: Units | None = None) -> tuple[Camera, ...]:
+def read_calibration(path: Path, units: Units | None = None, up: Up = "z") -> tuple[Camera, ...]:
     """Read cameras from a file in any supported format; see ``read_contents``."""
-    return read_contents(path, units).cameras
+    return read_contents(path, units, up).cameras
 
 
 def read_intrinsics(path: Path) -> CameraFile:
@@ -112,7 +113,7 @@ def read_intrinsics(path: Path) -> CameraFile:
     return replace(contents, cameras=(*contents.cameras, *contents.unposed), unposed=())
 
 
-def read_contents(path: Path, units: Units | None = None) -> CameraFile:
+def read_contents(path: Path, units: Units | None = None, up: Up = "z") -> CameraFile:
     """Read a file in any supported format.
 
     Parameters
@@ -120,6 +121,8 @@ def read_contents(path: Path, units: Units | None = None) -> CameraFile:
     units
         Unit of the lengths in the file, for formats that don't determine it; ``None``: metres, if the cameras are then
         as far apart as those of a rig can be.
+    up
+        Axis that points up, of the world to which the format's own axes are turned; it becomes Z.
 
     Returns
     -------
@@ -131,6 +134,15 @@ def read_contents(path: Path, units: Units | None = None) -> CameraFile:
     InputError
         With all problems of the file. A unit that can't be known is asked for.
     """
+    contents = _in_metres(path, units)
+    if up == "z":
+        return contents
+    axes = f"{up.upper()} up, as stated: turned to Z up"
+    return replace(contents, cameras=turned_upright(contents.cameras, AXES[up]), axes=axes)
+
+
+def _in_metres(path: Path, units: Units | None) -> CameraFile:
+    """Contents of a file, in metres."""
     contents = _read(path)
     if not contents.cameras:
         count = len(contents.unposed)

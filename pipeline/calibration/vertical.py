@@ -23,6 +23,8 @@ _UPRIGHT, _LARGEST = 0.97, 95
 _ITERATIONS, _LEAN_RAD = 10, np.radians(4.0)
 # Least length of the mean of the cameras' up directions at which it is a direction.
 _MIN_MEAN_UP = 0.6
+# Most that cameras look up, and that an edge of a picture slopes, as sines; and the share of cameras that must fit.
+_MAX_RISE, _MAX_SLOPE, _MIN_SHARE = np.sin(np.radians(30.0)), np.sin(np.radians(20.0)), 0.8
 
 
 def upright_direction(
@@ -87,6 +89,21 @@ def cameras_lean_deg(cameras: Sequence[Camera]) -> float | None:
     up = up_of_cameras(cameras)
     length = float(np.linalg.norm(up))
     return None if length < _MIN_MEAN_UP else float(np.degrees(np.arccos(np.clip(up[2] / length, -1.0, 1.0))))
+
+
+def possible_up_axes(cameras: Sequence[Camera]) -> tuple[str, ...]:
+    """Axes that may point up where the cameras' up directions do not tell, the likeliest first; all if none fits.
+
+    Cameras of a rig look level or down at people, and an edge of their picture is level, as of a camera on its side.
+    """
+    right, down, forward = np.moveaxis(np.array([camera.cam_from_world.rotation for camera in cameras]), 1, 0)
+    rising = {name: forward @ axis for name, axis in AXES.items()}
+    fits = {
+        name: (rising[name] < _MAX_RISE) & (np.minimum(np.abs(right @ axis), np.abs(down @ axis)) < _MAX_SLOPE)
+        for name, axis in AXES.items()
+    }
+    in_order = sorted(AXES, key=lambda name: round(float(rising[name].mean()), 3))
+    return tuple(name for name in in_order if fits[name].mean() >= _MIN_SHARE) or tuple(AXES)
 
 
 def nearest_axis(direction: Float[np.ndarray, " 3"]) -> str:

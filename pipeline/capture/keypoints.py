@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, Units
+from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.capture.keypoint_files.folders import camera_folders, read_folder
 from pipeline.capture.keypoint_files.forms import OPENPOSE
@@ -126,6 +126,7 @@ def open_keypoints(
     pair_by_order: bool = False,
     *,
     keeps_poses: bool = True,
+    up: Up = "z",
 ) -> KeypointSession:
     """Open a folder that contains a folder of keypoint files for each camera.
 
@@ -139,7 +140,7 @@ def open_keypoints(
         which starts at 0. Without it, frame k of all cameras is at k / ``frame_rate_hz``.
     frame_rate_hz
         Rate of all cameras; needed without ``timestamps``, and not allowed together with them.
-    units
+    units, up
         See ``read_contents``.
     max_joints
         Limit on the joints of all people in all files, detected or not; ``None``: no limit. Reading stops at the limit.
@@ -159,7 +160,7 @@ def open_keypoints(
     findings: list[Finding] = []
     cameras: tuple[Camera, ...] = ()
     try:
-        contents = read_contents(calibration, units) if keeps_poses else read_intrinsics(calibration)
+        contents = read_contents(calibration, units, up) if keeps_poses else read_intrinsics(calibration)
         cameras = contents.cameras
         findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
         problems += [_unknown_size(camera, calibration) for camera in cameras if camera.size_px == UNKNOWN_SIZE]

@@ -1,10 +1,11 @@
 """Check a session, or a calibration, in a child process.
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] [--clock CLOCK] [--frame-rate HZ] |
---keypoints ZIP... [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--units UNITS] [--pair-by-order]`` prints
-one JSON object: the session's report, or ``{"problems": [...]}`` with exit code 2. So a caller can check a session
-without loading the numeric libraries, and without opening untrusted files itself. ``--record FILE`` stores the opened
-session, so that the files need not be examined again. ``--thumbnails FOLDER`` also checks the cameras against each
+--keypoints ZIP... [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--units UNITS] [--up AXIS]
+[--pair-by-order]`` prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit code 2. So a
+caller can check a session without loading the numeric libraries, and without opening untrusted files itself.
+``--record FILE`` stores the opened session, so that the files need not be examined again.
+``--thumbnails FOLDER`` also checks the cameras against each
 other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies are stored in the folder as
 ``thumbnail_name`` says.
 
@@ -27,7 +28,8 @@ from typing import Any, get_args
 
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.checks.check import check_cameras
-from pipeline.calibration.contents import UNITS_M
+from pipeline.calibration.checks.places import UP_AXIS_CODES, check_places
+from pipeline.calibration.contents import UNITS_M, Up
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import MAX_JOINTS, open_keypoints
@@ -66,6 +68,7 @@ def report(
     units: str | None,
     recordings: Sequence[Recording] = (),
     clock: Clock = "declared",
+    up: Up = "z",
 ) -> Preflight:
     """Build the preflight record of a session; ``files`` are the names of each camera's files."""
     media = _media(session, recordings)
@@ -90,6 +93,7 @@ def report(
         warnings=tuple(printable(warning) for warning in session.warnings),
         recordings=tuple(PreflightRecording(**asdict(recording)) for recording in recordings),
         units=units or "m",
+        up=up,
         findings=tuple(session.findings),
         clock=clock,
     )
@@ -133,13 +137,14 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
         arguments.frame_rate,
         arguments.pair_by_order,
         keeps_poses=arguments.intrinsics is None,
+        up=arguments.up,
     )
     if arguments.photographs:  # their numbers are no times
         session = replace(
             session, findings=tuple(finding for finding in session.findings if finding.code not in OF_TIMES)
         )
     files = [[path.name for path in video.paths] for video in session.videos]
-    preflight, record = report(session, files, units, recordings, clock), encode_session(session)
+    preflight, record = report(session, files, units, recordings, clock, arguments.up), encode_session(session)
     if arguments.thumbnails:
         looked = look_at_pictures(session, max(0.0, arguments.pictures_s - (time.monotonic() - _STARTED_S)))
         stored = [_write_thumbnails(arguments.thumbnails, *numbered) for numbered in enumerate(looked.thumbnails)]
@@ -181,11 +186,12 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
             arguments.units,
             arguments.max_joints,
             arguments.pair_by_order,
+            up=arguments.up,
         )
     archives = {path.stem: path.name for path in arguments.keypoints}
     # Parts of an array of all cameras have no archives of their own.
     files = [[archives.get(session.folders[camera.name], arguments.keypoints[0].name)] for camera in session.cameras]
-    preflight = report(session, files, arguments.units)
+    preflight = report(session, files, arguments.units, up=arguments.up)
     if arguments.thumbnails:
         preflight = _with_findings(preflight, check_cameras(session.cameras))
     return preflight, encode_keypoints(session)
@@ -202,13 +208,14 @@ def _check(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _check_calibration(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Read a calibration: its cameras in metres, and what the format says."""
-    contents = read_contents(arguments.calibration, arguments.units)
+    """Read a calibration: its cameras in metres, what the format says, and doubts about the axis that points up."""
+    contents = read_contents(arguments.calibration, arguments.units, arguments.up)
+    doubts = [str(finding) for finding in check_places(contents.cameras) if finding.code in UP_AXIS_CODES]
     return {
         "format": printable(contents.format),
         "units": contents.unit or arguments.units or "m",
         "axes": printable(contents.axes),
-        "notes": [printable(note) for note in contents.notes],
+        "notes": [printable(note) for note in (*contents.notes, *doubts)],
         "files": encodings(contents.cameras),
     }
 
@@ -237,6 +244,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--recordings", default="[]", help="JSON list of recordings: facts about the videos.")
     parser.add_argument("--clock", choices=get_args(Clock), default="declared", help="Clock of the videos' starts.")
     parser.add_argument("--units", choices=UNITS_M, help="Unit of lengths in the calibration.")
+    parser.add_argument("--up", choices=get_args(Up), default="z", help="Axis of the calibration that points up.")
     parser.add_argument(
         "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."
     )

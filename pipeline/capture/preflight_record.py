@@ -94,6 +94,7 @@ class Preflight:
     # Findings about the files, for the client; none in records of earlier versions, which have sentences only
     findings: tuple[Finding, ...] = ()
     clock: Clock = "declared"  # Clock of the videos' starts
+    up: str = "z"  # Axis of the calibration that points up, such as "-y"
     sync: Sync = "declared"  # Synchronisation of jobs of the session that don't state one
 
     @property
@@ -126,6 +127,7 @@ class Preflight:
                     for recording in document.get("recordings", ())
                 ),
                 units=document.get("units", "m"),
+                up=document.get("up", "z"),
                 findings=tuple(Finding.from_json(finding) for finding in document.get("findings", ())),
                 clock=document.get("clock", "declared"),
                 sync=document.get("sync", "declared"),
@@ -145,6 +147,7 @@ class Preflight:
             "findings": [finding.to_json() for finding in self.findings],
             "clock": self.clock,
             "sync": self.sync,
+            "up": self.up,
         }
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, Units
+from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.calibration.sizes import fit_to_video, guessed_camera
 from pipeline.calibration.validate import name_problem
@@ -127,6 +127,7 @@ def open_session(
     pair_by_order: bool = False,
     *,
     keeps_poses: bool = True,
+    up: Up = "z",
 ) -> CaptureSession:
     """Open a folder of videos, or a list of videos, with a calibration.
 
@@ -142,7 +143,7 @@ def open_session(
         or of their recordings, and are guessed, see ``guessed_camera``.
     recordings
         Facts about the videos of some cameras, at most one recording a camera.
-    units
+    units, up
         See ``read_contents``.
     clock
         Clock of the videos' starts; offsets of ``recordings`` are added.
@@ -165,7 +166,8 @@ def open_session(
     cameras: tuple[Camera, ...] = ()
     if calibration is not None:
         try:
-            contents = read_contents(Path(calibration), units) if keeps_poses else read_intrinsics(Path(calibration))
+            path = Path(calibration)
+            contents = read_contents(path, units, up) if keeps_poses else read_intrinsics(path)
             cameras = contents.cameras
             findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
         except InputError as error:

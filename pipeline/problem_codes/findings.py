@@ -212,6 +212,12 @@ WORLD_UNIT = FINDINGS.code(
     "The cameras are farther apart, or closer together, than those of any rig.",
     "State the unit of the calibration.",
 )
+UP_AXIS_UNKNOWN = FINDINGS.code(
+    "up_axis_unknown",
+    _FINDING,
+    "The cameras do not tell which axis of the calibration points up, such as cameras that look straight down.",
+    "State the axis (`up`, `--up`) if Z does not point up; `up_axes` of the evidence has those that may.",
+)
 NO_COMMON_VIEW = FINDINGS.code(
     "no_common_view",
     _FINDING,

@@ -168,10 +168,16 @@ KNOWN_POINTS_DOUBTFUL = WARNINGS.code(
     "Check its coordinates and its marked pixels, and that Z points up.",
 )
 UPSIDE_DOWN = WARNINGS.code(
-    "upside_down", _WARNING_AND_FINDING, "Heads are below feet.", "Turn the calibration: Z must point up."
+    "upside_down",
+    _WARNING_AND_FINDING,
+    "Heads are below feet.",
+    "Turn the calibration: state by `up` which axis points up.",
 )
 NOT_UPRIGHT = WARNINGS.code(
-    "not_upright", _WARNING_AND_FINDING, "People lean in most frames.", "Check that the calibration's up axis is Z."
+    "not_upright",
+    _WARNING_AND_FINDING,
+    "People lean in most frames.",
+    "Check which axis points up; state it by `up` if it is not Z.",
 )
 FLOOR_NOT_AT_ZERO = WARNINGS.code(
     "floor_not_at_zero", _WARNING_AND_FINDING, "Feet do not stand at a height of 0.", "Move the calibration's origin."

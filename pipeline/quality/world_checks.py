@@ -38,6 +38,7 @@ MAX_LEAN_DEG = 45.0
 STATURE_RANGE_M = (1.0, 2.3)
 
 _LEVEL = "Level the calibration: `refine_calibration` does it if people walk all over the place."
+_STATE_UP = "check which axis points up; state it by `up` if it is not Z."
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _ANKLES = ("left_ankle", "right_ankle")
 
@@ -146,12 +147,12 @@ def lean_fault(lean_deg: float, cameras: Sequence[Camera], when: str = "") -> Le
             f"People lean {lean_deg:.0f} degrees{when}, and the cameras are upright: people {pose}, or the "
             "calibration's up axis is not Z."
         )
-        return LeanFault(NOT_UPRIGHT, message, "If people stand, check that the calibration's up axis is Z.", is_agreed)
+        return LeanFault(NOT_UPRIGHT, message, f"If people stand, {_STATE_UP}", is_agreed)
     if is_down:
         message = "Heads are below feet: the calibration's Z axis points down."
-        return LeanFault(UPSIDE_DOWN, message, "Turn the calibration: Z must point up.", is_agreed)
+        return LeanFault(UPSIDE_DOWN, message, "Turn the calibration: state by `up` which axis points up.", is_agreed)
     message = f"People lean {lean_deg:.0f} degrees{when}: the calibration's up axis may not be Z."
-    return LeanFault(NOT_UPRIGHT, message, "Check that the calibration's up axis is Z.", is_agreed)
+    return LeanFault(NOT_UPRIGHT, message, "Check which axis points up; state it by `up` if it is not Z.", is_agreed)
 
 
 def _check_upright(cameras: Sequence[Camera], tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:

@@ -116,6 +116,10 @@ def test_a_unit_that_nothing_states_is_asked_for(served: Served, sample: Sample,
         expect(send.get_by_role("alert")).to_contain_text("m if they are millimetres", timeout=180_000)
         page.get_by_label("Unit of length").select_option("mm")
         expect(page.get_by_text("in mm")).to_be_visible(timeout=180_000)
+        page.get_by_label("Axis that points up").select_option("-z")
+        expect(page.get_by_text("The cameras are upside down")).to_be_visible(timeout=180_000)
+        page.get_by_label("Axis that points up").select_option("")
+        expect(page.get_by_text("The cameras are upside down")).to_have_count(0, timeout=180_000)
         expect(send.get_by_role("alert")).to_have_count(0)
         expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
 

@@ -13,9 +13,18 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.console import EXIT_FAILED, JsonOption, StageBars, console, emit, print_table, reporting, users_cache
-from api.cli.options import KeypointRateOption, PairByOrderOption, UnitsOption, checked, known_units, with_choices
+from api.cli.options import (
+    KeypointRateOption,
+    PairByOrderOption,
+    UnitsOption,
+    UpOption,
+    checked,
+    known_units,
+    known_up,
+    with_choices,
+)
 from api.cli.takes import TakeSource, find_takes
-from pipeline.calibration.contents import Units
+from pipeline.calibration.contents import Units, Up
 from pipeline.config import ReconstructionConfig
 from pipeline.errors import InputError, PipelineError
 from pipeline.export.person_files import replacing
@@ -36,13 +45,14 @@ class _Choices:
     config: ReconstructionConfig
     typed: Mapping[str, Any]  # Options as they were typed
     units: Units | None
+    up: Up
     pair_by_order: bool
     cache: Path | None
 
     def fingerprint(self, take: TakeSource) -> str:
         """Digest of the files of a take and of all choices."""
         typed = {name: value for name, value in self.typed.items() if name != "processes"}
-        facts = [take.fingerprint(), typed, self.units, self.pair_by_order]
+        facts = [take.fingerprint(), typed, self.units, self.up, self.pair_by_order]
         return sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
@@ -58,6 +68,7 @@ def command(
         Path | None, typer.Option(help="Calibration file of all takes that have none of their own.", show_default=False)
     ] = None,
     units: UnitsOption = None,
+    up: UpOption = "z",
     pair_by_order: PairByOrderOption = False,
     frame_rate: KeypointRateOption = None,
     chosen: Mapping[str, Any],
@@ -73,7 +84,7 @@ def command(
     ):
         config = checked(chosen)
         takes = find_takes(source, out, calibration, frame_rate)
-        choices = _Choices(config, chosen, known_units(units), pair_by_order, users_cache())
+        choices = _Choices(config, chosen, known_units(units), known_up(up), pair_by_order, users_cache())
         try:
             for number, take in enumerate(takes, 1):
                 if not as_json:
@@ -103,7 +114,7 @@ def _row(take: TakeSource, choices: _Choices, folder: Path, *, show_bars: bool) 
     for left in folder.glob(f"{UNFINISHED}*"):
         shutil.rmtree(left, ignore_errors=True)
     try:
-        session = take.open(choices.units, choices.pair_by_order)
+        session = take.open(choices.units, choices.pair_by_order, choices.up)
         with StageBars(visible=show_bars) as bars:
             sources = [path for path in (take.calibration, take.timestamps) if path is not None]
             written = reconstruct_to_files(

@@ -14,9 +14,11 @@ from api.cli.options import (
     PairByOrderOption,
     TimestampsOption,
     UnitsOption,
+    UpOption,
     checked,
     known_clock,
     known_units,
+    known_up,
     with_choices,
 )
 from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source, parameters
@@ -89,6 +91,7 @@ def command(
         ),
     ] = "declared",
     units: UnitsOption = None,
+    up: UpOption = "z",
     keypoints: KeypointsOption = None,
     timestamps: TimestampsOption = None,
     pair_by_order: PairByOrderOption = False,
@@ -138,6 +141,7 @@ def command(
             known_clock(clock),
             frame_rate,
             pair_by_order,
+            known_up(up),
         )
         for warning in session.warnings:
             warn(warning)

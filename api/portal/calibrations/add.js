@@ -7,20 +7,21 @@ import { size } from "../shared/format.js";
 import { html, nothing } from "../shared/lit.js";
 import { problemBox } from "../shared/problem.js";
 import { rowOf } from "../send/draft.js";
-import { ACCEPTED_CALIBRATIONS } from "../send/files.js";
+import { ACCEPTED_CALIBRATIONS, AXES } from "../send/files.js";
 import { UploadQueue } from "../send/uploads.js";
 import { boardFields, boardSpec, emptyBoard } from "./board.js";
 
 const SOURCES = [["file", "A file"], ["board", "Footage of a board"], ["people", "Footage of people"], ["session", "People of a capture"]];
 const MOST_SESSIONS = 100;
 
-function specOf({ source, title, board, stature, units, session }) {
+function specOf({ source, title, board, stature, units, up, session }) {
   return {
     method: source.value === "session" ? "people" : source.value,
     ...(title.value.trim() && { name: title.value.trim() }),
     ...(source.value === "board" && { board: boardSpec(board) }),
     ...(stature && { stature_m: stature.value.split(",").map(Number) }),
     ...(units?.value && { units: units.value }),
+    ...(up?.value && { up: up.value }),
     ...(session && { session_id: session.value }),
   };
 }
@@ -74,8 +75,8 @@ export class AddForm {
     this.#problem = null;
     this.draw();
     try {
-      const { source, title, file, footage, stature, intrinsics, units, session } = form.elements;
-      const made = await this.#send({ source, title, board: this.#board, file, footage, stature, intrinsics, units, session });
+      const { source, title, file, footage, stature, intrinsics, units, up, session } = form.elements;
+      const made = await this.#send({ source, title, board: this.#board, file, footage, stature, intrinsics, units, up, session });
       const isJob = made.kind === "calibration";
       if (isJob) feed.put(made);
       form.reset();
@@ -107,7 +108,8 @@ export class AddForm {
   #fileFields() {
     return html`<label class="field"><span>File</span><input name="file" type="file" accept=${ACCEPTED_CALIBRATIONS} required></label>
       <label class="field"><span>Unit of length</span><select name="units">
-        <option value="">as the file states, or metres</option><option value="m">metres</option><option value="cm">centimetres</option><option value="mm">millimetres</option></select></label>`;
+        <option value="">as the file states, or metres</option><option value="m">metres</option><option value="cm">centimetres</option><option value="mm">millimetres</option></select></label>
+      <label class="field"><span>Axis that points up</span><select name="up">${AXES.map(([axis, label]) => html`<option value=${axis}>${label}</option>`)}</select></label>`;
   }
 
   #footageField() {

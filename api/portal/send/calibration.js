@@ -4,7 +4,7 @@ import { dated, usable } from "../shared/calibrations.js";
 import { count } from "../shared/format.js";
 import { html, live, nothing } from "../shared/lit.js";
 import { problemBox, warningList } from "../shared/problem.js";
-import { ACCEPTED_CALIBRATIONS } from "./files.js";
+import { ACCEPTED_CALIBRATIONS, AXES } from "./files.js";
 
 const UNITS = [["", "as the file states, or metres"], ["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
 
@@ -16,6 +16,10 @@ function factsOf(calibration) {
   if (calibration.source.units) facts.push(`in ${calibration.source.units}`);
   return facts.join(" · ");
 }
+
+const choice = (name, choices, chosen, isLocked, choose) => html`<label class="field unit"><span>${name}</span>
+  <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value || null)}>
+    ${choices.map(([value, label]) => html`<option value=${value} .selected=${live(value === (chosen ?? ""))}>${label}</option>`)}</select></label>`;
 
 export function calibrationPart({ sending, stored, away, choose, readFile, isLocked }) {
   const ready = usable(stored ?? []);
@@ -40,8 +44,8 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
     ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">Checking the calibration …</span></p>` : nothing}
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${factsOf(chosen)}</span></p>
       ${warningList(chosen.warnings, "Warnings about the calibration")}` : nothing}
-    ${rig.file ? html`<label class="field unit"><span>Unit of length</span>
-      <select ?disabled=${isLocked} @change=${(event) => readFile(rig.file, event.target.value || null)}>
-        ${UNITS.map(([unit, label]) => html`<option value=${unit} .selected=${live(unit === (rig.units ?? ""))}>${label}</option>`)}</select></label>` : nothing}
+    ${rig.file ? html`<div class="pair">
+      ${choice("Unit of length", UNITS, rig.units, isLocked, (units) => readFile(rig.file, units, rig.up))}
+      ${choice("Axis that points up", AXES, rig.up, isLocked, (up) => readFile(rig.file, rig.units, up))}</div>` : nothing}
     <p class="quiet">No calibration yet? <a href="#/calibrations">Make one from footage of a board or of people.</a></p>`;
 }

@@ -40,13 +40,13 @@ function unlessAway(problem) {
 }
 
 // Stored calibration of a file, which the service checks.
-export async function storedCalibration(file, units) {
-  const name = [digest(new Uint8Array(await file.arrayBuffer())), file.size, file.name.split(".").pop(), units].join("|");
+export async function storedCalibration(file, units, up) {
+  const name = [digest(new Uint8Array(await file.arrayBuffer())), file.size, file.name.split(".").pop(), units, ...(up ? [up] : [])].join("|");
   const id = known()[name];
   const earlier = id ? await call(`/v1/calibrations/${id}`).catch(unlessAway) : null;
   if (earlier?.state === "ready") return earlier;
   const form = new FormData();
-  form.append("spec", jsonPart({ method: "file", name: stem(file.name), units }));
+  form.append("spec", jsonPart({ method: "file", name: stem(file.name), units, ...(up && { up }) }));
   form.append("calibration", file, file.name); // a file of a chosen folder would have its path as its name
   const calibration = await call("/v1/calibrations", { method: "POST", form });
   remember(name, calibration.id);

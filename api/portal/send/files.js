@@ -17,6 +17,8 @@ const ENTRY = "PK\u0001\u0002";
 const [NAME_LENGTH_AT, NAME_AT] = [28, 46];
 
 export const ACCEPTED = ["zip", ...Object.values(KINDS).flat()].map((ending) => `.${ending}`).concat("video/*").join(",");
+// Axes of a calibration's world that may point up.
+export const AXES = [["", "Z, or as the format states"], ...["x", "-x", "y", "-y", "-z"].map((axis) => [axis, axis.toUpperCase().replace("-", "−")])];
 export const ACCEPTED_CALIBRATIONS = KINDS.calibration.map((ending) => `.${ending}`).join(",");
 
 // Files that systems and cameras put beside others, and that nobody means to send.

@@ -5,7 +5,7 @@ import { call } from "../shared/api.js";
 import { persistently } from "../shared/away.js";
 import { storedCalibration } from "./calibration_file.js";
 
-const NONE = { id: null, name: null, file: null, units: null, record: null, problem: null, isReading: false };
+const NONE = { id: null, name: null, file: null, units: null, up: null, record: null, problem: null, isReading: false };
 
 export class ChosenCalibration {
   #number = 0; // of the last choice, so that a slow answer does not take the place of a later one
@@ -25,8 +25,8 @@ export class ChosenCalibration {
   }
 
   // Store a calibration file, which checks it; the capture names it by its id.
-  readFile(file, units = null) {
-    return this.#read({ name: file.name, file, units }, () => storedCalibration(file, units));
+  readFile(file, units = null, up = null) {
+    return this.#read({ name: file.name, file, units, up }, () => storedCalibration(file, units, up));
   }
 
   async #read(wanted, read) {

@@ -241,8 +241,8 @@ class Sending extends EventTarget {
     return this.#readRig(this.rig.choose(id, name));
   }
 
-  readCalibration(file, units) {
-    return this.#readRig(this.rig.readFile(file, units));
+  readCalibration(file, units, up) {
+    return this.#readRig(this.rig.readFile(file, units, up));
   }
 
   async #readRig(read) {

@@ -144,7 +144,7 @@ export function open(place) {
         ${takesPanel(takes, failed)}
         ${filesPart(isLocked)}
         <section class="panel" aria-labelledby="calibration-title"><h2 id="calibration-title">Calibration</h2>
-          ${calibrationPart({ sending, stored, away, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (file, units) => sending.readCalibration(file, units) })}
+          ${calibrationPart({ sending, stored, away, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (...chosen) => sending.readCalibration(...chosen) })}
         </section>
         <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">Choices</h2>
           ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, noteOf })}

@@ -6,13 +6,16 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.contents import UNITS_M
-from pipeline.calibration.vertical import AXES, cameras_lean_deg, nearest_axis, up_of_cameras
+from pipeline.calibration.vertical import AXES, cameras_lean_deg, nearest_axis, possible_up_axes, up_of_cameras
 from pipeline.data.cameras import Camera
 from pipeline.findings import Finding, Severity
 from pipeline.geometry.camera import center_in_world
-from pipeline.problem_codes.findings import SAME_PLACE, WORLD_UNIT
+from pipeline.problem_codes.findings import SAME_PLACE, UP_AXIS_UNKNOWN, WORLD_UNIT
 from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
 from pipeline.problem_codes.warnings import CAMERA_BELOW_FLOOR, NOT_UPRIGHT, UPSIDE_DOWN
+
+UP_AXIS_CODES = (UPSIDE_DOWN, NOT_UPRIGHT, UP_AXIS_UNKNOWN)
+"""Codes of findings about the axis that points up."""
 
 # Distance in metres of the cameras that are farthest apart, in rigs for people, and in any rig that sees people.
 _EXTENT_RANGE_M = (0.05, 300.0)
@@ -24,7 +27,9 @@ _SAME_PLACE_M, _SAME_TURN_DEG = 0.01, 1.0
 _MAX_DEPTH_M = 0.15
 # Largest angle of the cameras' up direction from Z at which Z counts as up.
 _MAX_ANGLE_DEG = 45.0
-_TURN = "Z must point up: turn the file by `multicap calibration convert FILE TARGET --up={}`."
+_STATE = "state the axis that does (`--up={0}`, `up`), or turn the file (`multicap calibration convert`)."
+_TURN = f"Z must point up: {_STATE}"
+_CHOOSE = f"If Z does not point up, {_STATE}"
 
 
 def check_places(cameras: Sequence[Camera]) -> list[Finding]:
@@ -96,11 +101,19 @@ def _hint_of_unit(extent_m: float) -> str:
 
 
 def _up_axis(cameras: Sequence[Camera]) -> Iterator[Finding]:
-    """Compare the mean of the cameras' up directions with Z: most cameras stand upright."""
+    """Compare the mean of the cameras' up directions with Z: most cameras stand upright.
+
+    Where they do not tell, the axes that may point up are named, unless it can only be Z.
+    """
     up, angle_deg = up_of_cameras(cameras), cameras_lean_deg(cameras)
     if angle_deg is None:
-        return
-    if angle_deg > 180.0 - _MAX_ANGLE_DEG:
+        if (axes := possible_up_axes(cameras)) != ("z",):
+            names = " or ".join(axis.upper() for axis in axes)
+            message = f"The cameras do not tell which axis points up: {names}. Z is taken."
+            severity: Severity = "info" if "z" in axes else "warning"
+            other = next(axis for axis in axes if axis != "z")
+            yield Finding(UP_AXIS_UNKNOWN, message, None, severity, _CHOOSE.format(other), {"up_axes": list(axes)})
+    elif angle_deg > 180.0 - _MAX_ANGLE_DEG:
         message = "The cameras are upside down: the calibration's Z axis points down."
         yield Finding(
             UPSIDE_DOWN, message, None, "error", _TURN.format("-z"), {"angle_deg": angle_deg, "up_axis": "-z"}

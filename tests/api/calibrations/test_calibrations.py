@@ -109,6 +109,24 @@ def test_units_count_where_the_format_does_not_state_them(strict: Live) -> None:
     assert cameras[0]["translation_m"] == [0.0, 0.0, 2.0]
 
 
+def test_the_axis_that_points_up_is_asked_for_and_turned(strict: Live) -> None:
+    """Cameras that stand upright in a world whose y points down."""
+    upright = CAMERA | {
+        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        "translation_m": [0.0, 1.5, 4.0],
+    }
+    cameras = [upright, upright | {"name": "cam_1", "translation_m": [3.0, 1.5, 4.0]}]
+    content = json.dumps({"schema_version": 1, "cameras": cameras}).encode()
+    (warning,) = send(strict, content).json()["warnings"]
+    assert "the calibration's up axis may be -Y" in warning
+    assert "`up`" in warning
+    turned = send(strict, content, up="-y").json()
+    assert (turned["warnings"], turned["source"]["axes"]) == ([], "-Y up, as stated: turned to Z up")
+    assert [camera["position_m"] for camera in turned["cameras"]] == [[0.0, -4.0, 1.5], [-3.0, -4.0, 1.5]]
+    problem = problem_of(send(strict, content, up="w"), 422, "invalid_request")
+    assert [one["pointer"] for one in problem["errors"]] == ["/spec/up"]
+
+
 def test_all_problems_of_a_file_are_named(strict: Live) -> None:
     content = CALIBRATION.replace(b'"matrix": [[500.0', b'"matrix": [[-500.0')
     problem = problem_of(send(strict, content), 422, "invalid_request")

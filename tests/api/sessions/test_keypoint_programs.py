@@ -14,6 +14,9 @@ from typer.testing import CliRunner
 
 from api.cli.main import app
 from api.settings import Settings
+from pipeline.calibration.vertical import AXES, turn_upright
+from pipeline.calibration.write import encode
+from pipeline.data.rigid import Rigid3
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from tests.api.conftest import Live, problem_of, running
@@ -71,6 +74,32 @@ def test_a_session_of_the_service(checking: Live, simulation: Simulation, progra
         {"forms": [program.split(",", maxsplit=1)[0]]}
     ]
     assert {camera["name"] for camera in preflight["cameras"]} == {camera.name for camera in simulation.cameras}
+
+
+def test_the_axis_of_a_session_that_points_up(checking: Live, simulation: Simulation) -> None:
+    """The calibration's y points up; all else is as if it were z."""
+    from_upright = turn_upright(AXES["y"]).T
+    cameras = [
+        replace(camera, cam_from_world=Rigid3(pose.rotation @ from_upright.T, pose.translation_m))
+        for camera in simulation.cameras
+        for pose in [camera.cam_from_world]
+    ]
+    found = {}
+    for up in ("z", "y"):
+        sent = [
+            *(
+                (name, part)
+                for name, part in parts(simulation, keypoint_files(simulation, "MMPose"))
+                if name != "calibration"
+            ),
+            ("calibration", ("calibration.json", encode(cameras))),
+            ("manifest", (None, json.dumps({"name": "Turned", "up": up}).encode())),
+        ]
+        answer = checking.client.post("/v1/sessions", files=sent)
+        assert answer.status_code == 201, answer.text
+        found[up] = {one["code"]: one["evidence"] for one in answer.json()["preflight"]["findings"]}
+    assert found["z"]["not_upright"]["up_axis"] == "y"
+    assert "not_upright" not in found["y"]
 
 
 @pytest.mark.parametrize("is_zip", [True, False])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
-from pipeline.calibration.registry import MAX_BYTES, read_calibration
+from pipeline.calibration.registry import MAX_BYTES, read_calibration, read_contents
 from pipeline.calibration.write import encode
 from pipeline.data.cameras import Camera
 from pipeline.data.rigid import Rigid3
@@ -337,6 +337,17 @@ translation = [500.0, 0.0, 4000.0]
     )
     (camera,) = read_calibration(path, units)
     np.testing.assert_allclose(camera.cam_from_world.translation_m, np.array([500.0, 0.0, 4000.0]) * factor)
+
+
+def test_the_axis_that_points_up_becomes_z(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps({"schema_version": 1, "cameras": [own()]}))
+    (camera,) = read_calibration(path)
+    contents = read_contents(path, None, "-y")
+    (turned,) = contents.cameras
+    x, y, z = center_in_world(camera)
+    np.testing.assert_allclose(center_in_world(turned), (x, z, -y), atol=1e-12)
+    assert contents.axes == "-Y up, as stated: turned to Z up"
 
 
 def test_units_of_a_format_that_says_its_own_are_refused(tmp_path: Path) -> None:

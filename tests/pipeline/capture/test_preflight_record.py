@@ -28,7 +28,7 @@ def test_json_is_the_same_after_reading() -> None:
         added = f'"media_start_s": {start_s}, "thumbnails": [], "more_files": []}}'
         of_today = of_today.replace(f'"media_start_s": {start_s}}}', added)
     of_today = of_today.replace('"frame_rate_hz": null}', '"frame_rate_hz": null, "more_files": []}')
-    assert again == of_today[:-1] + ', "clock": "declared", "sync": "declared"}'
+    assert again == of_today[:-1] + ', "clock": "declared", "sync": "declared", "up": "z"}'
 
 
 def test_fields_are_those_of_the_json() -> None:
@@ -53,7 +53,7 @@ def test_rows_of_the_first_versions_can_be_read() -> None:
     preflight = Preflight.from_json(document)
     assert preflight.stretches == (range(300),)
     assert (preflight.recordings, preflight.units, preflight.cameras[0].start_time_s) == ((), "m", 0.0)
-    assert preflight.findings == ()
+    assert (preflight.findings, preflight.up) == ((), "z")
 
 
 @pytest.mark.parametrize("document", [{}, {"problems": []}, {"cameras": 1, "timebase": {}}, [], "text", None])

@@ -1,6 +1,5 @@
 """`multicap calibration`: show, check and convert calibration files."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,14 +8,12 @@ import typer
 from api.cli.commands.calibration import check
 from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
 from api.cli.console import JsonOption, console, emit, print_table, reporting, warn
-from api.cli.options import UnitsOption
+from api.cli.options import UnitsOption, UpOption
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
-from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.calibration.write import ENCODERS
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.geometry.camera import center_in_world
-from pipeline.problem_codes.commands import UNKNOWN_AXIS
 from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, INVALID_SIZE
 
 app = typer.Typer(help="Calibration files: show, check, convert.", no_args_is_help=True)
@@ -47,18 +44,12 @@ def convert(
     file: FileArgument,
     target: Annotated[Path, typer.Argument(metavar="TARGET", help=f"File to write: {', '.join(ENCODERS)}.")],
     units: UnitsOption = None,
-    up: Annotated[
-        str, typer.Option(metavar="|".join(AXES), help="Axis of the file that points up: the world is turned to Z up.")
-    ] = "z",
+    up: UpOption = "z",
     as_json: JsonOption = False,
 ) -> None:
     """Write a calibration as Multicap's JSON, Caliscope's TOML or OpenCV's YAML, in metres and with Z up."""
     with reporting(as_json):
-        contents = read(file, units)
-        if up not in AXES:
-            message = f"There is no axis '{up}'."
-            raise InputError([Problem(UNKNOWN_AXIS, message, hint=f"Use {', '.join(AXES)}.")])
-        contents = replace(contents, cameras=turned_upright(contents.cameras, AXES[up]))
+        contents = read(file, units, up)
         problems = [_unsized(file, camera) for camera in contents.cameras if camera.size_px == UNKNOWN_SIZE]
         if target.suffix.lower() not in ENCODERS:
             hint = f"Use one of {', '.join(ENCODERS)}."

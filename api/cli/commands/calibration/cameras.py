@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from api.cli.options import known_units
+from api.cli.options import known_units, known_up
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.registry import read_contents
 from pipeline.data.cameras import Camera
@@ -16,12 +16,12 @@ from pipeline.geometry.camera import center_in_world
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
 
 
-def read(file: Path, units: str | None) -> CameraFile:
-    """Read a calibration in a unit as it was typed.
+def read(file: Path, units: str | None, up: str = "z") -> CameraFile:
+    """Read a calibration in a unit, and with an axis that points up, as they were typed.
 
-    Raises ``InputError`` if there is no such unit, or with all problems of the file.
+    Raises ``InputError`` if there is no such unit or axis, or with all problems of the file.
     """
-    return read_contents(file, known_units(units))
+    return read_contents(file, known_units(units), known_up(up))
 
 
 def camera_documents(cameras: Sequence[Camera]) -> list[dict[str, Any]]:

@@ -14,8 +14,10 @@ from api.cli.options import (
     PairByOrderOption,
     TimestampsOption,
     UnitsOption,
+    UpOption,
     checked,
     known_units,
+    known_up,
     with_choices,
 )
 from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source
@@ -43,6 +45,7 @@ def command(
     frame_rate: KeypointRateOption = None,
     pair_by_order: PairByOrderOption = False,
     units: UnitsOption = None,
+    up: UpOption = "z",
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
 ) -> None:
@@ -51,10 +54,10 @@ def command(
         if any((videos, keypoints, timestamps, offset, rate)):
             check_sources(videos, keypoints, timestamps, offset, rate)
         config = replace(checked(chosen), smoothing="none")
-        unit = known_units(units)
+        unit, axis = known_units(units), known_up(up)
         cameras: Sequence[Camera] = ()
         try:
-            contents = read(file, units)
+            contents = read(file, units, up)
             cameras = contents.cameras
             session: Session | None = None
             if keypoints is not None or videos is not None:
@@ -68,6 +71,7 @@ def command(
                     unit,
                     frame_rate=frame_rate,
                     pair_by_order=pair_by_order,
+                    up=axis,
                 )
         except InputError as error:
             findings = [*check_cameras(cameras)] if cameras else []

@@ -16,8 +16,10 @@ from api.cli.options import (
     PairByOrderOption,
     TimestampsOption,
     UnitsOption,
+    UpOption,
     checked,
     known_units,
+    known_up,
     with_choices,
 )
 from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source
@@ -48,6 +50,7 @@ def command(
     pair_by_order: PairByOrderOption = False,
     frame_rate: KeypointRateOption = None,
     units: UnitsOption = None,
+    up: UpOption = "z",
     chosen: Mapping[str, Any],
     thumbnails: Annotated[
         Path | None,
@@ -63,7 +66,7 @@ def command(
         check_sources(videos, keypoints, timestamps, offset, rate)
         choices = checked(chosen)
         config = replace(choices, smoothing="none", sync="declared")
-        unit = known_units(units)
+        unit, axis = known_units(units), known_up(up)
         try:
             session = open_source(
                 videos,
@@ -75,6 +78,7 @@ def command(
                 unit,
                 frame_rate=frame_rate,
                 pair_by_order=pair_by_order,
+                up=axis,
             )
         except InputError as error:
             findings = [from_problem(problem) for problem in error.problems]

@@ -15,8 +15,10 @@ from api.cli.options import (
     PairByOrderOption,
     TimestampsOption,
     UnitsOption,
+    UpOption,
     checked,
     known_units,
+    known_up,
     with_choices,
 )
 from api.cli.sources import RateOption, VideosOption, check_sources, open_source
@@ -37,6 +39,7 @@ def command(
     pair_by_order: PairByOrderOption = False,
     frame_rate: KeypointRateOption = None,
     units: UnitsOption = None,
+    up: UpOption = "z",
     chosen: Mapping[str, Any],
     report: Annotated[
         Path | None, typer.Option(help="Folder for sync.json, and a plot of each camera's error over its offset.")
@@ -60,6 +63,7 @@ def command(
             units=known_units(units),
             frame_rate=frame_rate,
             pair_by_order=pair_by_order,
+            up=known_up(up),
         )
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:

@@ -68,6 +68,7 @@ def test_convert_turns_the_world_upright(tmp_path: Path, up: str) -> None:
     finding = check(str(source))[1]["findings"][0]
     assert (finding["evidence"]["up_axis"], finding["code"]) == (up, "upside_down" if up == "-z" else "not_upright")
     assert f"--up={up}" in finding["hint"]
+    assert check(str(source), f"--up={up}")[1]["findings"] == []
     assert runner.invoke(app, ["calibration", "convert", str(source), str(target), f"--up={up}"]).exit_code == 0
     for found, camera in zip(read_contents(target).cameras, rig, strict=True):
         np.testing.assert_allclose(center_in_world(found), center_in_world(camera), atol=1e-9)

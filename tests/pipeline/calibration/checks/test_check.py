@@ -10,12 +10,14 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.calibration.checks.lenses import growing_radius, picture_radii
 from pipeline.calibration.contents import UNKNOWN_SIZE
+from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.data.cameras import Camera
 from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, look_at
 from tests.pipeline.calibration.readers.rigs import RIG, fisheye
 
+OPPOSITE = {axis: axis[1:] if axis.startswith("-") else f"-{axis}" for axis in AXES}
 RING = build_cameras(Rig(Layout.RING, 4, (4.0, 3.0), 2.2), np.random.default_rng(1))
 
 
@@ -106,6 +108,32 @@ def test_a_wrong_world_is_one_finding(rig: Sequence[Camera], expected: tuple[str
 def test_the_hint_names_the_unit(scale: float, unit: str) -> None:
     (finding,) = check_cameras(in_other_world(RING, Rotation.identity(), scale))
     assert finding.hint == f"The lengths look like {unit}: state the unit (`--units {unit}`, `units`)."
+
+
+@pytest.mark.parametrize("axis", ["z", "-z", "y", "x"])
+def test_cameras_that_look_straight_down_tell_only_what_may_be_up(axis: str) -> None:
+    """They stand in a circle, turned to its middle, so that their up directions cancel out."""
+    down = [
+        replace(camera, cam_from_world=Rigid3(turn.as_matrix() @ np.diag([1.0, -1.0, -1.0]), np.array([x, y, 4.0])))
+        for camera, (x, y), angle in zip(RING, ((0, 2), (2, 0), (0, -2), (-2, 0)), (0, 90, 180, 270), strict=True)
+        for turn in [Rotation.from_euler("z", angle, degrees=True)]
+    ]
+    turn = Rotation.from_matrix(turn_upright(AXES[axis]).T)
+    (finding,) = [one for one in check_cameras(in_other_world(down, turn)) if one.code == "up_axis_unknown"]
+    axes = finding.evidence["up_axes"]
+    assert (axes[0], OPPOSITE[axis] in axes) == (axis, False)
+    assert finding.severity == ("warning" if axis == "-z" else "info")
+    assert f"--up={axes[1] if axis == 'z' else axis}" in str(finding)
+
+
+def test_cameras_on_their_sides_tell_only_what_may_be_up() -> None:
+    rolled = [
+        replace(camera, cam_from_world=Rigid3(turn @ pose.rotation, turn @ pose.translation_m))
+        for camera, angle in zip(RING, (0, 90, 180, 270), strict=True)
+        for turn, pose in [(Rotation.from_euler("z", angle, degrees=True).as_matrix(), camera.cam_from_world)]
+    ]
+    (finding,) = check_cameras(rolled)
+    assert (finding.code, finding.severity, finding.evidence) == ("up_axis_unknown", "info", {"up_axes": ["z", "-z"]})
 
 
 def test_cameras_without_poses_are_one_finding() -> None:
