@@ -19,6 +19,7 @@ from pipeline.detect.chunk import concatenate
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import ChildError, PipelineError
 from pipeline.export.results import OnFile, WrittenResults, no_file, not_written
+from pipeline.job_choices import CalibrationChoices
 from pipeline.paths import StrPath
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.rules import config_problems, require
@@ -137,14 +138,19 @@ def reconstruct_to_files(
 
 
 def detect_people(
-    session: CaptureSession, config: ReconstructionConfig = _DEFAULTS, on_progress: OnProgress = silent
+    session: CaptureSession,
+    config: ReconstructionConfig = _DEFAULTS,
+    on_progress: OnProgress = silent,
+    has_poses: bool = True,
 ) -> Mapping[str, Detections]:
     """Detect bodies in all videos of a session.
 
     Parameters
     ----------
     session
-        Cameras with their videos; poses of the cameras are not used.
+        Cameras with their videos.
+    has_poses
+        Whether the cameras have poses in a world with Z up, which tell how they hang; else people alone do.
 
     Raises
     ------
@@ -157,7 +163,8 @@ def detect_people(
     -------
         Bodies by camera, with the joints of ``detection_joints``.
     """
-    config = replace(config, method="tracking", appearance="off")
+    making = None if has_poses else CalibrationChoices(board=None)
+    config = replace(config, method="tracking", appearance="off", making=making)
     with _planned(session, config, session_facts(session), {LOOK, DETECT}, None) as job:
         for stage in job.stages:
             _run_stage(job, stage, on_progress)

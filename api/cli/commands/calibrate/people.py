@@ -87,7 +87,8 @@ def command(
                 pair_by_order=pair_by_order,
                 keeps_poses=False,
             )
-            detections, joints = detect_people(session, config, bars.update), detection_joints(config)
+            detections = detect_people(session, config, bars.update, has_poses=False)
+            joints = detection_joints(config)
         for sentence in () if as_json else session.warnings:
             warn(sentence)
         made = calibrate_people(
