@@ -35,6 +35,7 @@ def look_at_people(
     rule: SizeRule | None,
     known_deg: float | None,
     max_frames: int,
+    shows_lean: bool,
     on_frame: Callable[[], None] = lambda: None,
 ) -> CameraLook:
     """Look at the people in some of a camera's frames: how they hang in the picture, and how large they are.
@@ -53,6 +54,8 @@ def look_at_people(
         Turn by the calibration, see ``pipeline.detect.upright.turn_of_roll``; ``None`` if it is not known.
     max_frames
         Largest number of frames.
+    shows_lean
+        See ``pipeline.detect.upright.find_turn``.
     on_frame
         Called for each frame of the first look.
     """
@@ -66,7 +69,7 @@ def look_at_people(
         with closing(camera_images(session, camera, range(video.num_frames), counted, only=chosen)) as images:
             return [(frame, detector.detect(image_rgb)) for frame, image_rgb in images]
 
-    turn_deg, bodies = find_turn(known_deg, open_turned(0.0).joints, look_at, shows_lean=rule is not None)
+    turn_deg, bodies = find_turn(known_deg, open_turned(0.0).joints, look_at, shows_lean)
     if rule is None:
         return CameraLook(turn_deg=turn_deg)
     spans_px = [body_spans_px(image, turn_deg) for _, image in bodies]

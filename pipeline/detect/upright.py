@@ -28,6 +28,9 @@ _MIN_SCORE, _UPRIGHT_DEG, _MIN_UPRIGHT_SHARE = 0.2, 45.0, 0.6
 # Another turn is taken if the confidence in it is so much higher. Upright pictures had 1.2 to 1.8 times that of quarter
 # turns.
 _CLEARLY_MORE = 1.1
+# A known turn with so much more confidence than the picture as it is needs no further look. Networks that do not show
+# how people lean had at most a fifth in quarter turns.
+_FAR_MORE = 2.0
 
 NumberedBodies = Sequence[tuple[int, ImageBodies]]
 """Bodies in frames, with the frames' numbers."""
@@ -72,20 +75,25 @@ def find_turn(
 
     Returns
     -------
-        The turn in which people are upright. If there is none, and without ``shows_lean``, the quarter turn with the
-        most confidence; the first one unless another has clearly more.
+        The turn in which people are upright. If there is none, and without ``shows_lean``, the turn with the most
+        confidence; the first one unless another has clearly more.
     """
     first_deg = known_deg or 0.0
     looks = {first_deg: look_at(first_deg)}
     least = _CLEARLY_MORE * _confidence(looks[first_deg])
     if known_deg == 0.0 or (shows_lean and _is_upright(looks[first_deg], first_deg, joints)):
         return first_deg, looks[first_deg]
-    next_deg = 90.0 * round((first_deg + _lean_deg(looks[first_deg], first_deg, joints)) / 90.0) % 360.0
+    next_deg = 0.0
+    if shows_lean:
+        next_deg = 90.0 * round((first_deg + _lean_deg(looks[first_deg], first_deg, joints)) / 90.0) % 360.0
     for turn_deg in (next_deg, *_QUARTERS_DEG):
         if turn_deg not in looks:
             looks[turn_deg] = bodies = look_at(turn_deg)
             if shows_lean and _confidence(bodies) > least and _is_upright(bodies, turn_deg, joints):
                 return turn_deg, bodies
+            is_far_less = _FAR_MORE * _confidence(bodies) < _confidence(looks[first_deg])
+            if known_deg is not None and turn_deg == 0.0 and is_far_less:
+                break
     best_deg = max(looks, key=lambda turn_deg: _confidence(looks[turn_deg]))
     chosen_deg = best_deg if _confidence(looks[best_deg]) > least else first_deg
     return chosen_deg, looks[chosen_deg]

@@ -11,7 +11,7 @@ from pipeline.data.cameras import Camera
 from pipeline.data.detections import Detections
 from pipeline.detect.bodies import BodyDetector
 from pipeline.detect.chunk import camera_images, stack_bodies
-from pipeline.detect.profiles.detection import open_finder
+from pipeline.detect.profiles.detection import open_finder, shows_lean
 from pipeline.detect.upright import NumberedBodies, find_turn, turn_of_roll
 from pipeline.findings import SessionCheck
 from pipeline.preflight.hanging import hanging_cameras
@@ -35,7 +35,7 @@ def check_at_instants(
     networks = networks_of(config)
     open_turned = partial(open_finder, networks)
     frames = frames_at_instants(session, session.stretches)
-    detections, turns_deg = detect_at(session, frames, open_turned, networks.is_sized, on_frame)
+    detections, turns_deg = detect_at(session, frames, open_turned, shows_lean(networks), on_frame)
     check = check_bodies(session, detections, open_turned(0.0).joints, session.stretches)
     return replace(check, findings=(*check.findings, *hanging_cameras(turns_deg)))
 
@@ -44,13 +44,13 @@ def detect_at(
     session: CaptureSession,
     frames: Mapping[str, Sequence[int | None]],
     open_turned: OpenTurned,
-    shows_lean: bool,
+    is_lean_shown: bool,
     on_frame: Callable[[], None] = lambda: None,
 ) -> tuple[Mapping[str, Detections], Mapping[str, float]]:
     """Detect bodies in some frames of each camera, in pictures that are brought upright.
 
-    Numbers of the frames are by camera; ``None`` is left out. ``shows_lean`` is as of ``find_turn``. ``on_frame`` is
-    called for each frame once. Returns the detections and the turns by camera. Raises as
+    Numbers of the frames are by camera; ``None`` is left out. ``is_lean_shown`` is ``shows_lean`` of ``find_turn``.
+    ``on_frame`` is called for each frame once. Returns the detections and the turns by camera. Raises as
     ``pipeline.video.decode.decode``.
     """
     detections, turns_deg = {}, {}
@@ -59,7 +59,7 @@ def detect_at(
         known_deg = turn_of_roll(camera)
         wanted = sorted({frame for frame in frames[camera.name] if frame is not None})
         look_at = partial(_detect, session, camera, wanted, open_turned, known_deg or 0.0, on_frame)
-        turns_deg[camera.name], bodies = find_turn(known_deg, joints, look_at, shows_lean)
+        turns_deg[camera.name], bodies = find_turn(known_deg, joints, look_at, is_lean_shown)
         detections[camera.name] = stack_bodies(camera.name, bodies, len(joints.names))
     return detections, turns_deg
 

@@ -12,13 +12,13 @@ from pipeline.stages.stage import LOOK, Context, Output, SessionFacts, Stage, Ta
 LOOKED_AT_FRAMES = 12
 """Largest number of frames of a camera that are looked at."""
 # Fewer are enough for networks that are not sized, of which a pass takes longer.
-_UNSIZED_FRAMES = 4
+_UNSIZED_FRAMES = 3
 
 
 def look(task: Task, context: Context) -> Output:
     """Look at the people in some frames of a camera's whole video: turn and size of its images."""
     from pipeline.detect.look import look_at_people
-    from pipeline.detect.profiles.detection import open_finder
+    from pipeline.detect.profiles.detection import open_finder, shows_lean
     from pipeline.detect.profiles.sizes import RULES
     from pipeline.detect.upright import turn_of_roll
     from pipeline.stages.codec import encode
@@ -29,12 +29,17 @@ def look(task: Task, context: Context) -> Output:
     camera = next(camera for camera in session.cameras if camera.name == name)
     # A camera that is to be calibrated has no pose.
     known_deg = turn_of_roll(camera) if config.is_of_people else None
-    max_frames = LOOKED_AT_FRAMES if networks.is_sized else _UNSIZED_FRAMES
+    look = partial(
+        look_at_people,
+        open_turned=partial(open_finder, networks),
+        rule=rule,
+        known_deg=known_deg,
+        max_frames=LOOKED_AT_FRAMES if networks.is_sized else _UNSIZED_FRAMES,
+        shows_lean=shows_lean(networks),
+        on_frame=context.on_unit,
+    )
     with context.video(name):
-        seen = look_at_people(
-            session, name, partial(open_finder, networks), rule, known_deg, max_frames, context.on_unit
-        )
-    return Output(encode(seen))
+        return Output(encode(look(session, name)))
 
 
 def is_detecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:

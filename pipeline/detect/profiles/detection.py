@@ -13,6 +13,7 @@ from pipeline.detect.models import verify
 from pipeline.detect.own.detectors import open_own
 from pipeline.detect.profiles.sizes import CameraSizes
 from pipeline.detect.profiles.two_sizes import TwoSizes
+from pipeline.detect.registry import NetworkHead
 from pipeline.detect.session import Network, open_network
 from pipeline.detect.topdown.detector import TopDown
 from pipeline.errors import ModelError
@@ -133,6 +134,11 @@ def open_finder(networks: Networks, turn_deg: float = 0.0) -> BodyDetector:
     if entry_of(networks.body).own is not None:
         return load_own(networks.body, turn_deg)
     return turned(load_detector(networks.body), turn_deg)
+
+
+def shows_lean(networks: Networks) -> bool:
+    """Whether the network finds people in pictures that are turned, too, as MultiPose does, and shows how they lean."""
+    return entry_of(networks.body).head is NetworkHead.MOVENET_MULTIPOSE
 
 
 def turned(detector: Detector, turn_deg: float) -> Detector:

@@ -53,7 +53,7 @@ def make_session(folder: Path, num_frames: int, keyframe_every: int) -> CaptureS
 @pytest.mark.parametrize("keyframe_every", [5, 250])
 def test_the_whole_video_is_looked_at(tmp_path: Path, keyframe_every: int) -> None:
     session, detector, steps = make_session(tmp_path, 80, keyframe_every), TallBody(), []
-    look = look_at_people(session, "right", detector.turned, RULE, 0.0, 8, lambda: steps.append(1))
+    look = look_at_people(session, "right", detector.turned, RULE, 0.0, 8, True, lambda: steps.append(1))
     assert look == CameraLook(CameraSizes((384,)))  # 400 pixels need more padding
     chosen = frames_to_look_at(session.videos[1], 8)
     np.testing.assert_allclose(detector.grey, [20 + 2 * frame for frame in chosen], atol=3.0)
@@ -64,14 +64,14 @@ def test_the_whole_video_is_looked_at(tmp_path: Path, keyframe_every: int) -> No
 
 def test_an_upright_camera_of_a_network_of_one_size_is_not_looked_at(tmp_path: Path) -> None:
     session, detector = make_session(tmp_path, 20, 5), TallBody()
-    assert look_at_people(session, "right", detector.turned, None, 0.0, 8) == CameraLook()
+    assert look_at_people(session, "right", detector.turned, None, 0.0, 8, False) == CameraLook()
     assert detector.grey == []
 
 
 def test_all_turns_of_an_unknown_camera_are_looked_at_once(tmp_path: Path) -> None:
     """The detector finds as much in all turns, so the picture stays as it is."""
     session, detector, steps = make_session(tmp_path, 20, 5), TallBody(), []
-    look = look_at_people(session, "right", detector.turned, None, None, 4, lambda: steps.append(1))
+    look = look_at_people(session, "right", detector.turned, None, None, 4, False, lambda: steps.append(1))
     assert look == CameraLook(turn_deg=0.0)
     assert len(detector.grey) == 4 * 4
     assert set(detector.turns_deg) == {0.0, 90.0, 180.0, 270.0}
@@ -81,7 +81,7 @@ def test_all_turns_of_an_unknown_camera_are_looked_at_once(tmp_path: Path) -> No
 def test_the_size_is_that_of_the_upright_picture(tmp_path: Path) -> None:
     """A camera on its side, in whose picture the body lies: 48 pixels of the upright picture's width of 80."""
     session, detector = make_session(tmp_path, 20, 5), TallBody()
-    look = look_at_people(session, "right", detector.turned, RULE, 90.0, 8)
+    look = look_at_people(session, "right", detector.turned, RULE, 90.0, 8, True)
     assert look.turn_deg == 90.0
     assert look.sizes == choose_sizes([np.array([48.0])] * 4, (80, 96), RULE)
 

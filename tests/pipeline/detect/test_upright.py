@@ -128,6 +128,10 @@ def test_a_known_turn_is_confirmed_by_one_look() -> None:
     people = People(137.0, falling)
     assert find_turn(137.0, COCO_17, people, shows_lean=True)[0] == 137.0
     assert people.looks == [137.0]
+    # A network that finds nobody in turned pictures needs a look at the picture as it is.
+    people = People(137.0, collapsing)
+    assert find_turn(137.0, COCO_17, people, shows_lean=False)[0] == 137.0
+    assert people.looks == [137.0, 0.0]
 
 
 def test_a_camera_that_is_known_to_be_upright_stays_so_whatever_people_do() -> None:
