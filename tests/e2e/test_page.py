@@ -7,10 +7,12 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
@@ -18,8 +20,10 @@ from pipeline.calibration.contents import scaled
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode, encode_toml
 from pipeline.runtime.packages.samples import Sample
+from pipeline.simulation.scenes import find_scene, record
 from tests.e2e.browsing import choose_option, opened
 from tests.e2e.serving import Served, digests, serving
+from tests.pipeline.keypoint_programs import freemocap_array
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -122,6 +126,27 @@ def test_a_unit_that_nothing_states_is_asked_for(served: Served, sample: Sample,
         expect(page.get_by_text("The cameras are upside down")).to_have_count(0, timeout=180_000)
         expect(send.get_by_role("alert")).to_have_count(0)
         expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
+
+
+def test_an_array_of_the_points_of_all_cameras(page: Page, served: Served, tmp_path: Path) -> None:
+    simulation = record(replace(find_scene("room"), duration_s=1.0), seed=4, num_views=2)
+    rig, array, other = (tmp_path / name for name in ("rig.json", "mediapipe_2dData_numCams.npy", "cam_00.mp4"))
+    rig.write_bytes(encode(simulation.cameras))
+    np.save(array, freemocap_array(simulation))
+    other.write_bytes(bytes(100))
+    page.get_by_label("Name of the take").fill("Array")
+    choose(page, rig, array, other)
+    expect(page.get_by_text("all cameras, in the order of their names")).to_be_visible(timeout=180_000)
+    page.get_by_label("Frame rate of the keypoints").fill("25")
+    page.get_by_role("button", name="Send and reconstruct").click()
+    problems = page.get_by_role("region", name="Send").get_by_role("alert")
+    expect(problems).to_contain_text("has the keypoints of all cameras", timeout=180_000)
+    page.get_by_role("button", name="Remove cam_00.mp4").click()
+    page.get_by_role("button", name="Send and reconstruct").click()
+    expect(page.get_by_role("heading", name="Array", level=1)).to_be_visible(timeout=180_000)
+    session = next(one for one in served.client.get("/v1/sessions").json()["sessions"] if one["name"] == "Array")
+    cameras = served.client.get(f"/v1/sessions/{session['id']}").json()["preflight"]["cameras"]
+    assert [(one["name"], one["file"]) for one in cameras] == [(one.name, array.name) for one in simulation.cameras]
 
 
 def throttle(page: Page, bytes_per_s: int) -> None:

@@ -13,6 +13,7 @@ export const MEASURED = "measured";
 export function captureOf({ draft, rig, options }) {
   const files = draft.rows.filter(({ isUsed }) => isUsed);
   const has = (kind) => files.some((row) => row.kind === kind);
+  const hasPoints = has("keypoints") || has("array");
   const isMeasured = draft.clock === MEASURED;
   return {
     name: draft.name,
@@ -21,8 +22,8 @@ export function captureOf({ draft, rig, options }) {
     calibration: rig.record,
     start: draft.clock,
     clock: has("video") ? (isMeasured ? "declared" : draft.clock) : null,
-    needsFrameRate: has("keypoints") && !has("timestamps"),
-    frameRate_hz: has("keypoints") && !has("timestamps") ? draft.frameRate_hz : null,
+    needsFrameRate: hasPoints && !has("timestamps"),
+    frameRate_hz: hasPoints && !has("timestamps") ? draft.frameRate_hz : null,
     spec: options ? { ...shownSpec(draft.spec, options), sync: isMeasured ? "auto" : "declared" } : null,
   };
 }
@@ -64,11 +65,11 @@ export function sessionBody({ name, files, calibration, clock, frameRate_hz, spe
   const [timestamps] = ids("timestamps");
   const now = new Date().toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   return {
-    videos: ids("video"), keypoints: ids("keypoints"), ...(timestamps && { timestamps }),
+    videos: ids("video"), keypoints: [...ids("keypoints"), ...ids("array")], ...(timestamps && { timestamps }),
     calibration_id: calibration.id,
     manifest: {
       name: name.trim() || `Take of ${now}`, cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
-      sync: spec.sync,
+      sync: spec.sync, ...(ids("array").length && { pair_by_order: true }),
     },
   };
 }

@@ -9,6 +9,8 @@ const KINDS = {
 };
 const IMAGES = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "webp"];
 const KEYPOINTS = ["json", "csv", "npy", "h5", "hdf5"];
+// FreeMoCap's array of the 2D points of all cameras.
+const ARRAY = /2d.*\.npy$/i;
 const LABELS = /\d\.txt$/i; // YOLO's; the texts of calibrations have no numbers at the ends of their names
 const MOST_FILES = 20_000; // of dropped folders
 // The directory of a zip is at its end; its first entries are enough to tell what the zip has.
@@ -16,7 +18,7 @@ const TAIL_BYTES = 1 << 16;
 const ENTRY = "PK\u0001\u0002";
 const [NAME_LENGTH_AT, NAME_AT] = [28, 46];
 
-export const ACCEPTED = ["zip", ...Object.values(KINDS).flat()].map((ending) => `.${ending}`).concat("video/*").join(",");
+export const ACCEPTED = ["zip", "npy", ...Object.values(KINDS).flat()].map((ending) => `.${ending}`).concat("video/*").join(",");
 // Axes of a calibration's world that may point up.
 export const AXES = [["", "Z, or as the format states"], ...["x", "-x", "y", "-y", "-z"].map((axis) => [axis, axis.toUpperCase().replace("-", "−")])];
 export const ACCEPTED_CALIBRATIONS = KINDS.calibration.map((ending) => `.${ending}`).join(",");
@@ -41,10 +43,14 @@ export function namesOf(files) {
 
 const endingOf = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();
 
+// Files that belong to one camera, by their kinds.
+export const isOfCamera = ({ kind }) => kind === "video" || kind === "keypoints";
+
 // Kind of a file; null for a file that belongs to no capture.
 export async function kindOf(file) {
   const ending = endingOf(file.name);
   if (ending === "zip") return kindOfZip(await file.slice(-TAIL_BYTES).arrayBuffer());
+  if (ARRAY.test(file.name)) return "array";
   const found = Object.entries(KINDS).find(([, endings]) => endings.includes(ending));
   return found?.[0] ?? (file.type.startsWith("video/") ? "video" : null);
 }

@@ -22,6 +22,7 @@ function timing(row, name, { label, empty, change, isLocked }) {
 
 function cameraField(row, sending, change, isLocked) {
   if (row.kind === "timestamps") return html`<span class="quiet">timestamps</span>`;
+  if (row.kind === "array") return html`<span class="quiet">all cameras, in the order of their names</span>`;
   const names = sending.cameraNames;
   if (names.length === 0) return html`<span class="quiet">after the calibration</span>`;
   return html`<select aria-label="Camera of ${row.name}" ?disabled=${isLocked || !row.isUsed}

@@ -12,6 +12,7 @@ import { captureOf, jobBody, partsOf, recordingsOfRows, sessionBody, videosByCam
 import { addFiles } from "./chosen_files.js";
 import { emptyDraft, loadDraft, saveDraft } from "./draft.js";
 import { faultsOf } from "./faults.js";
+import { isOfCamera } from "./files.js";
 import { inOrder, matchCameras } from "./matching.js";
 import { ChosenCalibration } from "./rig.js";
 import { UploadQueue } from "./uploads.js";
@@ -76,7 +77,7 @@ class Sending extends EventTarget {
   // Files that were being sent when the page was closed, and have to be chosen again.
   get missing() { return this.used.filter((row) => row.file === null && !row.isSent); }
   // Files whose names don't tell their camera, once there is a calibration, and the cameras that no file has.
-  get unpaired() { return this.cameraNames.length ? this.used.filter(({ kind, camera }) => kind !== "timestamps" && camera === null) : []; }
+  get unpaired() { return this.cameraNames.length ? this.used.filter((row) => isOfCamera(row) && row.camera === null) : []; }
   get unpairedRecordings() { return recordingsOfRows(this.unpaired); }
   get freeCameras() { return this.cameraNames.filter((name) => !this.used.some(({ camera }) => camera === name)); }
 
@@ -202,9 +203,9 @@ class Sending extends EventTarget {
   assignCameras() {
     const names = this.cameraNames;
     if (names.length === 0 || this.isLocked) return;
-    const matched = this.#byRecording(matchCameras, this.rows.filter(({ kind }) => kind !== "timestamps"), names);
+    const matched = this.#byRecording(matchCameras, this.rows.filter(isOfCamera), names);
     for (const row of this.rows) {
-      if (row.kind === "timestamps") continue;
+      if (!isOfCamera(row)) continue;
       if (!names.includes(row.camera)) row.camera = null;
       const camera = matched.get(row);
       const others = this.rows.filter((other) => other !== row && other.camera === camera);

@@ -26,6 +26,11 @@ test("files that systems and cameras put beside others", () => {
   assert.deepEqual(["a.mp4", "take/a_._b.mp4", "lrv.mp4", "__macosx.mp4"].filter(isPassedOver), []);
 });
 
+test("an array of the points of all cameras", async () => {
+  const kinds = await Promise.all(["mediapipe_2dData_numCams_pixelXY.npy", "body_3d_xyz.npy"].map((name) => kindOf({ name, type: "" })));
+  assert.deepEqual(kinds, ["array", null]);
+});
+
 // Directory of a zip with these names, as far as it is read.
 function zipOf(...names) {
   const entries = names.map((name) => {
