@@ -17,11 +17,12 @@ export async function addFiles(draft, chosen, { notes, forget, isOver }) {
   const counts = await Promise.all(files.map((file, index) => (kinds[index] === "video" ? numFramesOf(file) : null)));
   if (isOver()) return null;
   const filesOf = (kind) => files.filter((file, index) => kinds[index] === kind);
-  const names = namesOf(files);
+  const names = namesOf([...draft.rows.map(({ file }) => file).filter(Boolean), ...files]);
+  for (const row of draft.rows) if (row.file && !row.url && !row.isActive) row.name = names.get(row.file);
   const [calibrations, others] = [filesOf("calibration"), filesOf(null)];
   const added = new Set();
   files.forEach((file, index) => {
-    const [kind, name] = [kinds[index], names[index]];
+    const [kind, name] = [kinds[index], names.get(file)];
     if (kind === null || kind === "calibration") return;
     if (added.has(name)) notes.push(`Two files have the name ${name}. Rename one of them.`);
     else addRow(draft, file, { name, kind, numFrames: counts[index] }, { notes, forget });

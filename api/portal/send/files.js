@@ -31,14 +31,17 @@ const paths = new WeakMap(); // of dropped files, with their folders
 export const pathOf = (file) => paths.get(file) ?? (file.webkitRelativePath || file.name);
 export const isPassedOver = (path) => path.split("/").some((name) => BESIDE.test(name));
 
-// Names of files, each once where folders tell files of one name apart: `left_DCIM_GX010042.MP4`.
+const foldersOf = (file) => pathOf(file).split("/").slice(0, -1);
+
+// Names of files, by file; each once where folders tell files of one name apart: `left_DCIM_GX010042.MP4`.
 export function namesOf(files) {
   const all = [...files];
-  const alike = all.filter((file) => all.some((other) => other !== file && other.name === file.name && pathOf(other) !== pathOf(file)));
-  const folders = alike.map((file) => pathOf(file).split("/").slice(0, -1));
+  const isOther = (one, other) => one.name === other.name && pathOf(one) !== pathOf(other) && foldersOf(one).length > 0 && foldersOf(other).length > 0;
+  const alike = all.filter((file) => all.some((other) => isOther(file, other)));
+  const folders = alike.map(foldersOf);
   let shared = 0;
   while (folders.length && folders.every((path) => shared < path.length && path[shared] === folders[0][shared])) shared += 1;
-  return all.map((file) => (alike.includes(file) ? pathOf(file).split("/").slice(shared).join("_") : file.name));
+  return new Map(all.map((file) => [file, alike.includes(file) ? pathOf(file).split("/").slice(shared).join("_") : file.name]));
 }
 
 const endingOf = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();

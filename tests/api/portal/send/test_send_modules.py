@@ -10,6 +10,6 @@ HERE = Path(__file__).parent
 CASES = HERE.parents[2] / "pipeline" / "capture"
 
 
-@pytest.mark.parametrize("module", ["folders", "matching", "parts"])
+@pytest.mark.parametrize("module", ["chosen_files", "folders", "matching", "parts"])
 def test_modules_of_the_view_send(module: str) -> None:
     run_by_node(HERE / f"{module}.test.mjs", CASES)
