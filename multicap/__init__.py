@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pipeline.data.reconstruction import Reconstruction
     from pipeline.detect.models import install as install_network
     from pipeline.detect.models import install_networks
-    from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem
+    from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
     from pipeline.export.results import WrittenResults, write_results
     from pipeline.progress import Progress
     from pipeline.runtime.packages.samples import install as install_sample
@@ -51,6 +51,7 @@ __all__ = [
     "ReconstructionConfig",
     "Recording",
     "ServiceError",
+    "SessionRefused",
     "WrittenResults",
     "install_network",
     "install_networks",
@@ -78,6 +79,7 @@ _REFERENCES = {
     "ReconstructionConfig": "pipeline.config:ReconstructionConfig",
     "Recording": "pipeline.capture.recordings:Recording",
     "ServiceError": "api.cli.client:ServiceError",
+    "SessionRefused": "pipeline.errors:SessionRefused",
     "WrittenResults": "pipeline.export.results:WrittenResults",
     "install_network": "pipeline.detect.models:install",
     "install_networks": "pipeline.detect.models:install_networks",

@@ -233,6 +233,13 @@ class JobChoices(MotionChoices):
         bool,
         About("Overlay videos", "Whether each camera's video is made with the skeletons drawn over it."),
     ] = False
+    force: Annotated[
+        bool,
+        About(
+            "Despite errors",
+            "Whether the session is reconstructed although its check finds errors, which make results wrong.",
+        ),
+    ] = False
 
 
 @dataclass(frozen=True, slots=True)

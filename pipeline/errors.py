@@ -4,6 +4,7 @@
 
     PipelineError            a clear sentence, a stable ``code``
     ├── InputError           bad input: every problem found, at once; a retry fails the same way
+    │   └── SessionRefused   the check of a session found errors; it can be reconstructed all the same
     ├── ModelError           a detector network or the sample capture can't be installed or used
     └── ChildError           a process of Multicap's own failed; the input is not at fault
 """
@@ -16,7 +17,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
 from pipeline.problem_codes.fields import MORE_PROBLEMS
-from pipeline.problem_codes.jobs import CHILD_FAILED, INPUT_ERROR, MODEL_ERROR, PIPELINE_ERROR
+from pipeline.problem_codes.jobs import CHILD_FAILED, INPUT_ERROR, MODEL_ERROR, PIPELINE_ERROR, SESSION_REFUSED
 from pipeline.problem_codes.model import Code
 
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
@@ -125,6 +126,17 @@ class InputError(PipelineError):
     def __reduce__(self) -> tuple[type["InputError"], tuple[Sequence[Problem]]]:
         """Pickle the error by its problems: detection processes raise it, too."""
         return type(self), (self.problems,)
+
+
+class SessionRefused(InputError):  # noqa: N818 - named for what became of the session
+    """The check of a session found errors: ``problems``. With the choice ``force`` it is reconstructed all the same."""
+
+    code: ClassVar[Code] = SESSION_REFUSED
+    advice: ClassVar[str] = "Correct the session, or reconstruct it all the same: `--force`, `force`."
+
+    def __str__(self) -> str:
+        """Problems, one a line, and what to do."""
+        return f"{super().__str__()}\n{self.advice}"
 
 
 class ChildError(PipelineError):

@@ -1,6 +1,7 @@
 """Findings of checks, before and after a reconstruction: the shape that all checks share. Standard library only.
 
-A finding refuses nothing, whatever its severity: files that can't be used at all raise ``InputError``.
+Errors refuse a session unless it is forced, see ``pipeline.preflight.verdict``. Files that can't be used at all raise
+``InputError``.
 """
 
 from collections.abc import Iterable, Mapping
@@ -8,11 +9,17 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from pipeline.errors import Problem, printable
+from pipeline.problem_codes.findings import WORLD_UNIT
 from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
+from pipeline.problem_codes.warnings import TOO_FEW_CAMERAS
 
 Severity = Literal["error", "warning", "info"]
 _SEVERITIES: tuple[Severity, ...] = get_args(Severity)
 _DECIMALS = 4
+
+CERTAIN = frozenset({TOO_FEW_CAMERAS, CALIBRATION_UNPOSED, WORLD_UNIT})
+"""Codes of errors of cameras alone with which nobody can be located: no people outweigh them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +72,7 @@ class SessionCheck:
     people: Mapping[str, int] = field(default_factory=dict)  # Number of people by camera, at all instants together
     num_instants: int = 0  # Number of instants
     num_located: int = 0  # Number of people whom pairs of cameras that agree locate, at all instants together
+    forced: tuple[Code, ...] = ()  # Codes of the errors in spite of which the session is reconstructed
 
 
 def _shown(value: Any) -> Any:

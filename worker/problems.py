@@ -1,12 +1,12 @@
 """Problems of jobs made from exceptions: sentences for the client, and whether another attempt may succeed."""
 
-from pipeline.errors import ChildError, InputError, ModelError, PipelineError
+from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused, listed
 from pipeline.problem_codes.jobs import MEMORY_LIMIT
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import ARTIFACTS_REFUSED, INTERNAL_ERROR, STORAGE_FULL
 from worker.jobs.errors import ArtifactsRefused
 from worker.jobs.files.disk import is_disk_full
-from worker.jobs.model.jobs import JobProblem
+from worker.jobs.model.jobs import JobProblem, SessionError
 from worker.jobs.outages import Outage
 
 _NAMES = {Outage.DATABASE: "database", Outage.ARTIFACTS: "artifact store", Outage.BROKER: "broker"}
@@ -24,6 +24,22 @@ def waiting_for(outage: Outage, stage: str | None = None) -> JobProblem:
 
 
 def problem_of(error: Exception, stage: str) -> JobProblem:
+    """Build the problem of a chunk that failed with an exception; with the errors of a session that was refused."""
+    return _refusal(error, stage) if isinstance(error, SessionRefused) else _failure(error, stage)
+
+
+def _refusal(error: SessionRefused, stage: str) -> JobProblem:
+    problems = listed(error.problems)
+    return JobProblem(
+        error.code,
+        " ".join(_sentence(problem) for problem in problems),
+        stage=stage,
+        hint=error.advice,
+        errors=tuple(SessionError(problem.code, problem.message, problem.camera, problem.hint) for problem in problems),
+    )
+
+
+def _failure(error: Exception, stage: str) -> JobProblem:
     """Build the problem of a chunk that failed with an exception.
 
     Errors of the pipeline keep their messages, which are written for people. They are retryable unless the input causes
@@ -67,3 +83,8 @@ def problem_of(error: Exception, stage: str) -> JobProblem:
                 hint="Retry the job. If it fails again, the worker's log says why.",
                 retryable=True,
             )
+
+
+def _sentence(problem: Problem) -> str:
+    """Message of an error of a session, with its camera."""
+    return f"{problem.camera}: {problem.message}" if problem.camera else problem.message

@@ -31,7 +31,7 @@ from rich.progress import (
 from rich.progress import Progress as ProgressBars
 from rich.text import Text
 
-from pipeline.errors import InputError, PipelineError
+from pipeline.errors import InputError, PipelineError, SessionRefused
 from pipeline.findings import Finding, worst_first
 from pipeline.problem_codes.commands import INTERRUPTED
 from pipeline.progress import Progress
@@ -194,6 +194,8 @@ def reporting(as_json: bool, what_is_left: Callable[[], str] = str) -> Iterator[
         else:
             for problem in error.problems:
                 _print_error(str(problem))
+            if isinstance(error, SessionRefused):
+                console.print(error.advice)
         raise typer.Exit(EXIT_BAD_INPUT) from error
     except PipelineError as error:
         if as_json:

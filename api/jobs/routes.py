@@ -17,7 +17,7 @@ from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.jobs import examples
 from api.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
-from api.jobs.spec_checks import callback_errors, for_session, network_errors, spec_errors
+from api.jobs.spec_checks import callback_errors, for_session, network_errors, session_errors, spec_errors
 from api.jobs.webhooks import job_ended_callbacks
 from api.sessions.creation import Creation, Texts, add_creation
 from api.sessions.form import CAPTURE_FORM
@@ -70,7 +70,11 @@ def create_job(
             message = "The session was sent for a calibration, and its cameras are not calibrated."
             raise ApiError(CONFLICT, message, hint="Send its videos as a session with the calibration's id.")
         spec = for_session(spec, session.preflight.sync)
-        errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
+        errors = [
+            *session_errors(spec, session.preflight),
+            *spec_errors(spec, session.preflight),
+            *callback_errors(spec, services, idempotent.records),
+        ]
         if has_videos(session):
             errors += network_errors(spec, services, ())
         if errors:

@@ -48,6 +48,15 @@ class StageOut(ResponseModel):
         )
 
 
+class SessionErrorOut(ResponseModel):
+    """Error that the check of a job's session found."""
+
+    code: Code = Field(description="Stable code; docs/problems.md lists all codes.")
+    message: str = Field(description="Description of the error, a sentence for a person.")
+    camera: str | None = Field(description="Camera that the error is about; null if it is not about one.")
+    hint: str | None = Field(description="Advice to the caller.")
+
+
 class JobError(ResponseModel):
     """Error of a job or of an attempt at a chunk."""
 
@@ -57,11 +66,17 @@ class JobError(ResponseModel):
     camera: str | None = Field(description="Camera whose file caused the error.")
     hint: str | None = Field(description="Advice to the caller.")
     retryable: bool = Field(description="Whether another attempt may succeed.")
+    errors: tuple[SessionErrorOut, ...] = Field(
+        default=(),
+        description="Errors of the session with `session_refused`; with `force` another job reconstructs it all the "
+        "same.",
+    )
 
     @classmethod
     def of(cls, problem: JobProblem) -> Self:
         """Build the response from a problem."""
-        return cls(**fields_of(problem, cls))
+        errors = tuple(SessionErrorOut(**fields_of(error, SessionErrorOut)) for error in problem.errors)
+        return cls(errors=errors, **fields_of(problem, cls, without=("errors",)))
 
 
 class FailureOut(ResponseModel):

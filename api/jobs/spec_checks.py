@@ -6,6 +6,7 @@ from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import Sync, install_command, networks_of
+from pipeline.findings import CERTAIN
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import FRAMES_TOO_LARGE
 from pipeline.problem_codes.sessions import SESSION_TOO_LONG
@@ -34,6 +35,18 @@ def spec_errors(spec: JobSpec, preflight: Preflight, *field: str) -> list[ErrorI
             hint=problem.hint,
         )
         for problem in problems
+    ]
+
+
+def session_errors(spec: JobSpec, preflight: Preflight) -> list[ErrorItem]:
+    """Errors of a session with which nobody could be located; none if the job is forced.
+
+    The other errors are judged with the people, in the job.
+    """
+    return [
+        ErrorItem(code=finding.code, message=finding.message, camera=finding.camera, hint=finding.hint)
+        for finding in (() if spec.force else preflight.findings)
+        if finding.severity == "error" and finding.code in CERTAIN
     ]
 
 

@@ -1,4 +1,4 @@
-"""Agreement of two cameras about people, by epipolar distances relative to the size of the people.
+"""PeopleAgreement of two cameras about people, by epipolar distances relative to the size of the people.
 
 The measure has no unit, and needs neither the scale of the world nor an association of people.
 """
@@ -23,8 +23,8 @@ _MIN_JOINTS = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
-    """Agreement of two cameras about people."""
+class PeopleAgreement:
+    """PeopleAgreement of two cameras about people."""
 
     disagreement: float = np.nan  # Mean distance of pairs of bodies: 0 if they agree, 1 if they do not; NaN without any
     exact_share: float = np.nan  # Share of these pairs that are exactly the same; NaN without any
@@ -34,7 +34,7 @@ class Agreement:
 
 def compare(
     fundamental: Float[np.ndarray, "3 3"], left: Sequence[Points | None], right: Sequence[Points | None]
-) -> Agreement:
+) -> PeopleAgreement:
     """Compare the people whom two cameras see at the same instants by their epipolar distances.
 
     At each instant the people are paired so that the sum of their distances is least. The distance of a pair is the
@@ -44,10 +44,10 @@ def compare(
     """
     pairs = [(instant, distance) for instant, _, _, distance in matches(fundamental, left, right)]
     if not pairs:
-        return Agreement()
+        return PeopleAgreement()
     instants, distances = np.array(pairs).T
     mean = float(np.mean(np.minimum(distances, _FAR))) / _FAR
-    return Agreement(mean, float(np.mean(distances < _EXACT)), len(pairs), len(set(instants)))
+    return PeopleAgreement(mean, float(np.mean(distances < _EXACT)), len(pairs), len(set(instants)))
 
 
 def matches(

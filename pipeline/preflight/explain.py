@@ -16,7 +16,7 @@ from pipeline.capture.names import natural_key
 from pipeline.data.cameras import Camera
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.joints import JointSet
-from pipeline.preflight.agreement import Agreement, compare
+from pipeline.preflight.agreement import PeopleAgreement, compare
 from pipeline.preflight.sightings import Points, SimultaneousPeople, ideal_px
 
 Move = Literal["as is", "90", "180", "270", "mirrored"]
@@ -83,17 +83,17 @@ class PairDisagreement:
             return ideal_px(cameras[place], moved.points_px[camera])
 
         @cache
-        def pair(left: tuple[int, int, Move], right: tuple[int, int, Move]) -> Agreement:
+        def pair(left: tuple[int, int, Move], right: tuple[int, int, Move]) -> PeopleAgreement:
             return compare(fundamentals[left[1], right[1]], ideal(*left), ideal(*right))
 
-        self._pair: Callable[[tuple[int, int, Move], tuple[int, int, Move]], Agreement] = pair
+        self._pair: Callable[[tuple[int, int, Move], tuple[int, int, Move]], PeopleAgreement] = pair
 
     def sees_people(self, camera: int) -> bool:
         """Whether a camera sees anybody."""
         return self._num_people[camera] > 0
 
-    def of_pair(self, first: int, second: int, hypothesis: Hypothesis) -> Agreement:
-        """Agreement of two cameras."""
+    def of_pair(self, first: int, second: int, hypothesis: Hypothesis) -> PeopleAgreement:
+        """PeopleAgreement of two cameras."""
         left, right = (
             (number, hypothesis.places[number], hypothesis.moves[number]) for number in sorted((first, second))
         )

@@ -3,12 +3,13 @@
 from pipeline.problem_codes.model import CodeGroup
 
 _FINDING = ("finding",)
-# Findings that are warnings of a job, too.
+# Findings that are warnings of a job, too; those that may be errors, which refuse a session.
 _PEOPLE = ("finding", "warning")
+_ERROR = (*_PEOPLE, "job", "command")
 
 FILES = CodeGroup(
     "Findings about files",
-    "Codes of `preflight.findings` of a session and of `multicap check`, from the files alone. A finding never refuses "
+    "Codes of `preflight.findings` of a session and of `multicap check`, from the files alone. None refuses "
     "a session; [preflight](preflight.md) describes the evidence of each. Findings about the cameras have the codes of "
     "[findings about calibrations](#findings-of-checks).",
 )
@@ -126,7 +127,8 @@ SESSION_WARNING = FILES.code(
 PEOPLE = CodeGroup(
     "Findings about people",
     "Codes of findings of `multicap check`, and of warnings of a job, from the people whom the cameras see at twelve "
-    "instants. Findings about the world have the codes of [warnings of a result](#warnings-of-a-result).",
+    "instants. Findings about the world have the codes of [warnings of a result](#warnings-of-a-result). Errors end "
+    "the job (`session_refused`) and the command, unless it is forced.",
 )
 
 NOBODY_DETECTED = PEOPLE.code(
@@ -154,11 +156,11 @@ CLOCK_MEASURED = PEOPLE.code(
     "Reconstruct with `sync: auto`, or declare the offset.",
 )
 SAME_VIDEO = PEOPLE.code(
-    "same_video", _PEOPLE, "Two cameras have the same video or keypoints.", "Give each camera its own video."
+    "same_video", _ERROR, "Two cameras have the same video or keypoints.", "Give each camera its own video."
 )
 CAMERAS_EXCHANGED = PEOPLE.code(
     "cameras_exchanged",
-    _PEOPLE,
+    _ERROR,
     "The video of a camera fits the calibration of another camera.",
     "Exchange the videos, or the entries of the calibration.",
 )
@@ -170,19 +172,19 @@ CAMERA_HANGS_TURNED = PEOPLE.code(
 )
 PICTURE_TURNED = PEOPLE.code(
     "picture_turned",
-    _PEOPLE,
+    _ERROR,
     "The picture of a camera is turned against its calibration.",
     "Turn the video, or calibrate the camera as it is turned.",
 )
 PICTURE_MIRRORED = PEOPLE.code(
     "picture_mirrored",
-    _PEOPLE,
+    _ERROR,
     "The picture of a camera is mirrored against its calibration.",
     "Turn off the mirroring, or mirror the video back.",
 )
 CALIBRATION_OF_ANOTHER_RIG = PEOPLE.code(
     "calibration_of_another_rig",
-    _PEOPLE,
+    _ERROR,
     "No two cameras agree about people.",
     "Give the calibration of these cameras; check the synchronisation.",
 )
@@ -202,13 +204,13 @@ FINDINGS = CodeGroup(
 
 SAME_PLACE = FINDINGS.code(
     "same_place",
-    _FINDING,
+    _ERROR,
     "Two cameras are at the same place; an error if they are turned alike, too.",
     "Check whether one camera stands twice in the file.",
 )
 WORLD_UNIT = FINDINGS.code(
     "world_unit",
-    _FINDING,
+    ("422", *_ERROR),
     "The cameras are farther apart, or closer together, than those of any rig.",
     "State the unit of the calibration.",
 )
@@ -220,7 +222,7 @@ UP_AXIS_UNKNOWN = FINDINGS.code(
 )
 NO_COMMON_VIEW = FINDINGS.code(
     "no_common_view",
-    _FINDING,
+    _ERROR,
     "No other camera sees any place that the camera sees; an error if that holds for all cameras.",
     "Check the pose of the camera, or turn it to the view of the others.",
 )
@@ -244,7 +246,7 @@ PRINCIPAL_POINT = FINDINGS.code(
 )
 DISTORTION_FOLDS = FINDINGS.code(
     "distortion_folds",
-    _FINDING,
+    _ERROR,
     "The distortion has no inverse in a part of the picture; an error if that part is not only in the corners.",
     "Calibrate the lens again with views near the edges, or with fewer coefficients.",
 )

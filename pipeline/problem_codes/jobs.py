@@ -98,6 +98,12 @@ SYNC_NEEDS_BODIES = JOBS.code(
 INPUT_ERROR = JOBS.code(
     "input_error", ("job",), "The input has several problems.", "Correct everything that `detail` lists."
 )
+SESSION_REFUSED = JOBS.code(
+    "session_refused",
+    ("job",),
+    "The check of the session found errors, which `errors` lists: a reconstruction would be wrong.",
+    "Correct what they name, or reconstruct the session all the same by `force`.",
+)
 MODEL_ERROR = JOBS.code(
     "model_error",
     ("job", "command"),

@@ -4,6 +4,8 @@ from pipeline.problem_codes.model import CodeGroup
 
 _WARNING = ("warning",)
 _WARNING_AND_FINDING = ("warning", "finding")
+# Findings that may be errors, which refuse a session.
+_ERROR = (*_WARNING_AND_FINDING, "job", "command")
 
 WARNINGS = CodeGroup(
     "Warnings of a result",
@@ -24,7 +26,7 @@ EVERYBODY_REMOVED = WARNINGS.code(
     "Undo an edit: `PATCH /v1/jobs/{id}/people` with the list without it.",
 )
 TOO_FEW_CAMERAS = WARNINGS.code(
-    "too_few_cameras", _WARNING_AND_FINDING, "The session has fewer than three cameras.", "Add a camera."
+    "too_few_cameras", ("422", *_ERROR), "The session has fewer than three cameras.", "Add a camera."
 )
 DAMAGED_VIDEO = WARNINGS.code(
     "damaged_video",
@@ -169,13 +171,13 @@ KNOWN_POINTS_DOUBTFUL = WARNINGS.code(
 )
 UPSIDE_DOWN = WARNINGS.code(
     "upside_down",
-    _WARNING_AND_FINDING,
+    _ERROR,
     "Heads are below feet.",
     "Turn the calibration: state by `up` which axis points up.",
 )
 NOT_UPRIGHT = WARNINGS.code(
     "not_upright",
-    _WARNING_AND_FINDING,
+    _ERROR,
     "People lean in most frames.",
     "Check which axis points up; state it by `up` if it is not Z.",
 )
@@ -186,20 +188,20 @@ FLOOR_TILTED = WARNINGS.code(
     "floor_tilted", _WARNING_AND_FINDING, "The floor that feet stand on is tilted.", "Level the calibration."
 )
 STATURE_OUT_OF_RANGE = WARNINGS.code(
-    "stature_out_of_range", _WARNING_AND_FINDING, "A person is not 1.0 to 2.3 m tall.", "Check the calibration's unit."
+    "stature_out_of_range", _ERROR, "A person is not 1.0 to 2.3 m tall.", "Check the calibration's unit."
 )
 CAMERA_BELOW_FLOOR = WARNINGS.code(
     "camera_below_floor", _WARNING_AND_FINDING, "A camera is below the floor.", "Check the calibration's axes."
 )
 MIRRORED_WORLD = WARNINGS.code(
     "mirrored_world",
-    _WARNING_AND_FINDING,
+    _ERROR,
     "People's left and right are exchanged.",
     "Check the signs of the calibration's axes, and that the videos are not mirrored.",
 )
 CAMERA_DISAGREES = WARNINGS.code(
     "camera_disagrees",
-    _WARNING_AND_FINDING,
+    _ERROR,
     "A camera sees people elsewhere than the other cameras do.",
     "Refine the calibration; see [refinement](calibration.md#refinement). Or check the camera's offset.",
 )

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pipeline.findings import Finding, Severity
+from pipeline.findings import CERTAIN, Finding, Severity
 from pipeline.quality.report import all_checks
 
 # Checks of the capture that tell of the calibration; others are about the take.
@@ -14,8 +14,6 @@ _OF_CAPTURE = frozenset({_NOBODY, "camera_without_people"})
 _BY_PEOPLE = frozenset({"upside_down", "not_upright", "camera_below_floor"})
 # Findings with which people are located nowhere, or wrongly.
 _UNDECIDED = frozenset({_NOBODY, "nobody_detected", "same_video", "calibration_of_another_rig"})
-# Errors of cameras alone that people can't outweigh.
-_CERTAIN = frozenset({"calibration_unposed", "too_few_cameras", "world_unit"})
 
 
 def people_findings(report: Mapping[str, Any]) -> list[Finding]:
@@ -37,7 +35,7 @@ def join_findings(alone: Sequence[Finding], of_people: Sequence[Finding]) -> lis
         return [*alone, *of_people]
     left = (finding for finding in alone if finding.code not in _BY_PEOPLE)
     outweighed = (
-        finding if finding.code in _CERTAIN else replace(finding, severity=_milder(finding)) for finding in left
+        finding if finding.code in CERTAIN else replace(finding, severity=_milder(finding)) for finding in left
     )
     return [*outweighed, *of_people]
 

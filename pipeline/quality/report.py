@@ -57,8 +57,9 @@ _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] | None = None) -> dict[str, Any]:
     """Compute the content of ``metrics.json`` as plain Python values, rounded.
 
-    ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``. ``views`` are
-    ``views_of`` the reconstruction, if they are known.
+    ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``. ``forced``, of
+    a session that was reconstructed in spite of errors alone, lists their codes. ``views`` are ``views_of`` the
+    reconstruction, if they are known.
     """
     views = views_of(reconstruction) if views is None else views
     joints, cameras = reconstruction.joints, reconstruction.cameras
@@ -112,6 +113,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
         "calibration": _describe_refinement(reconstruction.refinement),
         "sync": None if reconstruction.synchronization is None else sync_document(reconstruction.synchronization),
         "session_checks": [finding.to_json() for finding in reconstruction.check.findings],
+        **({"forced": list(reconstruction.check.forced)} if reconstruction.check.forced else {}),
         "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(
             reconstruction, statures_m, median_distances_m(of_person.pair_distances_m for of_person in views)

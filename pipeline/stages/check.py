@@ -1,35 +1,23 @@
-"""Check the session: by the people at a few instants. The output is a ``SessionCheck``."""
+"""Check the session: by the people at a few instants. The output is a ``SessionCheck``.
+
+A session with errors is refused here, after its detections are stored and before anybody is associated.
+"""
 
 from dataclasses import replace
-from functools import partial
 
-from pipeline.findings import SessionCheck
 from pipeline.stages.stage import CHECK, DETECT, LOOK, SYNCHRONIZE, Context, Output, Stage, Task
 
 
 def check(task: Task, context: Context) -> Output:
     """Check the session as it was given, on measured clocks if they were measured."""
     from pipeline.preflight.hanging import hanging_cameras
+    from pipeline.preflight.verdict import judge
     from pipeline.stages.codec import encode
+    from pipeline.stages.session_check import check_session
 
-    checked = _check_people(task, context)
-    return Output(
-        encode(replace(checked, findings=(*checked.findings, *hanging_cameras(context.detections.turns_deg))))
-    )
-
-
-def _check_people(task: Task, context: Context) -> SessionCheck:
-    from pipeline.preflight.session import check_bodies, check_detections, with_clocks
-    from pipeline.synchronization.session import on_measured_clocks
-
-    session, clocks, detections = context.session(), context.clocks(), context.detections
-    joints, parts = detections.joints(session), task.cut(context.facts).parts
-    if clocks is not None:
-        bodies = detections.bodies(session)
-        return check_bodies(on_measured_clocks(session, clocks), bodies, joints, parts)
-    near = partial(detections.near, task, session)
-    checked = check_detections(session, near, joints, parts)
-    return checked if detections.finds_fields else with_clocks(checked, session, near, joints, parts)
+    checked = check_session(task, context)
+    checked = replace(checked, findings=(*checked.findings, *hanging_cameras(context.detections.turns_deg)))
+    return Output(encode(judge(checked, context.session().cameras, context.config)))
 
 
 STAGE = Stage(
@@ -38,5 +26,5 @@ STAGE = Stage(
     check,
     cut="whole",
     follows=(LOOK, DETECT, SYNCHRONIZE),
-    choices=("frame_range",),
+    choices=("frame_range", "force"),
 )

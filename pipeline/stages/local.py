@@ -21,6 +21,7 @@ from pipeline.errors import ChildError, PipelineError
 from pipeline.export.results import OnFile, WrittenResults, no_file, not_written
 from pipeline.job_choices import CalibrationChoices
 from pipeline.paths import StrPath
+from pipeline.preflight.verdict import require_cameras
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.rules import config_problems, require
 from pipeline.runtime.child_processes import ProcessPool
@@ -68,6 +69,8 @@ def reconstruct(
     InputError
         If a video can't be decoded or too many of its frames are damaged, if the configuration breaks a rule of
         ``pipeline.rules``, or there is no such parameter.
+    SessionRefused
+        If the check of the session finds errors, unless ``config.force``: an ``InputError`` with all of them.
     ModelError
         If the detector is not installed.
     PipelineError
@@ -249,6 +252,7 @@ def _digest(path: Path) -> str:
 def _check(session: Session, config: ReconstructionConfig) -> None:
     """Find out what is wrong before the work begins."""
     require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))
+    require_cameras(session.cameras, config)
     wanted = session.restricted(config.frames)
     tracking_parameters(wanted, config.tracking)
     clustering_parameters(wanted, config)

@@ -1,16 +1,22 @@
-"""Refine calibration: from the people that a first association finds. The output is a ``RefinedCalibration``."""
+"""Refine calibration: from the people that a first association finds. The output is a ``RefinedCalibration``.
+
+Errors of the session's check that refinement may mend are judged here, with the refined cameras.
+"""
 
 from collections.abc import Iterator
 from typing import Any
 
-from pipeline.stages.stage import DETECT, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
+from pipeline.stages.stage import CHECK, DETECT, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
 
 
 def refine(task: Task, context: Context) -> Output:
     """Refine the cameras of the session, on measured clocks if they were measured."""
+    from pipeline.findings import SessionCheck
+    from pipeline.preflight.verdict import is_deferred, judge_refined
     from pipeline.stages.codec import encode
     from pipeline.stages.context import from_first
     from pipeline.stages.refinement import refine_from_bodies, refine_from_fields
+    from pipeline.stages.session_check import check_refined
 
     config, detections, on_share = context.config, context.detections, context.on_share(task)
     session = context.on_clocks(context.session())
@@ -21,8 +27,12 @@ def refine(task: Task, context: Context) -> Output:
             yield from_first(frames, task.frames), detections.in_range(task, session, number, frames)
 
     if detections.finds_fields:
-        return Output(encode(refine_from_fields(session, chunks, joints, config, on_share)))
-    return Output(encode(refine_from_bodies(session, detections.bodies(session), joints, config, on_share)))
+        refined = refine_from_fields(session, chunks, joints, config, on_share)
+    else:
+        refined = refine_from_bodies(session, detections.bodies(session), joints, config, on_share)
+    if is_deferred(context.record(CHECK, SessionCheck), session.cameras, config):
+        judge_refined(check_refined(task, context, refined.cameras), refined.cameras)
+    return Output(encode(refined))
 
 
 STAGE = Stage(
@@ -30,7 +40,7 @@ STAGE = Stage(
     "Refine calibration",
     refine,
     cut="whole",
-    follows=(DETECT, SYNCHRONIZE),
+    follows=(DETECT, SYNCHRONIZE, CHECK),
     choices=("refine_calibration", "method", "frame_range", "tracking", "clustering"),
     is_planned=lambda facts, config: config.is_of_people and config.refine_calibration == "auto",
 )

@@ -82,8 +82,12 @@ if kind == "--videos" and "--thumbnails" in arguments:
         (folder / f"{place}-0.jpg").write_bytes(content)
         digest = hashlib.sha256(content).hexdigest()
         camera["thumbnails"] = [{"time_s": 1.2, "num_bytes": len(content), "sha256": digest}]
+findings = []
+if videos and videos[0].read_bytes()[:5] == b"MILES":
+    findings = [{"code": code, "message": "Check it.", "camera": None, "severity": "error", "hint": "Mend it.",
+                 "evidence": {}} for code in ("world_unit", "upside_down")]
 print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60},
-                  "warnings": ["The cameras are close together."],
+                  "warnings": ["The cameras are close together."], "findings": findings,
                   "recordings": recordings}))
 """
 

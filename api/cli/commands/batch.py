@@ -26,7 +26,7 @@ from api.cli.options import (
 from api.cli.takes import TakeSource, find_takes
 from pipeline.calibration.contents import Units, Up
 from pipeline.config import ReconstructionConfig
-from pipeline.errors import InputError, PipelineError
+from pipeline.errors import InputError, PipelineError, SessionRefused
 from pipeline.export.person_files import replacing
 from pipeline.export.results import not_written
 from pipeline.quality.report import all_checks
@@ -121,7 +121,8 @@ def _row(take: TakeSource, choices: _Choices, folder: Path, *, show_bars: bool) 
                 session, folder, choices.config, bars.update, choices.cache, take.name, sources
             )
     except InputError as error:
-        return _failed(take, "; ".join(map(str, error.problems)))
+        advice = [error.advice] if isinstance(error, SessionRefused) else []
+        return _failed(take, "; ".join([*map(str, error.problems), *advice]))
     except PipelineError as error:
         return _failed(take, str(error))
     metrics = written.metrics

@@ -87,7 +87,7 @@ def rendered(
                 session.cameras, session.times, detections, detection_joints(config), stature_m
             )
             session = replace(session, cameras=cameras)
-        reconstruction = reconstruct(session, config, bars.update)
+        reconstruction = reconstruct(session, replace(config, force=True), bars.update)
         scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
         if truth.feet_m is not None:
             motions, timebase = reconstruction.animation.motions, reconstruction.timebase

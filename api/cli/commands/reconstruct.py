@@ -158,6 +158,7 @@ def command(
                 "metrics": metrics,
                 "calibration": metrics["calibration"],
                 "sync": metrics["sync"],
+                "forced": metrics.get("forced", []),
                 "files": [str(path) for path in written.paths],
                 "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
                 "reused": bars.reused,
@@ -166,6 +167,8 @@ def command(
         )
         return
     print_summary(metrics)
+    if forced := metrics.get("forced"):
+        warn(f"The check of the session found errors: {', '.join(forced)}. The results may be wrong.")
     for warning in warnings:
         warn(warning)
     if bars.reused:

@@ -30,6 +30,10 @@ export function errorBox(job) {
   if (!job.error) return nothing;
   const stage = job.stages.find(({ name }) => name === job.error.stage)?.label;
   const where = [job.error.camera && `camera ${job.error.camera}`, stage].filter(Boolean).join(", ");
+  if (job.error.errors.length) {
+    const hint = "Correct the capture and send it again, or reconstruct it all the same.";
+    return problemBox({ message: "The check found errors, with which a reconstruction would be wrong.", hint, items: job.error.errors });
+  }
   const advice = job.error.hint ?? (job.links.retry ? "Retry it." : null);
   return problemBox({ message: where ? `${job.error.detail} (${where})` : job.error.detail, hint: advice });
 }
@@ -55,6 +59,10 @@ export function jobRow(view, job, number) {
     const question = { title: `Delete this job of ${name}?`, text: "Its results are deleted for good. The videos stay.", action: "Delete the job" };
     if (await confirm(question)) await act(job.links.self, "DELETE", `The job of ${name} is deleted.`);
   };
+  const force = () => view.act(job.id, async () => {
+    feed.put(await call(`${job.links.session}/jobs`, { method: "POST", body: { ...job.spec, force: true } }));
+    announce(`Another job of ${job.session_name} waits.`);
+  });
   const isOpenable = job.kind === "reconstruction";
   return html`<li class="job" id="job-${job.id}" tabindex="-1" data-tone=${tone}>
     <div class="line">
@@ -68,6 +76,7 @@ export function jobRow(view, job, number) {
         ${isOpenable && !hasFiles(job) ? html`<a class="button small" href=${address("jobs", job.id)} aria-label="Details of ${name}">Details</a>` : nothing}
         ${view.canWrite && job.links.cancel ? html`<button type="button" class="button small" aria-label="Cancel ${name}" @click=${() => act(job.links.cancel, "POST", `${name} is being canceled.`)}>Cancel</button>` : nothing}
         ${view.canWrite && job.links.retry ? html`<button type="button" class="button small" aria-label="Retry ${name}" @click=${() => act(job.links.retry, "POST", `${name} waits for another attempt.`)}>Retry</button>` : nothing}
+        ${view.canWrite && job.error?.errors.length ? html`<button type="button" class="button small" aria-label="Reconstruct ${name} all the same" @click=${force}>Reconstruct all the same</button>` : nothing}
         ${view.canWrite && hasEnded(job) ? html`<button type="button" class="button small ghost" aria-label="Delete job of ${name}" @click=${remove}>Delete job</button>` : nothing}
       </div>
     </div>

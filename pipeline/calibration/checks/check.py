@@ -9,7 +9,7 @@ from pipeline.calibration.checks.lenses import check_lens, growing_radius
 from pipeline.calibration.checks.places import check_places
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.cameras import Camera
-from pipeline.findings import Finding, Severity
+from pipeline.findings import CERTAIN, Finding, Severity
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.problem_codes.findings import NO_COMMON_VIEW
@@ -43,6 +43,12 @@ def check_cameras(cameras: Sequence[Camera]) -> list[Finding]:
     if is_placed and all(camera.size_px != UNKNOWN_SIZE for camera in cameras):
         findings += check_views(cameras)
     return findings
+
+
+def certain_errors(cameras: Sequence[Camera]) -> list[Finding]:
+    """Errors with which nobody can be located, whatever the pictures show."""
+    alone = [*_check_number(cameras), *check_places(cameras)]
+    return [finding for finding in alone if finding.severity == "error" and finding.code in CERTAIN]
 
 
 def _check_number(cameras: Sequence[Camera]) -> list[Finding]:

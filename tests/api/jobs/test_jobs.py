@@ -6,15 +6,17 @@ from datetime import UTC, datetime
 
 import pytest
 
+from pipeline.errors import Problem, SessionRefused
 from pipeline.findings import Finding
 from pipeline.problem_codes.jobs import INPUT_ERROR
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import INTERNAL_ERROR
 from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
-from pipeline.problem_codes.warnings import NOBODY_FOUND
+from pipeline.problem_codes.warnings import CAMERA_DISAGREES, MIRRORED_WORLD, NOBODY_FOUND
 from tests.api.conftest import Live, form, problem_of
 from worker.jobs.model.jobs import JobProblem
 from worker.jobs.repositories.jobs import Jobs
+from worker.problems import problem_of as job_problem_of
 
 
 def test_job_from_its_creation_to_its_end(live: Live) -> None:
@@ -67,6 +69,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "people": "auto",
         "report": False,
         "overlay": False,
+        "force": False,
         "callback_url": None,
     }
 
@@ -196,8 +199,45 @@ def test_failed_job_says_why(live: Live) -> None:
     assert job["state"] == "failed"
     assert job["error"] == {
         "code": "video_truncated", "detail": "The video ends early.", "stage": "detect", "camera": "cam_1",
-        "hint": "Copy it again.", "retryable": False,
+        "hint": "Copy it again.", "retryable": False, "errors": [],
     }  # fmt: skip
+
+
+def test_refused_session_has_its_errors(live: Live) -> None:
+    job_id = live.job_id()
+    claim = live.services.store.leases.claim("test", 30.0)
+    assert claim is not None
+    problems = [
+        Problem(CAMERA_DISAGREES, "The camera sees people elsewhere.", camera="cam_1", hint="Calibrate it again."),
+        Problem(MIRRORED_WORLD, "The world is mirrored."),
+    ]
+    live.services.store.leases.fail(
+        claim.chunk_id, claim.lease_token, job_problem_of(SessionRefused(problems), "check_session")
+    )
+    job = live.client.get(f"/v1/jobs/{job_id}").json()
+    error = job["error"]
+    assert (job["state"], job["links"]["retry"], error["code"]) == ("failed", None, "session_refused")
+    assert (error["stage"], error["retryable"], error["hint"]) == ("check_session", False, SessionRefused.advice)
+    assert error["detail"] == "cam_1: The camera sees people elsewhere. The world is mirrored."
+    assert error["errors"] == [
+        {"code": "camera_disagrees", "camera": "cam_1", "message": problems[0].message, "hint": "Calibrate it again."},
+        {"code": "mirrored_world", "camera": None, "message": problems[1].message, "hint": None},
+    ]
+    forced = live.client.post(job["links"]["session"] + "/jobs", json=job["spec"] | {"force": True})
+    assert forced.raise_for_status().json()["spec"]["force"] is True
+
+
+def test_errors_of_cameras_that_no_people_outweigh_refuse_a_job_at_once(live: Live) -> None:
+    """The unit is wrong whatever the people show; they tell whether the world is upside down."""
+    session = live.client.post("/v1/sessions", files=form(content=b"MILES")).raise_for_status().json()
+    jobs = session["links"]["jobs"]
+    (error,) = problem_of(live.client.post(jobs, json={}), 422, "invalid_request")["errors"]
+    assert (error["code"], error["message"], error["hint"]) == ("world_unit", "Check it.", "Mend it.")
+    assert live.client.post(jobs, json={"force": True}).status_code == 202
+    (error,) = problem_of(live.client.post("/v1/jobs", files=form(content=b"MILES")), 422, "invalid_request")["errors"]
+    assert error["code"] == "world_unit"
+    spec = ("spec", ("", json.dumps({"force": True})))
+    assert live.client.post("/v1/jobs", files=[*form(content=b"MILES"), spec]).status_code == 202
 
 
 def test_attempts_say_why_each_failed(live: Live) -> None:

@@ -62,7 +62,7 @@ def furthest(true: Sequence[Camera], found: Sequence[Camera]) -> tuple[float, fl
 def test_a_disturbed_calibration_is_refined_reported_and_written(
     session: KeypointSession, disturbed: KeypointSession, tmp_path: Path
 ) -> None:
-    given = reconstruct(disturbed, replace(CONFIG, refine_calibration="off"))
+    given = reconstruct(disturbed, replace(CONFIG, refine_calibration="off", force=True))
     refined = reconstruct(disturbed, CONFIG)
     assert refined.refinement is not None
     assert refined.refinement.refined

@@ -123,7 +123,7 @@ def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJo
         finished_at=row.finished_at,
         expires_at=row.expires_at,
         eta_s=_eta_s(row, stages),
-        problem=None if row.problem is None else JobProblem(**row.problem),
+        problem=None if row.problem is None else JobProblem.from_json(row.problem),
         waiting_for=None if row.waiting_for is None else JobProblem(**row.waiting_for),
         warnings=(
             *preflight.warnings,
@@ -174,7 +174,7 @@ def calibration_of(row: Row[Any]) -> Calibration:
         report=row.report,
         session_id=row.session_id,
         job_state=None if row.job_state is None else JobState(row.job_state),
-        problem=None if row.problem is None else JobProblem(**row.problem),
+        problem=None if row.problem is None else JobProblem.from_json(row.problem),
     )
 
 

@@ -1,8 +1,9 @@
 """Jobs: what they make, their course, their problems and their result files."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Literal
+from typing import Any, Literal
 
 from pipeline.config import ReconstructionConfig
 from pipeline.edits import PeopleEdit, PersonSpan
@@ -44,8 +45,21 @@ def config_of(
 
 
 @dataclass(frozen=True, slots=True)
+class SessionError:
+    """Error that the check of a job's session found."""
+
+    code: Code
+    message: str
+    camera: str | None = None
+    hint: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class JobProblem:
-    """Problem of a job: a stable code, and a sentence for the client without texts of exceptions or paths."""
+    """Problem of a job: a stable code, and a sentence for the client without texts of exceptions or paths.
+
+    ``errors`` are those of the session that was refused.
+    """
 
     code: Code
     detail: str
@@ -53,6 +67,13 @@ class JobProblem:
     camera: str | None = None
     hint: str | None = None
     retryable: bool = False
+    errors: tuple[SessionError, ...] = ()
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> "JobProblem":
+        """Read what ``dataclasses.asdict`` made."""
+        errors = tuple(SessionError(**error) for error in document.get("errors", ()))
+        return cls(**{**document, "errors": errors})
 
 
 def is_worth_a_retry(state: JobState, problem: JobProblem | None) -> bool:

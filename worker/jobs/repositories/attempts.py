@@ -50,7 +50,7 @@ def attempts_of(connection: Connection, job: Row[Any]) -> list[Attempt]:
         Attempt(
             attempt=row.attempt,
             state=JobState(row.state),
-            problem=None if row.problem is None else JobProblem(**row.problem),
+            problem=None if row.problem is None else JobProblem.from_json(row.problem),
             queued_at=row.queued_at,
             started_at=row.started_at,
             finished_at=row.finished_at,
@@ -65,6 +65,6 @@ def _failure(row: Row[Any]) -> Failure:
         stage=row.stage,
         chunk_index=row.chunk_index,
         chunk_try=row.chunk_try,
-        problem=JobProblem(**row.problem),
+        problem=JobProblem.from_json(row.problem),
         failed_at=row.failed_at,
     )

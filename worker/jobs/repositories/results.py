@@ -35,7 +35,7 @@ class Results:
                 raise NotFinished("The job is unfinished; its results come with its end.")
             found = [result_of(row) for row in connection.execute(query)]
         if not found and job.results_revision is None:
-            problem = JobProblem(**job.problem) if job.problem else None
+            problem = JobProblem.from_json(job.problem) if job.problem else None
             reason = f"{problem.code}: {problem.detail}" if problem else None
             raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
         return found

@@ -100,5 +100,5 @@ def _check(
     alone = check_cameras([fitted.get(camera.name, camera) for camera in cameras])
     if has_error(alone):
         return alone
-    reconstruction = reconstruct(session, replace(config, appearance="off"), bars.update)
+    reconstruction = reconstruct(session, replace(config, appearance="off", force=True), bars.update)
     return join_findings(alone, people_findings(quality_report(reconstruction)))

@@ -23,7 +23,6 @@ from api.cli.options import (
     with_choices,
 )
 from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source
-from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.pictures.look import look_at_pictures
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.config import ReconstructionConfig
@@ -32,8 +31,8 @@ from pipeline.findings import Finding, documents, from_problem, has_error
 from pipeline.preflight.instants import check_at_instants
 from pipeline.preflight.session import check_bodies, check_detections, with_clocks
 from pipeline.preflight.sightings import NUM_INSTANTS
+from pipeline.preflight.verdict import session_findings
 from pipeline.progress import OnProgress, Progress
-from pipeline.quality.findings import join_findings
 from pipeline.stages.stage import CHECK
 from pipeline.synchronization.session import clock_findings, on_measured_clocks
 
@@ -88,7 +87,7 @@ def command(
                 people = (_on_measured_clocks if choices.sync == "auto" else _as_declared)(session, config, bars.update)
             findings = [
                 *session.findings,
-                *_once([*of_pictures, *join_findings(check_cameras(session.cameras), people)]),
+                *_once([*of_pictures, *session_findings(session.cameras, people)]),
             ]
     if as_json:
         emit({"findings": documents(findings)})

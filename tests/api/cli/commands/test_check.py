@@ -1,6 +1,7 @@
 """`multicap check`: findings of keypoint sessions, their exit codes, and problems as findings."""
 
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -123,3 +124,38 @@ def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
     assert all(
         shown[f"right-{number}.jpg"] < 40 < shown[f"left-{number}.jpg"] for number in dark["evidence"]["pictures"]
     )
+
+
+def test_what_the_check_calls_an_error_reconstruct_and_batch_refuse_unless_they_are_forced(
+    session: Path, tmp_path: Path
+) -> None:
+    def exchange(cameras: list[Any]) -> None:
+        cameras[0]["name"], cameras[1]["name"] = cameras[1]["name"], cameras[0]["name"]
+
+    rig = written(session, tmp_path, exchange)
+    _, findings = checked(session, rig)
+    files = ["--keypoints", str(session / "keypoints"), "--timestamps", str(session / "timestamps.csv")]
+    line = ["reconstruct", *files, "--calibration", str(rig), "--exports", "csv", "--no-cache"]
+    refused = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "a"), "--json"])
+    said = [(one["code"], one["camera"], one["message"]) for one in json.loads(refused.stdout)["problems"]]
+    assert refused.exit_code == 2
+    assert said == [(one["code"], one["camera"], one["message"]) for one in findings]
+    spoken = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "a")])
+    assert (spoken.exit_code, spoken.stdout) == (2, "")
+    assert spoken.stderr.count("cameras or videos are exchanged") == 2
+    assert "--force" in spoken.stderr
+    assert not list((tmp_path / "a").glob("*"))
+    forced = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "b"), "--force", "--json"])
+    assert (forced.exit_code, json.loads(forced.stdout)["forced"]) == (0, ["cameras_exchanged"])
+    assert json.loads((tmp_path / "b" / "metrics.json").read_bytes())["forced"] == ["cameras_exchanged"]
+    takes = tmp_path / "takes"
+    shutil.copytree(session, takes / "walk", ignore=shutil.ignore_patterns("calibration.json"))
+    batch = ["batch", str(takes), "--calibration", str(rig), "--exports", "csv", "--json", "--out", str(tmp_path / "c")]
+    answer = CliRunner().invoke(app, batch)
+    (row,) = json.loads(answer.stdout)["takes"]
+    assert (answer.exit_code, row["state"]) == (1, "failed")
+    assert "cameras or videos are exchanged" in row["message"]
+    assert "--force" in row["message"]
+    answer = CliRunner().invoke(app, [*batch, "--force"])
+    (row,) = json.loads(answer.stdout)["takes"]
+    assert (answer.exit_code, row["state"]) == (0, "done")
