@@ -1,6 +1,7 @@
 """Zips: bioCV, and archives of strangers. EasyMocap and COLMAP are tested with their readers."""
 
 import zipfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -10,29 +11,34 @@ from pipeline.data.cameras import Camera
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
 
 
-def write_zip(path: Path, files: dict[str, str | bytes]) -> Path:
+def write_zip(path: Path, files: Mapping[str, str | bytes]) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             archive.writestr(name, content)
     return path
 
 
-def biocv(one: Camera) -> str:
+def biocv(one: Camera, number: Callable[[float], str] = repr) -> str:
     """File of one camera: sizes, K, transform in millimetres, distortion, each after an empty line."""
     pose = one.cam_from_world
     rows = [
         [*row, 1000.0 * shift] for row, shift in zip(pose.rotation.tolist(), pose.translation_m.tolist(), strict=True)
     ]
     lines = [str(one.size_px[0]), str(one.size_px[1])]
-    lines += [" ".join(map(repr, row)) for row in one.matrix.tolist()]
-    lines += ["", *(" ".join(map(repr, row)) for row in [*rows, [0.0, 0.0, 0.0, 1.0]]), ""]
-    return "\n".join([*lines, " ".join(map(repr, one.distortion.tolist())), ""])
+    lines += [" ".join(map(number, row)) for row in one.matrix.tolist()]
+    lines += ["", *(" ".join(map(number, row)) for row in [*rows, [0.0, 0.0, 0.0, 1.0]]), ""]
+    return "\n".join([*lines, " ".join(map(number, one.distortion.tolist())), ""])
 
 
-def test_biocv(tmp_path: Path) -> None:
-    contents = read_contents(write_zip(tmp_path / "rig.zip", {f"{one.name}.calib": biocv(one) for one in RIG}))
+@pytest.mark.parametrize(
+    ("number", "num_digits"), [(repr, 9), ("{:f}".format, 2), ("{:.6g}".format, 1)], ids=["Python", "script", "C++"]
+)
+def test_biocv(tmp_path: Path, number: Callable[[float], str], num_digits: int) -> None:
+    """The programs of the data set write six digits, or six decimals."""
+    files = {f"{one.name}.calib": biocv(one, number) for one in RIG}
+    contents = read_contents(write_zip(tmp_path / "rig.zip", files))
     assert (contents.format, contents.unit) == ("bioCV", "mm")
-    assert_rig(contents)
+    assert_rig(contents, num_digits=num_digits)
 
 
 @pytest.mark.parametrize(
