@@ -45,7 +45,7 @@ def judge(check: SessionCheck, cameras: Sequence[Camera], config: Reconstruction
     if config.force and errors:
         alone = [error for error in errors if error not in check.findings]
         forced = tuple(dict.fromkeys(error.code for error in errors))
-        return replace(check, findings=(*alone, *check.findings), forced=forced)
+        return replace(check, findings=(*check.findings, *alone), forced=forced)
     if not _has_results(config) and any(not _is_mendable(error, config) for error in errors):
         raise SessionRefused([_problem(error) for error in errors])
     return check

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pipeline.findings import CERTAIN, Finding, Severity
+from pipeline.findings import CERTAIN, Finding
 from pipeline.quality.report import all_checks
 
 # Checks of the capture that tell of the calibration; others are about the take.
@@ -28,17 +28,13 @@ def people_findings(report: Mapping[str, Any]) -> list[Finding]:
 def join_findings(alone: Sequence[Finding], of_people: Sequence[Finding]) -> list[Finding]:
     """Join findings about cameras alone with those of people, who decide what is up and where the floor is.
 
-    What is wrong with cameras that locate people is seen by these people: errors of the cameras alone become warnings,
-    but for those with which nobody could be located.
+    What is wrong with cameras is seen by the people: errors of the cameras alone become warnings, but for those with
+    which nobody could be located.
     """
-    if any(finding.code in _UNDECIDED for finding in of_people):
-        return [*alone, *of_people]
-    left = (finding for finding in alone if finding.code not in _BY_PEOPLE)
-    outweighed = (
-        finding if finding.code in CERTAIN else replace(finding, severity=_milder(finding)) for finding in left
-    )
-    return [*outweighed, *of_people]
+    if not any(finding.code in _UNDECIDED for finding in of_people):
+        alone = [finding for finding in alone if finding.code not in _BY_PEOPLE]
+    return [*(finding if finding.code in CERTAIN else _outweighed(finding) for finding in alone), *of_people]
 
 
-def _milder(finding: Finding) -> Severity:
-    return "warning" if finding.severity == "error" else finding.severity
+def _outweighed(finding: Finding) -> Finding:
+    return replace(finding, severity="warning") if finding.severity == "error" else finding

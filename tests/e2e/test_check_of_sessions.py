@@ -50,12 +50,27 @@ class CalibratedVideos:
         session: dict[str, Any] = answer.json()
         return session
 
-    def reconstruct(self, served: Served) -> dict[str, Any]:
+    def run(self, served: Served, **choices: Any) -> dict[str, Any]:
+        """Send the capture and reconstruct it; return the job at its end."""
+        job = served.client.post(self.send(served)["links"]["jobs"], json=SPEC | choices).raise_for_status().json()
+        return served.wait_for_end(job["id"])
+
+    def reconstruct(self, served: Served, **choices: Any) -> dict[str, Any]:
         """Send the capture and reconstruct it; return the finished job."""
-        job = served.client.post(self.send(served)["links"]["jobs"], json=SPEC).raise_for_status().json()
-        ended = served.wait_for_end(job["id"])
+        ended = self.run(served, **choices)
         assert ended["state"] == "succeeded", ended["error"]
         return ended
+
+    def refused(self, served: Served) -> tuple[dict[str, Any], dict[str, str]]:
+        """Send the capture, whose reconstruction is refused; return the job, and codes of the errors by camera."""
+        job = self.run(served)
+        assert (job["state"], job["error"]["code"], job["error"]["stage"]) == (
+            "failed",
+            "session_refused",
+            "check_session",
+        )
+        assert [stage["state"] for stage in job["stages"] if stage["name"] == "associate"] == ["canceled"]
+        return job, {error["camera"]: error["code"] for error in job["error"]["errors"]}
 
 
 @pytest.fixture
@@ -103,25 +118,42 @@ def test_wrong_units(served: Served, capture: CalibratedVideos) -> None:
 def test_exchanged_calibrations(served: Served, capture: CalibratedVideos) -> None:
     exchange = {"cam01": "cam03", "cam03": "cam01"}
     cameras = tuple(replace(camera, name=exchange.get(camera.name, camera.name)) for camera in capture.cameras)
-    job = replace(capture, cameras=cameras).reconstruct(served)
-    found = named(job["result_warnings"], "cameras_exchanged")
+    job, errors = replace(capture, cameras=cameras).refused(served)
+    assert errors == dict.fromkeys(exchange, "cameras_exchanged")
+    with opened(f"{served.client.base_url}#/captures") as page:
+        row = page.locator(f"#job-{job['id']}")
+        row.wait_for()
+        for error in job["error"]["errors"]:
+            assert error["message"] in row.inner_text()
+        row.get_by_role("button", name="all the same").click()
+        page.get_by_text("Despite errors").first.wait_for()
+    jobs = served.client.get(job["links"]["session"] + "/jobs").raise_for_status().json()["jobs"]
+    (forced,) = [one for one in jobs if one["id"] != job["id"]]
+    assert forced["spec"] == job["spec"] | {"force": True}
+    ended = served.wait_for_end(forced["id"])
+    assert ended["state"] == "succeeded", ended["error"]
+    (detection,) = [stage for stage in ended["stages"] if stage["name"] == "look"]
+    assert detection["reused"]
+    found = named(ended["result_warnings"], "cameras_exchanged")
     assert {camera: evidence["other_camera"] for camera, evidence in found.items()} == exchange
+    metrics = served.client.get(f"/v1/jobs/{ended['id']}/results/metrics.json").raise_for_status().json()
+    assert metrics["forced"] == ["cameras_exchanged"]
 
 
 def test_exchanged_videos(served: Served, capture: CalibratedVideos) -> None:
     exchange = {"cam02": "cam04", "cam04": "cam02"}
     videos = {name: capture.videos[exchange.get(name, name)] for name in capture.videos}
-    job = replace(capture, videos=videos).reconstruct(served)
-    found = named(job["result_warnings"], "cameras_exchanged")
-    assert {camera: evidence["other_camera"] for camera, evidence in found.items()} == exchange
+    _, errors = replace(capture, videos=videos).refused(served)
+    assert errors == dict.fromkeys(exchange, "cameras_exchanged")
 
 
 def test_a_rotated_camera(served: Served, capture: CalibratedVideos, tmp_path: Path) -> None:
     turned = tmp_path / "turned.mp4"
     words = ["-i", str(capture.videos["cam02"]), "-vf", "hflip,vflip", "-preset", "ultrafast", str(turned)]
     subprocess.run(["ffmpeg", "-v", "error", *words], check=True)
-    job = replace(capture, videos={**capture.videos, "cam02": turned}).reconstruct(served)
-    assert named(job["result_warnings"], "picture_turned")["cam02"]["turn_deg"] == 180
+    job, errors = replace(capture, videos={**capture.videos, "cam02": turned}).refused(served)
+    assert errors == {"cam02": "picture_turned"}
+    assert "180 degrees" in job["error"]["detail"]
 
 
 def test_checks_of_the_world_are_in_the_job_and_on_the_page(served: Served, capture: CalibratedVideos) -> None:
@@ -143,7 +175,8 @@ def test_a_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
     video_capture(tmp_path, 12)
     cameras = read_calibration(tmp_path / "calibration.json")
     videos = {camera.name: tmp_path / "videos" / f"{camera.name}.mp4" for camera in cameras}
-    job = CalibratedVideos(videos, cameras).reconstruct(served)
+    # A network may find the same in both videos, which are equal.
+    job = CalibratedVideos(videos, cameras).reconstruct(served, force=True)
     (nobody,) = [one for one in job["result_warnings"] if one["code"] == "nobody_found"]
     assert nobody["evidence"]["reason"] in {"nobody_detected", "same_video"}
     assert nobody["message"].startswith("Nobody was found. ")
