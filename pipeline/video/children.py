@@ -2,6 +2,9 @@
 
 A file may make FFmpeg or HDF5 crash, hang or exhaust memory, so each file is opened in its own process. If the process
 ends by a signal from outside, the file is not to blame.
+
+A child starts for each file, so that its modules import little: arrays are described by ``numpy.typing``, since the
+import of jaxtyping takes as long as NumPy's.
 """
 
 import resource

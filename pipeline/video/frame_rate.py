@@ -9,7 +9,7 @@ import math
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float
+from numpy.typing import NDArray
 
 DEFAULT_RATE = Fraction(25)
 """Rate of a camera with a single frame, in frames a second."""
@@ -50,7 +50,7 @@ def without_rounding(rate_hz: float) -> Fraction:
     return Fraction(rate_hz).limit_denominator(_MAX_DENOMINATOR)
 
 
-def measured_rate(time_s: Float[np.ndarray, " frames"]) -> Fraction | None:
+def measured_rate(time_s: NDArray[np.float64]) -> Fraction | None:
     """Mean rate over all intervals within 60 % of the usual interval, snapped within the precision of the times.
 
     Regular times that are rounded to ticks have intervals that differ by one tick. So the duration of a run of frames
@@ -75,7 +75,7 @@ def measured_rate(time_s: Float[np.ndarray, " frames"]) -> Fraction | None:
     return snapped(rate, Fraction(change) * rate)
 
 
-def measured_rate_hz(time_s: Float[np.ndarray, " frames"]) -> float:
+def measured_rate_hz(time_s: NDArray[np.float64]) -> float:
     """Rate of ``measured_rate`` as a float, for files and arithmetic; infinity where frames share their times."""
     rate = measured_rate(time_s)
     return math.inf if rate is None else float(rate)

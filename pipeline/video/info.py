@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from numpy.typing import NDArray
 
 from pipeline.errors import Problem
 from pipeline.problem_codes.model import Code
@@ -27,9 +27,9 @@ class VideoInfo:
     size_px: tuple[int, int]  # Width and height of the picture as shown: with square pixels, after rotation
     rotation_deg: int  # Counterclockwise turn of the decoded picture for display: 0, 90, 180 or 270
     # Presentation timestamps of all frames, in ticks of the stream's time base, ascending
-    pts: Int[np.ndarray, " frames"]
-    keyframe_pts: Int[np.ndarray, " keyframes"]  # Timestamps of the keyframes, at which decoding can start
-    time_s: Float[np.ndarray, " frames"]  # Times of the frames in seconds; the first is 0
+    pts: NDArray[np.int64]
+    keyframe_pts: NDArray[np.int64]  # Timestamps of the keyframes, at which decoding can start
+    time_s: NDArray[np.float64]  # Times of the frames in seconds; the first is 0
     frame_rate_hz: float  # Rate of ``frame_rate.measured_rate``
     num_repeated: int = 0  # Number of frames that are left out because they have the timestamp of another frame
     stored_width_px: int | None = None  # Width of the stored picture if its pixels are not square; ``None``: they are
@@ -68,7 +68,7 @@ class VideoInfo:
         return len(self.pts)
 
 
-def seek_points(keyframe_pts: Int[np.ndarray, " keyframes"], target_pts: int) -> list[int]:
+def seek_points(keyframe_pts: NDArray[np.int64], target_pts: int) -> list[int]:
     """Timestamps of keyframes at which decoding up to ``target_pts`` may begin, the nearest first.
 
     The distance doubles from keyframe to keyframe. So a few attempts suffice if a container's index skips keyframes or

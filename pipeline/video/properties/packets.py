@@ -6,7 +6,7 @@ import numpy as np
 from av.container import InputContainer
 from av.packet import Packet
 from av.video.stream import VideoStream
-from jaxtyping import Int
+from numpy.typing import NDArray
 
 from pipeline.problem_codes.sessions import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
 from pipeline.video.info import UnusableError
@@ -24,8 +24,8 @@ REPAIR_TIMES = "Export it again at a constant frame rate."
 class Packets(NamedTuple):
     """Frames of a stream in stored order."""
 
-    pts: Int[np.ndarray, " frames"]  # Timestamps of all frames to show, in ticks of the stream's time base
-    keyframe_pts: Int[np.ndarray, " keyframes"]  # Timestamps of the keyframes, ascending
+    pts: NDArray[np.int64]  # Timestamps of all frames to show, in ticks of the stream's time base
+    keyframe_pts: NDArray[np.int64]  # Timestamps of the keyframes, ascending
     num_read: int  # Number of packets, also of those of frames that are not shown
 
 
@@ -60,7 +60,7 @@ def _is_hidden(codec: str, packet: "Packet[Any]") -> bool:
     return codec == "vp8" and not memoryview(packet)[0] & 0x10
 
 
-def shown_pts(stored_pts: Int[np.ndarray, " frames"]) -> Int[np.ndarray, " shown"]:
+def shown_pts(stored_pts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Sort timestamps in the order of display and remove repeated ones; raise if they are not plausible."""
     shown = np.unique(stored_pts)
     if int(shown[-1]) - int(shown[0]) > _MAX_TICKS:

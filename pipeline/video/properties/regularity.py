@@ -6,7 +6,7 @@ Phones drop frames while they are busy. The times of the others stay true.
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from numpy.typing import NDArray
 
 from pipeline.errors import Problem
 from pipeline.problem_codes.findings import FRAME_RATE_VARIES, FRAMES_DROPPED, FRAMES_TOO_CLOSE
@@ -23,7 +23,7 @@ OF_TIMES = frozenset({"frame_rate_varies", "frames_dropped", "frames_too_close"}
 _HINT = "The times of the frames are right; for fast motion, record again with a camera that keeps its rate."
 
 
-def uneven_times(time_s: Float[np.ndarray, " frames"]) -> list[Problem]:
+def uneven_times(time_s: NDArray[np.float64]) -> list[Problem]:
     """Warn of gaps between frames, of frames too close to each other, or of a rate that varies.
 
     Times are since the first frame, ascending.
@@ -54,7 +54,7 @@ def _frames(number: int, singular: str, plural: str) -> str:
     return f"1 frame {singular}" if number == 1 else f"{number} frames {plural}"
 
 
-def _places(time_s: Float[np.ndarray, " places"]) -> str:
+def _places(time_s: NDArray[np.float64]) -> str:
     shown: Sequence[str] = [f"{frame_s:.2f}" for frame_s in time_s[:_SHOWN_TIMES]]
     more = len(time_s) - len(shown)
     return f"at {', '.join(shown)} s" + (f" and {more} more times" if more else "")

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from av.audio.frame import AudioFrame
 from av.audio.resampler import AudioResampler
-from jaxtyping import Float32
+from numpy.typing import NDArray
 
 from pipeline.video.children import start_child
 from pipeline.video.container import DECODE_ERRORS, first_video, open_container
@@ -29,7 +29,7 @@ _SAMPLES = _RATE_HZ // 1000
 _GAP_SAMPLES = 80
 
 
-def energy_of(path: Path, first_pts: int) -> Float32[np.ndarray, " ms"] | str:
+def energy_of(path: Path, first_pts: int) -> NDArray[np.float32] | str:
     """Energy of each millisecond of the first audio track from the first frame on, or why there is none.
 
     Differences of samples are squared, so that clicks and claps count for more than hum and wind. ``first_pts`` is the
@@ -69,7 +69,7 @@ class _Energy:
         self._last = 0.0
 
     @property
-    def values(self) -> Float32[np.ndarray, " ms"]:
+    def values(self) -> NDArray[np.float32]:
         return self._found[: self._end]
 
     def add(self, frame: AudioFrame, start_s: float) -> bool:

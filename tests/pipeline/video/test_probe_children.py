@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -12,11 +13,20 @@ import psutil
 import pytest
 
 from pipeline.errors import ChildError, Problem
+from pipeline.runtime.child_processes import python_command
 from pipeline.video import probe_process as probing
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children
 from tests.pipeline.media import write_video
 from tests.pipeline.video.children import in_children, when_opened
+
+
+@pytest.mark.parametrize("module", ["probe", "decoder", "sound.listen", "playback.proxy"])
+def test_a_child_imports_little(module: str) -> None:
+    program = f"import sys, pipeline.video.{module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
+    done = subprocess.run(python_command("-c", program), capture_output=True, text=True, check=True)
+    assert {"av", "pipeline"} <= set(done.stdout.split())
+    assert not {"jaxtyping", "scipy", "cv2", "onnxruntime"} & set(done.stdout.split())
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGXCPU, signal.SIGFPE])
