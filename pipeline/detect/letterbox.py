@@ -1,5 +1,6 @@
 """Letterbox of an image in a network's input: upright, same aspect ratio, padding at the right and the bottom."""
 
+import threading
 from dataclasses import dataclass
 
 import cv2
@@ -7,8 +8,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from pipeline.detect.turn import PictureTurn
+from pipeline.video.rotation import Rotator
 
-_ROTATIONS = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
+_OF_THREAD = threading.local()
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +71,7 @@ def apply_letterbox(
         padded = np.full((padded_height, padded_width, 3), padding, np.uint8)
         # Turned first: the network sees, to the last bit, what it sees of an upright camera. Turned afterwards, a pixel
         # in 300 would differ by a grey level, which moves joints by a third of a pixel of the network's input.
-        quarters = round(letterbox.turn_deg / 90.0) % 4
-        upright = cv2.rotate(image, _ROTATIONS[quarters]) if quarters else image
+        upright = _rotator()(image, round(letterbox.turn_deg / 90.0))
         padded[:height, :width] = cv2.resize(upright, (width, height), interpolation=cv2.INTER_LINEAR)
         return padded
     corners_px = letterbox.network_from_image(np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]))
@@ -78,3 +79,11 @@ def apply_letterbox(
     return cv2.warpAffine(
         image, matrix, (padded_width, padded_height), flags=cv2.INTER_LINEAR, borderValue=(padding,) * 3
     )
+
+
+def _rotator() -> Rotator:
+    """Rotator of this thread, whose memory serves all pictures: new pages take longer than the rotation."""
+    if not hasattr(_OF_THREAD, "rotator"):
+        _OF_THREAD.rotator = Rotator()
+    rotator: Rotator = _OF_THREAD.rotator
+    return rotator

@@ -17,6 +17,7 @@ from pipeline.problem_codes.sessions import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, V
 from pipeline.video.decoder import Request
 from pipeline.video.decoder_process import LimitError, UnreadableVideoError, decoded_frames
 from pipeline.video.info import VideoInfo, seek_points
+from pipeline.video.rotation import Rotator
 
 # Base limit on computing time, and additional time for each frame since the start of the file, where decoding may have
 # to begin.
@@ -67,7 +68,7 @@ def decode(
         wanted = [number for number in sorted(set(only)) if number in wanted]
     if not wanted:
         return
-    following = wanted[0]
+    following, rotate = wanted[0], Rotator()
     try:
         request = _request(video, wanted, only is not None, limit_s)
         with closing(decoded_frames(request, limit_s)) as frames:
@@ -86,7 +87,7 @@ def decode(
                 if frame.is_damaged:
                     on_damaged(number)
                 following = number + 1
-                yield number, np.rot90(frame.image_rgb, k=video.rotation_deg // 90)
+                yield number, rotate(frame.image_rgb, video.rotation_deg // 90)
     except UnreadableVideoError:
         raise _undecodable(video, following) from None
     except LimitError:
