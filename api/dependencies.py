@@ -67,7 +67,7 @@ class Services:
             max_session_bytes=self.settings.max_session_bytes,
             max_calibration_bytes=self.settings.max_calibration_bytes,
             max_json_bytes=self.settings.max_json_bytes,
-            max_videos=self.settings.max_cameras,
+            max_cameras=self.settings.max_cameras,
         )
 
 

@@ -96,7 +96,7 @@ class Settings(StorageSettings):
         "worker needs some 65 bytes for each joint.",
     )
     max_cameras: int = Field(
-        default=64, gt=0, description="Largest number of videos, or archives of keypoints, of a session."
+        default=64, gt=0, description="Largest number of cameras of a session. A recording in parts is one camera."
     )
 
     max_duration_s: float | None = Field(

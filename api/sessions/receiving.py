@@ -31,6 +31,7 @@ from api.http.bodies.multipart import receive_form
 from api.http.bodies.reading import announced_bytes, limited
 from api.http.bodies.validation import model_items
 from api.http.idempotency import IdempotentRequest
+from api.sessions.schemas import UploadedSession
 from pipeline.problem_codes.fields import MALFORMED_JSON
 from pipeline.problem_codes.requests import (
     PART_NOT_ALLOWED,
@@ -189,7 +190,17 @@ def adopted(services: Services, records: TenantRecords, sent: Sent, names: Uploa
             parts.adopt(part, upload.name, services.uploads.path(upload.id))
     if (source_id := names.source_id()) is not None:
         _copy_footage(services, records, source_id, parts)
-    return parts.form(names.named())
+    return parts.form(names.named(), _num_stated_parts(records, names))
+
+
+def _num_stated_parts(records: TenantRecords, names: UploadedFiles) -> int:
+    """Number of videos that are stated as further parts of recordings, or were so in the session that is copied."""
+    cameras = names.manifest.cameras if isinstance(names, UploadedSession) else ()
+    stated = [*(camera.more_files for camera in cameras)]
+    if (source_id := names.source_id()) is not None:
+        with contextlib.suppress(NotFound):  # the form says so
+            stated += [recording.more_files for recording in records.sessions.get(source_id).preflight.recordings]
+    return sum(map(len, stated))
 
 
 def _copy_footage(services: Services, records: TenantRecords, session_id: str, parts: Parts) -> None:

@@ -301,7 +301,7 @@ PART_NOT_ALLOWED = PARTS.code(
     "Send either videos or keypoints, timestamps with keypoints only, a calibration or its id.",
 )
 TOO_MANY_VIDEOS = PARTS.code(
-    "too_many_videos", _FIELD, "The session has more videos than allowed.", "Send fewer cameras."
+    "too_many_videos", _FIELD, "The session has more cameras, or more videos, than allowed.", "Send fewer cameras."
 )
 TOO_MANY_IMAGES = PARTS.code(
     "too_many_images", _FIELD, "There are more archives of images than allowed.", "Send fewer cameras."

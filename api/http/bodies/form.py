@@ -6,17 +6,19 @@ so that one response lists all of them.
 
 import contextlib
 import hashlib
+import json
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from io import BufferedWriter
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Literal
 
 from api.errors import ApiError, ErrorItem, pointer_to
 from api.http.bodies.field_places import FieldPlaces
-from api.http.bodies.form_kinds import IMAGES, KEYPOINTS, VIDEOS, VIEWS, FormKind
+from api.http.bodies.form_kinds import IMAGES, KEYPOINTS, MANIFEST, VIDEOS, VIEWS, FormKind
+from pipeline.capture.parts import recordings_of
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import (
     CONTENT_TOO_LARGE,
@@ -37,8 +39,10 @@ from pipeline.problem_codes.requests import (
 
 _MAX_NAME_BYTES = 200
 _MAX_SHOWN = 100
-# Limit on the parts beside the files of cameras: the errors of any number of wrong parts would fill the memory.
+# Limit on the parts beside the videos and one for each camera: errors of any number of wrong parts would fill memory.
 _MAX_OTHER_PARTS = 32
+# Limit on the videos of a camera: recordings come in parts, of which each camera has as many.
+_MAX_PARTS_OF_CAMERA = 16
 _BLOCK_BYTES = 2**20
 _TOO_MANY = {VIDEOS: TOO_MANY_VIDEOS, IMAGES: TOO_MANY_IMAGES, KEYPOINTS: TOO_MANY_KEYPOINTS}
 _TOO_LARGE = {
@@ -58,7 +62,11 @@ class FormLimits:
     max_session_bytes: int
     max_calibration_bytes: int
     max_json_bytes: int
-    max_videos: int
+    max_cameras: int
+
+    def max_files(self, part: str) -> int:
+        """Largest number of files of a part that has files of all cameras."""
+        return self.max_cameras * (_MAX_PARTS_OF_CAMERA if part == VIDEOS else 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +148,11 @@ class Parts:
         self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
         self._counts = dict.fromkeys(self._max_file_bytes, 0)
         self._names: set[str] = set()
+        self._videos: list[str] = []
         self._documents: dict[str, bytearray] = {}
         self._errors: list[ErrorItem] = []
         self._refused = False
-        self._num_parts = 0
+        self._num_other_parts = 0
         self._total_bytes = 0
         self._open: _OpenFile | None = None
         self._write: Callable[[bytes], None] = _discard
@@ -151,8 +160,8 @@ class Parts:
 
     def begin(self, part: str, file_name: str | None) -> None:
         """Begin a part."""
-        self._num_parts += 1
-        if self._num_parts > self._limits.max_videos + _MAX_OTHER_PARTS:
+        self._num_other_parts += part != VIDEOS or self._counts[part] >= self._limits.max_files(part)
+        if self._num_other_parts > self._limits.max_cameras + _MAX_OTHER_PARTS:
             raise ApiError(TOO_MANY_PARTS, "The form has too many parts.")
         self._part, self._file_name, self._part_bytes = part, file_name or "", 0
         # A refused part is read to its end: the response states why it is refused, not that it is large.
@@ -231,8 +240,17 @@ class Parts:
             ErrorItem(code=code, message=message, pointer=self._next_pointer(part), file=file, hint=hint)
         )
 
-    def form(self, documents: Iterable[str] = ()) -> Form:
-        """Return all parts, for the end of the body; ``documents`` are names of further documents that were sent."""
+    def form(self, documents: Iterable[str] = (), num_stated_parts: int = 0) -> Form:
+        """Return all parts, for the end of the body.
+
+        ``documents`` are names of further documents that were sent, in which so many videos are stated to be further
+        parts of a recording.
+        """
+        num_stated_parts += _num_stated_parts(self._documents.get(MANIFEST, b""))
+        recordings = recordings_of(PurePosixPath(name).stem for name in self._videos)
+        if len(recordings) - num_stated_parts > (most := self._limits.max_cameras):
+            message = f"A {self._kind.noun} has {most} cameras at most; these are {len(recordings)} recordings."
+            self._add_error(TOO_MANY_VIDEOS, message, f"/{VIDEOS}/{most}")
         sent = dict.fromkeys((*self._documents, *documents), 1) | {name: n for name, n in self._counts.items() if n}
         for code, message, part in self._kind.faults(Counter(sent)):
             if not (self._refused and code == MISSING_PART and part in VIEWS):
@@ -253,10 +271,9 @@ class Parts:
     def _admit(self, part: str, name: str) -> bool:
         """Return whether a file is accepted; record an error if it is not."""
         index, pointer = self._counts[part], self._next_pointer(part)
-        if part in VIEWS and index >= self._limits.max_videos:
-            if index == self._limits.max_videos:
-                limit = f"A {self._kind.noun} has {self._limits.max_videos} {part} at most."
-                self._add_error(_TOO_MANY[part], limit, pointer)
+        if part in VIEWS and index >= (max_files := self._limits.max_files(part)):
+            if index == max_files:
+                self._add_error(_TOO_MANY[part], f"A {self._kind.noun} has {max_files} {part} at most.", pointer)
         elif part not in VIEWS and index > 0:
             self._add_error(DUPLICATE_PART, f"A {self._kind.noun} has one file of {part}.", pointer)
         elif message := name_error(name):
@@ -265,6 +282,7 @@ class Parts:
             self._add_error(DUPLICATE_FILE_NAME, f"Two files of the {self._kind.noun} have this name.", pointer, name)
         else:
             self._names.add(_folded(name))
+            self._videos += [name] if part == VIDEOS else []
             return True
         return False
 
@@ -276,6 +294,14 @@ class Parts:
 
     def _add_error(self, code: Code, message: str, pointer: str | None, file: str | None = None) -> None:
         self._errors.append(ErrorItem(code=code, message=message, pointer=pointer, file=file))
+
+
+def _num_stated_parts(manifest: bytes | bytearray) -> int:
+    """Number of videos that a manifest states as further parts of recordings; 0 of a manifest that is wrong."""
+    try:
+        return sum(len(camera.get("more_files", ())) for camera in json.loads(manifest)["cameras"])
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return 0
 
 
 def name_error(name: str) -> str | None:

@@ -97,6 +97,12 @@ def test_all_problems_of_all_files_at_once(live: Live) -> None:
     assert live.kept() == []
 
 
+def chapters(cameras: int) -> list[tuple[str, Any]]:
+    """Parts of a session of recordings in three chapters each, as GoPro cameras name them."""
+    names = [f"GX0{part}000{camera}.mp4" for camera in range(cameras) for part in (1, 2, 3)]
+    return [*[("videos", (name, b"video")) for name in names], *form(0)]
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -149,6 +155,11 @@ def test_unusual_names_are_kept(live: Live, name: str) -> None:
         ([*form(), ("calibration", ("other.toml", b""))], {("/calibration", "duplicate_part")}),
         ([*form(), *[("manifest", (None, b"{}"))] * 2], {("/manifest", "duplicate_part")}),
         (form(7), {("/videos/4", "too_many_videos")}),
+        (chapters(5), {("/videos/4", "too_many_videos")}),
+        (
+            [*form(0), *[("videos", (f"{number}.mp4", b"video")) for number in range(66)]],
+            {("/videos/4", "too_many_videos"), ("/videos/64", "too_many_videos")},
+        ),
         (keypoint_form(5), {("/keypoints/4", "too_many_keypoints")}),
         (
             [*keypoint_form(), form()[0]],
@@ -408,3 +419,17 @@ def test_problems_of_the_manifest_point_to_its_entries(live: Live) -> None:
         ("duplicate_recording", "cam_1", "/manifest/cameras/2"),
         ("no_overlap", "cam_2", None),  # not in the manifest
     ]
+
+
+def test_the_parts_of_a_recording_are_one_camera(live: Live) -> None:
+    """At most four cameras are taken: by the names of chapters, and as stated."""
+    assert live.client.post("/v1/sessions", files=chapters(4)).status_code == 201
+    videos = [("videos", (f"C{number:04}.mp4", b"video")) for number in range(6)]
+    answer = live.client.post("/v1/sessions", files=[*videos, *form(0)])
+    assert problem_of(answer, 422, "invalid_request")["errors"][0]["code"] == "too_many_videos"
+    cameras = [
+        {"name": name, "file": f"C{first:04}.mp4", "more_files": [f"C{first + 1:04}.mp4", f"C{first + 2:04}.mp4"]}
+        for name, first in (("left", 0), ("right", 3))
+    ]
+    manifest = ("manifest", (None, json.dumps({"cameras": cameras}).encode()))
+    assert live.client.post("/v1/sessions", files=[*videos, manifest, *form(0)]).status_code == 201

@@ -32,7 +32,7 @@ LIMITS = FormLimits(
     max_session_bytes=20_000,
     max_calibration_bytes=5_000,
     max_json_bytes=500,
-    max_videos=3,
+    max_cameras=3,
 )
 HEAD = 'Content-Disposition: form-data; name="{}"; filename="{}"\r\nContent-Type: video/mp4\r\n\r\n'
 # Content with many bytes that resemble a boundary.
