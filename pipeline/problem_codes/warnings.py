@@ -157,6 +157,13 @@ BOARD_FEW_SHARED = WARNINGS.code(
     "A camera is linked to the others by few views of the board.",
     "Film the board where the camera and a neighbour both see it.",
 )
+BOARD_DISAGREES = WARNINGS.code(
+    "board_disagrees",
+    _WARNING,
+    "Cameras see the board at poses that differ by much more than their own errors: they are not synchronous, their "
+    "shutters roll, the board is bent, or a lens is wrong.",
+    "`hint` has the likely cause: a delay to state, or what to film again. Lenses rest on each camera's own views.",
+)
 BOARD_FLOOR_UNCERTAIN = WARNINGS.code(
     "board_floor_uncertain",
     _WARNING,

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import block_diag, bsr_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
+from pipeline.calibration.adjustment.deviations import Deviations, Posterior, posterior
 from pipeline.calibration.adjustment.links import LinkRows
-from pipeline.calibration.adjustment.parameters import offsets
+from pipeline.calibration.adjustment.parameters import EXTRINSICS, offsets
 from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.calibration.adjustment.projection import linearise
 from pipeline.calibration.adjustment.structure import FreePoints, Structure
@@ -21,6 +22,8 @@ from pipeline.geometry.camera import project
 
 # Added to the diagonal of a block, relative to its trace: a block that is hardly seen stays where it is.
 _RIDGE = 1e-10
+# Standard deviation of a camera's delay before anything is observed.
+_DELAY_S = 1.0
 
 Solver = Callable[[Float[np.ndarray, "unknowns columns"]], Float[np.ndarray, "unknowns columns"]]
 
@@ -32,11 +35,33 @@ class State:
     cameras: tuple[Camera, ...]
     structure: Structure
     lengths_m: Float[np.ndarray, " lengths"]
+    deviations: Deviations | None = None  # ``None``: bodies have one pose for all cameras
+
+    def seen_by(self, camera: int) -> Structure:
+        """Structure as a camera sees it."""
+        if self.deviations is None:
+            return self.structure
+        # A copy: SciPy's rotations take no read-only arrays.
+        return self.structure.moved(self.deviations.total[camera].copy())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OfDeviations:
+    """Equations of a camera's deviations, solved for them: ``step = -(by_camera x + by_body y + constant)``."""
+
+    own: slice  # The camera's free parameters x among those of all cameras; y is the step of the body
+    by_camera: Float[np.ndarray, "bodies 6 parameters"]
+    by_body: Float[np.ndarray, "bodies 6 6"]
+    constant: Float[np.ndarray, "bodies 6"]
+    information: Float[np.ndarray, "bodies 6 6"]  # Normal matrices of the views, without what is known of deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Normal:
-    """Normal equations of the cameras' free parameters and of what is eliminated: the blocks, then the lengths."""
+    """Normal equations of the cameras' free parameters and of what is eliminated: the blocks, then the lengths.
+
+    With deviations, the delay of each camera that may move is one more parameter, the last one of the camera.
+    """
 
     # Normal matrix and right side of the free parameters
     cameras: Float[np.ndarray, "parameters parameters"]
@@ -48,6 +73,23 @@ class Normal:
     # Part of links and priors of lengths in the normal matrix of the eliminated unknowns; ``None`` without links. It is
     # sparse: a length meets the points of its own links alone.
     coupling: csc_array | None
+    # Deviations are eliminated before everything else: equations for each camera, none without deviations
+    of_deviations: tuple[_OfDeviations, ...] = ()
+
+    def deviation_steps(
+        self, step: Float[np.ndarray, " parameters"], of_blocks: Float[np.ndarray, "blocks size"]
+    ) -> Float[np.ndarray, "cameras blocks size"]:
+        """Step of the deviations that belongs to a step of the free parameters and of the blocks."""
+        return -np.array(
+            [
+                part.by_camera @ step[part.own] + (part.by_body @ of_blocks[:, :, None])[:, :, 0] + part.constant
+                for part in self.of_deviations
+            ]
+        )
+
+    def posterior(self, deviations: Deviations) -> Posterior:
+        """Posterior of the deviations, with which the equations were built, for given cameras."""
+        return posterior(deviations, np.array([part.information for part in self.of_deviations]), self.blocks)
 
     def reduced(self) -> Float[np.ndarray, "parameters parameters"]:
         """Normal matrix of the free parameters after the elimination: the inverse of their covariance."""
@@ -108,16 +150,23 @@ class Normal:
 
 def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
     """Build the normal equations of a state for the noise of the observations; weights are those of the loss."""
-    starts = np.concatenate([[0], np.cumsum(problem.free.sum(1))])
+    has_delay = _has_delay(problem, state)
+    starts = np.concatenate([[0], np.cumsum(problem.free.sum(1) + has_delay)])
     num_blocks, size = state.structure.num_blocks, state.structure.block_size
     cameras, cameras_right = np.zeros((starts[-1], starts[-1])), np.zeros(starts[-1])
     mixed = np.zeros((num_blocks, size, starts[-1]))
     blocks, blocks_right = np.zeros((num_blocks, size, size)), np.zeros((num_blocks, size))
-    xyz_m, by_block = state.structure.in_world(problem.observations.block, problem.observations.model_m)
+    of_deviations: list[_OfDeviations] = []
     for number in range(len(state.cameras)):
         own = slice(starts[number], starts[number + 1])
         rows = np.flatnonzero(problem.observations.camera == number)
-        A, B, residual = _weighted_rows(problem, state, number, xyz_m[rows], by_block[rows], sigma_px)
+        xyz_m, by_block = state.seen_by(number).in_world(
+            problem.observations.block[rows], problem.observations.model_m[rows]
+        )
+        A, B, residual = _weighted_rows(problem, state, number, xyz_m, by_block, sigma_px)
+        if state.deviations is not None and has_delay[number]:
+            by_delay = B @ state.deviations.speed[problem.observations.block[rows], :, None]
+            A = np.concatenate([A, by_delay], axis=2)
         flat = A.reshape(2 * len(rows), A.shape[-1])
         cameras[own, own] = flat.T @ flat
         cameras_right[own] = flat.T @ residual.ravel()
@@ -127,18 +176,31 @@ def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
         )
         width = products.shape[-1]
         sums = (by_blocks @ products.reshape(len(rows), size * width)).reshape(num_blocks, size, width)
+        if state.deviations is not None:
+            part = _of_deviations(sums, own, state.deviations, number)
+            of_deviations.append(part)
+            of_camera = sums[:, :, : A.shape[-1]].swapaxes(1, 2)
+            cameras[own, own] -= (of_camera @ part.by_camera).sum(0)
+            cameras_right[own] -= (of_camera @ part.constant[:, :, None]).sum(0)[:, 0]
+            solved = np.concatenate([part.by_camera, part.by_body, part.constant[:, :, None]], axis=2)
+            sums = sums - part.information @ solved
         mixed[:, :, own] = sums[:, :, : A.shape[-1]]
         blocks += sums[:, :, A.shape[-1] : -1]
         blocks_right += sums[:, :, -1]
-    precision = problem.prior_sigma[problem.free] ** -2.0
+    is_camera = ~is_delay(problem, state)
+    precision, offset = np.full(starts[-1], _DELAY_S**-2.0), np.zeros(starts[-1])
+    precision[is_camera] = problem.prior_sigma[problem.free] ** -2.0
+    offset[is_camera] = offsets(problem.cameras, state.cameras)[problem.free]
+    if state.deviations is not None:
+        offset[~is_camera] = state.deviations.delay_s[has_delay]
     cameras[np.diag_indices(starts[-1])] += precision
-    cameras_right += precision * offsets(problem.cameras, state.cameras)[problem.free]
+    cameras_right += precision * offset
     num_lengths = len(state.lengths_m)
     length_precision = problem.length_sigma_m**-2.0
     right = np.concatenate([blocks_right.ravel(), length_precision * (state.lengths_m - problem.lengths_m)])
     flat_mixed = np.concatenate([mixed.reshape(num_blocks * size, starts[-1]), np.zeros((num_lengths, starts[-1]))])
     if not problem.links:
-        return Normal(cameras, cameras_right, flat_mixed, blocks, right, None)
+        return Normal(cameras, cameras_right, flat_mixed, blocks, right, None, tuple(of_deviations))
     coupling = csc_array(diags_array(np.concatenate([np.zeros(num_blocks * size), length_precision])))
     for link in problem.links:
         jacobian, residual = _jacobian(
@@ -146,7 +208,37 @@ def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
         )
         coupling += csc_array(jacobian.T @ jacobian)
         right += jacobian.T @ residual
-    return Normal(cameras, cameras_right, flat_mixed, blocks, right, coupling)
+    return Normal(cameras, cameras_right, flat_mixed, blocks, right, coupling, tuple(of_deviations))
+
+
+def _has_delay(problem: AdjustmentProblem, state: State) -> Bool[np.ndarray, " cameras"]:
+    """Cameras that have a delay: one that stays has none, since delays of all cameras would only move the bodies."""
+    has_deviations = state.deviations is not None
+    return np.asarray(problem.free[:, EXTRINSICS].any(1) & has_deviations)
+
+
+def is_delay(problem: AdjustmentProblem, state: State) -> Bool[np.ndarray, " parameters"]:
+    """Which of the parameters of the normal equations are delays."""
+    parts = [
+        np.arange(number + delays) >= number
+        for number, delays in zip(problem.free.sum(1), _has_delay(problem, state), strict=True)
+    ]
+    return np.concatenate(parts)
+
+
+def _of_deviations(
+    sums: Float[np.ndarray, "bodies 6 width"], own: slice, deviations: Deviations, number: int
+) -> _OfDeviations:
+    """Solve for a camera's deviations.
+
+    ``sums`` are, of each body, products of derivatives by its pose with those by the camera's free parameters, with
+    those by the pose, and with the residuals. A deviation changes a view as a step of the pose does.
+    """
+    precision = deviations.sigma[number] ** -2.0
+    information, right = sums[:, :, -7:-1], sums[:, :, -1] + precision * deviations.step[number]
+    inverse = np.linalg.inv(information + precision[:, :, None] * np.eye(6))
+    constant = (inverse @ right[:, :, None])[:, :, 0]
+    return _OfDeviations(own, inverse @ sums[:, :, :-7], inverse @ information, constant, information)
 
 
 def _weighted_rows(
@@ -174,6 +266,9 @@ def cost(problem: AdjustmentProblem, state: State, sigma_px: float) -> float:
     total = problem.loss.cost(distance)
     total += float(((offsets(problem.cameras, state.cameras) / problem.prior_sigma) ** 2)[problem.free].sum())
     total += float((((state.lengths_m - problem.lengths_m) / problem.length_sigma_m) ** 2).sum())
+    if state.deviations is not None:
+        total += float(((state.deviations.step / state.deviations.sigma) ** 2).sum())
+        total += float((state.deviations.delay_s**2).sum()) / _DELAY_S**2
     for link in problem.links:
         total += float((link.linearise(_xyz_m(state.structure), state.lengths_m).residual ** 2).sum())
     return total if np.isfinite(total) else np.inf
@@ -182,11 +277,11 @@ def cost(problem: AdjustmentProblem, state: State, sigma_px: float) -> float:
 def residuals_px(problem: AdjustmentProblem, state: State) -> Float[np.ndarray, "n 2"]:
     """Projections minus observations; NaN behind a camera."""
     seen = problem.observations
-    xyz_m, _ = state.structure.in_world(seen.block, seen.model_m)
     residual_px = np.full(seen.points_px.shape, np.nan)
     for number, camera in enumerate(state.cameras):
         rows = seen.camera == number
-        residual_px[rows] = project(camera, xyz_m[rows]) - seen.points_px[rows]
+        xyz_m, _ = state.seen_by(number).in_world(seen.block[rows], seen.model_m[rows])
+        residual_px[rows] = project(camera, xyz_m) - seen.points_px[rows]
     return residual_px
 
 

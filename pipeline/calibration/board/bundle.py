@@ -1,19 +1,21 @@
 """Bundle adjustment of cameras and of the board at every chosen instant."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pipeline.calibration.adjustment.adjust import Adjustment, adjust, block_covariance
+from pipeline.calibration.adjustment.deviations import Deviations, first_deviations
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,
     EXTRINSICS,
     FOCAL,
     PRINCIPAL,
     Free,
+    Parameters,
     no_prior,
     none_free,
 )
@@ -25,6 +27,11 @@ from pipeline.data.cameras import Camera
 from pipeline.data.rigid import Rigid3
 from pipeline.geometry.camera import project
 
+# Standard deviations of OpenCV's first five coefficients where a lens has none by its model: a simple model fits the
+# views well, and still moves the focal length and the principal point by more than their noise.
+_PLAUSIBLE = np.array([0.3, 0.3, 0.002, 0.002, 0.3])
+# Least number of boards with known speeds that tell whether differences grow with it.
+_MIN_KNOWN_SPEEDS = 12
 # A board whose best pose leaves a larger median error than this share of the picture's diagonal was mistaken.
 _MAX_ERROR_SHARE = 0.02
 
@@ -37,6 +44,12 @@ class PlacedBoard:
     # Corners by number of the camera, numbered alike in all of them
     corners_px: Mapping[int, Float[np.ndarray, "corners 2"]]
     error_px: float  # Mean over the cameras of the median distance of the corners from their projections
+    time_s: Mapping[int, float] = field(default_factory=dict)  # Time of each view, by number of the camera
+
+    @property
+    def mean_time_s(self) -> float:
+        """Mean time of the views; NaN if they have no times."""
+        return float(np.mean(list(self.time_s.values()))) if self.time_s else float("nan")
 
 
 def place_board(
@@ -89,7 +102,8 @@ def _median_px(seen_px: np.ndarray, projected_px: np.ndarray) -> float:
 
 def refine_boards(cameras: Sequence[Camera], placed: Sequence[PlacedBoard], board: Board) -> list[PlacedBoard]:
     """Fit the poses of the board to the views of all cameras, which stay."""
-    fitted = _fit(cameras, none_free(len(cameras)), [[instant] for instant in placed], board)
+    free, prior = none_free(len(cameras)), no_prior(len(cameras))
+    fitted = _fit(cameras, free, prior, [[instant] for instant in placed], board)
     return [
         replace(instant, root_from_board=pose) for instant, pose in zip(placed, fitted.root_from_boards, strict=True)
     ]
@@ -119,6 +133,7 @@ class BoardFit:
 
     problem: AdjustmentProblem
     adjustment: Adjustment
+    middle_m: Float[np.ndarray, " 3"]  # Middle of the board, in its frame: origin of its body
 
     @property
     def owner(self) -> Int[np.ndarray, " observations"]:
@@ -130,11 +145,49 @@ class BoardFit:
         """Pose of each board."""
         bodies = cast("RigidBodies", self.adjustment.structure)
         return [
-            Rigid3(read_only(turn), read_only(m)) for turn, m in zip(bodies.rotation, bodies.translation_m, strict=True)
+            Rigid3(read_only(turn), read_only(place_m - turn @ self.middle_m))
+            for turn, place_m in zip(bodies.rotation, bodies.translation_m, strict=True)
         ]
 
+    @property
+    def _is_shared(self) -> Bool[np.ndarray, "cameras boards"]:
+        """Boards that a camera sees together with another one."""
+        is_seen = np.zeros((len(self.problem.cameras), self.adjustment.structure.num_blocks), bool)
+        is_seen[self.problem.observations.camera, self.problem.observations.block] = True
+        return is_seen & (is_seen.sum(0) > 1)
+
+    def apart_m(self, number: int) -> float:
+        """Root mean square distance between the board as a camera sees it and the pose that all cameras share."""
+        shift_m = self._deviations.total[number, self._is_shared[number], 3:]
+        return float(np.sqrt((shift_m**2).sum(-1).mean())) if len(shift_m) else 0.0
+
+    def late_share(self) -> Float[np.ndarray, " cameras"]:
+        """Share of the squares of each camera's distances that its delay explains."""
+        deviations, shared = self._deviations, self._is_shared[:, :, None]
+        by_delay = (deviations.delay_s[:, None] * np.linalg.norm(deviations.speed[:, 3:], axis=-1)) ** 2
+        squares = by_delay + (deviations.step[:, :, 3:] ** 2).sum(-1)
+        explained, total = ((shared[:, :, 0] * values).sum(1) for values in (by_delay, squares))
+        return np.asarray(explained / np.maximum(total, np.finfo(float).tiny))
+
+    def moving_ratio(self, number: int) -> float:
+        """Ratio of a camera's distances while the board moves fast and while it moves slowly; NaN if not known."""
+        speed_m_s = np.linalg.norm(self._deviations.speed[:, 3:], axis=-1)
+        is_known = self._is_shared[number] & (speed_m_s > 0)
+        if is_known.sum() < _MIN_KNOWN_SPEEDS:
+            return float("nan")
+        low, high = np.quantile(speed_m_s[is_known], [1 / 3, 2 / 3])
+        distance_m = np.linalg.norm(self._deviations.total[number, :, 3:], axis=-1)
+        slow, fast = distance_m[is_known & (speed_m_s <= low)], distance_m[is_known & (speed_m_s >= high)]
+        return float(np.median(fast) / max(float(np.median(slow)), 1e-6))
+
+    @property
+    def _deviations(self) -> Deviations:
+        if self.adjustment.deviations is None:
+            raise ValueError("one camera has no deviations")
+        return self.adjustment.deviations
+
     def last_covariance(self, number: int) -> Float[np.ndarray, "unknowns unknowns"]:
-        """Covariance of the poses of the last boards: steps of ``adjustment.structure.RigidBodies``, six a board."""
+        """Covariance of the poses of the last boards: turns about their middles, and shifts, six numbers a board."""
         num_blocks = self.adjustment.structure.num_blocks
         return block_covariance(self.problem, self.adjustment, np.arange(num_blocks - number, num_blocks))
 
@@ -145,8 +198,11 @@ def adjust_board_rig(
     boards: Sequence[Sequence[PlacedBoard]],
     board: Board,
     coefficients: Sequence[Sequence[int]] | None,
+    speed: Float[np.ndarray, "boards 6"] | None = None,
 ) -> BoardFit:
     """Adjust cameras and boards together.
+
+    Each camera may see a board at a pose of its own (``adjustment.deviations``): cameras are not exactly synchronous.
 
     Parameters
     ----------
@@ -156,28 +212,67 @@ def adjust_board_rig(
         Instants at which the board has the same pose: usually one, and many where it lies still.
     coefficients
         Numbers of each camera's distortion coefficients that may change; ``None``: the intrinsics are given, and stay.
+    speed
+        Steps a second by which the boards move; ``None``: they are not known.
     """
-    free = none_free(len(cameras))
+    free, prior = none_free(len(cameras)), no_prior(len(cameras))
     free[:, EXTRINSICS] = True
     free[root, EXTRINSICS] = False
     if coefficients is not None:
+        cameras = [_with_coefficients(camera) for camera in cameras]
         free[:, FOCAL] = free[:, PRINCIPAL] = True
         for number, chosen in enumerate(coefficients):
+            if cameras[number].lens == "standard":
+                free[number, DISTORTION][: len(_PLAUSIBLE)] = True
+                prior[number, DISTORTION][: len(_PLAUSIBLE)] = _PLAUSIBLE
             free[number, [DISTORTION.start + k for k in chosen]] = True
-    return _fit(cameras, free, boards, board)
+            prior[number, [DISTORTION.start + k for k in chosen]] = np.inf
+    if len(cameras) == 1:
+        return _fit(cameras, free, prior, boards, board)
+    deviations = first_deviations(
+        _late_s(boards, len(cameras)), read_only(np.zeros((len(boards), 6)) if speed is None else speed)
+    )
+    return _fit(cameras, free, prior, boards, board, deviations)
 
 
-def _fit(cameras: Sequence[Camera], free: Free, boards: Sequence[Sequence[PlacedBoard]], board: Board) -> BoardFit:
+def _with_coefficients(camera: Camera) -> Camera:
+    """Camera with five coefficients at least, if its lens is of the standard model."""
+    missing = len(_PLAUSIBLE) - len(camera.distortion)
+    if camera.lens != "standard" or missing <= 0:
+        return camera
+    return replace(camera, distortion=read_only(np.pad(camera.distortion, (0, missing))))
+
+
+def _late_s(boards: Sequence[Sequence[PlacedBoard]], num_cameras: int) -> Float[np.ndarray, "cameras boards"]:
+    """Times of the cameras' views of each board after their mean; 0 for boards that lie still."""
+    late_s = np.zeros((num_cameras, len(boards)))
+    for number, (first, *others) in enumerate(boards):
+        if first.time_s and not others:
+            late_s[list(first.time_s), number] = np.array(list(first.time_s.values())) - first.mean_time_s
+    return read_only(late_s)
+
+
+def _fit(
+    cameras: Sequence[Camera],
+    free: Free,
+    prior: Parameters,
+    boards: Sequence[Sequence[PlacedBoard]],
+    board: Board,
+    deviations: Deviations | None = None,
+) -> BoardFit:
+    middle_m = board.corners_m.mean(0)
     bodies = RigidBodies(
         read_only(np.array([instants[0].root_from_board.rotation for instants in boards])),
-        read_only(np.array([instants[0].root_from_board.translation_m for instants in boards])),
+        read_only(np.array([instants[0].root_from_board.apply(middle_m) for instants in boards])),
     )
-    observations = _observations(boards, board)
-    problem = AdjustmentProblem(tuple(cameras), free, no_prior(len(cameras)), observations, Loss.CAUCHY)
-    return BoardFit(problem, adjust(problem, bodies))
+    observations = _observations(boards, board.corners_m - middle_m)
+    problem = AdjustmentProblem(tuple(cameras), free, prior, observations, Loss.CAUCHY)
+    return BoardFit(problem, adjust(problem, bodies, deviations=deviations), middle_m)
 
 
-def _observations(boards: Sequence[Sequence[PlacedBoard]], board: Board) -> PointObservations:
+def _observations(
+    boards: Sequence[Sequence[PlacedBoard]], from_middle_m: Float[np.ndarray, "corners 3"]
+) -> PointObservations:
     camera: list[Int[np.ndarray, " n"]] = []
     block, model_m, points_px = [], [], []
     views = [
@@ -190,7 +285,7 @@ def _observations(boards: Sequence[Sequence[PlacedBoard]], board: Board) -> Poin
         seen = np.isfinite(corners_px).all(-1)
         camera.append(np.full(seen.sum(), of_camera))
         block.append(np.full(seen.sum(), number))
-        model_m.append(board.corners_m[seen])
+        model_m.append(from_middle_m[seen])
         points_px.append(corners_px[seen])
     return PointObservations(
         np.concatenate(camera), np.concatenate(block), np.concatenate(model_m), np.concatenate(points_px)

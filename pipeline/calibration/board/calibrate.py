@@ -5,7 +5,6 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
 
 from pipeline.calibration.adjustment.parameters import FOCAL, NUM_PARAMETERS
 from pipeline.calibration.board.bundle import (
@@ -17,22 +16,26 @@ from pipeline.calibration.board.bundle import (
     refine_boards,
 )
 from pipeline.calibration.board.checks import (
+    agreement_warnings,
     floor_warnings,
     link_warnings,
     require_linked_by_board,
+    require_placed,
     require_views,
     view_warnings,
 )
 from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
+from pipeline.calibration.board.motion import BoardMotion
 from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.rig import BoardRig, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views, coverage_svg
-from pipeline.calibration.board.world import BoardWorld, Places, chosen_instants, find_board_world, find_places
+from pipeline.calibration.board.world import BoardWorld, chosen_instants, find_board_world, find_places
 from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration.similarity import move_world
+from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
 from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError, Problem
@@ -109,26 +112,36 @@ def calibrate_board(
     on_share(0.6)
     placed = _place_all(rig, posed, board, _chosen_instants(rig, board))
     coefficients = None if given is not None else [lens.model.free for lens in intrinsics if lens is not None]
+    require_placed(rig, [placed_board for _, placed_board in placed])
     boards = [[placed_board] for _, placed_board in placed]
     fitted = adjust_board_rig([posed[k] for k in range(len(views))], root, boards, board, coefficients)
-    on_share(0.8)
+    on_share(0.75)
     doubts = (*view_warnings(views), *link_warnings(views, usable))
-    if known_points:
-        rig_in_world = place_by_points(fitted.adjustment.cameras, known_points, keeps_scale=True)
-        return _made(views, fitted, rig_in_world.cameras, rig_in_world.world, (*doubts, *rig_in_world.warnings))
-    times_s, lying, places = _places(rig, fitted.adjustment.cameras, board, floor_time_s)
+    motion = _motion(rig, fitted.adjustment.cameras, board)
+    centers_m = np.array([center_in_world(camera) for camera in fitted.adjustment.cameras])
     # The board's poses on the floor are adjusted with everything else: each of them has many instants.
+    places = None if known_points else find_places(motion, centers_m, floor_time_s)
+    on_floor = (
+        [] if places is None else [[motion.boards[k] for k in chosen_instants(stretch)] for stretch in places.stretches]
+    )
     boards = [
         [replace(board_once, root_from_board=pose)]
         for (board_once,), pose in zip(boards, fitted.root_from_boards, strict=True)
     ]
-    on_floor = [[lying[k] for k in chosen_instants(stretch)] for stretch in places.stretches]
-    fitted = adjust_board_rig(fitted.adjustment.cameras, root, [*boards, *on_floor], board, coefficients)
+    speed = [motion.speed_at(one.mean_time_s) for (one,) in boards]
+    speed += [np.zeros(6) for _ in on_floor]
+    fitted = adjust_board_rig(
+        fitted.adjustment.cameras, root, [*boards, *on_floor], board, coefficients, np.array(speed)
+    )
     on_share(0.95)
+    doubts = (*doubts, *agreement_warnings(views, fitted))
+    if places is None:
+        rig_in_world = place_by_points(fitted.adjustment.cameras, known_points, keeps_scale=True)
+        return _made(views, fitted, rig_in_world.cameras, rig_in_world.world, (*doubts, *rig_in_world.warnings))
     world = find_board_world(
         fitted.root_from_boards[-len(on_floor) :], fitted.last_covariance(len(on_floor)), board.corners_m.mean(0)
     )
-    begins_s = [float(times_s[stretch.start]) for stretch in places.stretches]
+    begins_s = [float(motion.time_s[stretch.start]) for stretch in places.stretches]
     cameras = move_world(fitted.adjustment.cameras, world.world_from_root)
     doubts = (*doubts, *floor_warnings(places, begins_s[0], board))
     return _made(views, fitted, cameras, _world_sentence(world, begins_s, board), doubts)
@@ -192,21 +205,19 @@ def _place_all(
         corners = {number: rig.views[number].corners_px[view] for number, view in seeing.items()}
         poses = {number: rig.poses[number][view] for number, view in seeing.items()}
         if (placed := place_board(posed, corners, poses, board)) is not None:
-            boards.append((instant, placed))
+            times_s = {number: float(rig.views[number].time_s[view]) for number, view in seeing.items()}
+            boards.append((instant, replace(placed, time_s=times_s)))
     return boards
 
 
-def _places(
-    rig: BoardRig, cameras: Sequence[Camera], board: Board, floor_time_s: float | None
-) -> tuple[Float[np.ndarray, " instants"], list[PlacedBoard], Places]:
-    """Times and the board at all instants at which it can be placed, and the places at which it lies on the floor."""
-    times_s = np.array([min(rig.views[k].time_s[v] for k, v in enumerate(row) if v >= 0) for row in rig.instants])
-    looked_at = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), _FLOOR_INSTANTS)).round().astype(int))
-    placed = _place_all(rig, dict(enumerate(cameras)), board, looked_at.tolist())
-    placed_s = times_s[[k for k, _ in placed]]
-    boards = alike_numbered(refine_boards(cameras, [placed_board for _, placed_board in placed], board), board)
-    centers_m = np.array([center_in_world(camera) for camera in cameras])
-    return placed_s, boards, find_places(placed_s, boards, centers_m, floor_time_s, board.corners_m.mean(0))
+def _motion(rig: BoardRig, cameras: Sequence[Camera], board: Board) -> BoardMotion:
+    """Board at all instants at which it can be placed, or at many of them."""
+    number = len(rig.instants)
+    looked_at = np.unique(np.linspace(0, number - 1, min(number, _FLOOR_INSTANTS)).round().astype(int))
+    placed = [one for _, one in _place_all(rig, dict(enumerate(cameras)), board, looked_at.tolist())]
+    boards = alike_numbered(refine_boards(cameras, placed, board), board)
+    time_s = read_only(np.array([one.mean_time_s for one in boards]))
+    return BoardMotion(time_s, boards, board.corners_m.mean(0))
 
 
 def _world_sentence(world: BoardWorld, begins_s: Sequence[float], board: Board) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from pipeline.calibration.board.bundle import BoardFit, PlacedBoard
 from pipeline.calibration.board.intrinsics import MIN_VIEWS
 from pipeline.calibration.board.rig import BoardPair, BoardRig, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.spec import Board
@@ -13,6 +14,7 @@ from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.sessions import BOARD_EXCHANGED, BOARD_NOT_FOUND, BOARD_UNLINKED, BOARD_UNSYNCHRONISED
 from pipeline.problem_codes.warnings import (
     BOARD_AMBIGUOUS,
+    BOARD_DISAGREES,
     BOARD_FEW_SHARED,
     BOARD_FEW_VIEWS,
     BOARD_FLOOR_UNCERTAIN,
@@ -24,6 +26,12 @@ from pipeline.problem_codes.warnings import (
 _MIN_AGREEING, _MIN_AGREEING_SHARE = 3, 0.4
 # Fewer views, covered cells, or shared instants give a warning.
 _FEW_VIEWS, _POOR_COVERAGE, _FEW_SHARED = 10, 0.4, 10
+# The joint error is far above the cameras' own ones by this factor, and by so many pixels.
+_FAR_ABOVE, _FAR_ABOVE_PX = 3.0, 0.3
+# A camera is late by at least this time, and by this share of the differences.
+_LATE_S, _LATE_SHARE = 0.004, 0.3
+# Differences of a moving board are larger than those of one that lies still by this factor if time is the cause.
+_MOVING = 2.0
 # Offsets that are tried for cameras that disagree.
 _MAX_OFFSET_S = 2.0
 _MIN_SHARED_FOR_OFFSET = 12
@@ -140,6 +148,59 @@ def link_warnings(views: Sequence[BoardViews], pairs: Sequence[BoardPair]) -> It
             message = f"The camera is linked by {most} views of the board that another camera shares."
             hint = "Film the board where this camera and a neighbour both see it."
             yield Problem(BOARD_FEW_SHARED, message, camera=camera_views.camera, hint=hint)
+
+
+def require_placed(rig: BoardRig, placed: Sequence[PlacedBoard]) -> None:
+    """Raise ``InputError`` with all cameras of which too few views fit the views of other cameras."""
+    problems = []
+    for number, views in enumerate(rig.views):
+        num_shared = int(((rig.instants[:, number] >= 0) & ((rig.instants >= 0).sum(1) > 1)).sum())
+        num_fitting = sum(number in board.corners_px and len(board.corners_px) > 1 for board in placed)
+        if num_fitting < _MIN_AGREEING:
+            message = (
+                f"Of {num_shared} views of the board that the camera shares with another camera, {num_fitting} fit "
+                f"together; at least {_MIN_AGREEING} are required."
+            )
+            hint = "Film the board where this camera and a neighbour both see it, and hold it still there."
+            problems.append(Problem(BOARD_UNLINKED, message, camera=views.camera, hint=hint))
+    if problems:
+        raise InputError(problems)
+
+
+def agreement_warnings(views: Sequence[BoardViews], fitted: BoardFit) -> Iterator[Problem]:
+    """Cameras that see the board at poses that differ by much more than their own errors, with the likely cause."""
+    adjustment = fitted.adjustment
+    joint_px, own_px = adjustment.error_px(fitted.owner), adjustment.error_px(fitted.owner, is_own=True)
+    is_far = (joint_px > _FAR_ABOVE * own_px) & (joint_px > own_px + _FAR_ABOVE_PX)
+    if adjustment.deviations is None or not is_far.any():
+        return
+    is_late = np.abs(adjustment.deviations.delay_s) >= _LATE_S
+    is_late &= fitted.late_share() >= _LATE_SHARE
+    # A camera that is late disturbs the errors of the others.
+    for number in np.flatnonzero(is_late if is_late.any() else is_far).tolist():
+        name, delay_s = views[number].camera, adjustment.deviations.delay_s[number]
+        message = (
+            f"The camera sees the board {1000 * fitted.apart_m(number):.1f} mm from where the others see it; the error "
+            f"is {own_px[number]:.2f} px by itself and {joint_px[number]:.2f} px together with them."
+        )
+        if is_late[number]:
+            order = "after" if delay_s < 0 else "before"
+            message += f" Its pictures come {1000 * abs(delay_s):.0f} ms {order} those of the others."
+            hint = (
+                f"Start all cameras by one trigger, or state the offset of {name} ({delay_s:+.3f} s, added to a stated "
+                "one) here and when you reconstruct."
+            )
+        elif fitted.moving_ratio(number) > _MOVING:
+            hint = (
+                "The difference grows with the speed of the board: the cameras are not synchronous, or their shutters "
+                "roll. Hold the board still in each place, or synchronise the cameras."
+            )
+        else:
+            hint = (
+                "The difference is there while the board hardly moves: look for a board that is bent, a stated size or "
+                "intrinsics that are wrong, or a camera that moved."
+            )
+        yield Problem(BOARD_DISAGREES, message, camera=name, hint=hint)
 
 
 def floor_warnings(places: Places, time_s: float, board: Board) -> Iterator[Problem]:

@@ -80,9 +80,21 @@ def calibrate_intrinsics(views: BoardViews, board: Board) -> Intrinsics:
     limit_px = min(held_out) * (1 + _WORTH)
     number = next((k for k, error_px in enumerate(held_out) if error_px <= limit_px), 2)
     fitted_to = views.select(choose_views(views, _FITTED_VIEWS))
-    camera, focal_sigma = _fit(fitted_to, board, MODELS[number]) or _fit_standard(fitted_to, board, MODELS[2])
+    camera, focal_sigma = _adjusted(fitted_to, board, MODELS[number])
     error_px = float(np.sqrt(_errors2_px2(camera, fitted_to, board).mean()))
     return Intrinsics(camera, MODELS[number], error_px, held_out[number], focal_sigma)
+
+
+def _adjusted(views: BoardViews, board: Board, model: DistortionModel) -> tuple[Camera, float]:
+    """Camera at the identity, and the standard deviation of its focal length as a share of it."""
+    if model.lens == "fisheye" and (fitted := fit_fisheye(views, board)) is not None:
+        return fitted
+    if model.lens == "fisheye":
+        model = MODELS[2]
+    camera, _ = _fit_standard(views, board, model)
+    boards = [[placed_board] for placed_board in _placed(camera, views, board)]
+    adjusted = adjust_board_rig([camera], 0, boards, board, [model.free]).adjustment
+    return adjusted.cameras[0], float(adjusted.sigma[0, FOCAL][0])
 
 
 def _is_wide(views: BoardViews, board: Board) -> bool:

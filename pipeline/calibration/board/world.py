@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.board.bundle import PlacedBoard
+from pipeline.calibration.board.motion import BoardMotion
 from pipeline.data.arrays import read_only
 from pipeline.data.rigid import Rigid3
 
@@ -39,27 +40,18 @@ class BoardWorld:
     tilt_sigma_rad: float  # Standard deviation of the floor's tilt: of the less certain of its two directions
 
 
-def find_places(
-    times_s: Float[np.ndarray, " instants"],
-    placed: Sequence[PlacedBoard],
-    centers_m: Float[np.ndarray, "cameras 3"],
-    floor_time_s: float | None,
-    middle_m: Float[np.ndarray, " 3"],
-) -> Places:
+def find_places(motion: BoardMotion, centers_m: Float[np.ndarray, "cameras 3"], floor_time_s: float | None) -> Places:
     """Find where the board lies on the floor: all places in one plane.
 
     Parameters
     ----------
-    times_s, placed
-        Instants and the board at each of them, ascending.
     centers_m
         Centres of the cameras, in their frame.
     floor_time_s
         Time at which the board lies on the floor; ``None``: the plane in which it lies still for the longest time, with
         all cameras above.
-    middle_m
-        Middle of the board, in its frame.
     """
+    times_s, placed, middle_m = motion.time_s, motion.boards, motion.middle_m
     above = np.array([_above_m(board.root_from_board, centers_m).min() > _CLEARANCE_M for board in placed])
     stretches = still_stretches(times_s, placed)
     if floor_time_s is not None:
@@ -113,21 +105,19 @@ def find_board_world(
 
     Directions of the boards' normals and heights of their middles, relative to the first board, are the observations:
     linear in the slopes and the height of the plane, which are small. The boards are in the frame of the cameras; their
-    covariance is of steps of ``adjustment.structure.RigidBodies``, six a board.
+    covariance is of steps of ``adjustment.structure.RigidBodies`` whose origins are the boards' middles, six a board.
     """
     first = root_from_boards[0]
     middle_in_root_m = first.apply(middle_m)
     seen, by_plane, by_pose = [], [], np.zeros((3 * len(root_from_boards), len(covariance)))
     for k, board in enumerate(root_from_boards):
         normal = first.rotation.T @ board.rotation[:, 2]
-        arm_m = board.rotation @ middle_m
-        x_m, y_m, z_m = first.rotation.T @ (board.translation_m + arm_m - middle_in_root_m)
+        x_m, y_m, z_m = first.rotation.T @ (board.apply(middle_m) - middle_in_root_m)
         seen += [-normal[0], -normal[1], z_m]
         by_plane += [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [x_m, y_m, 1.0]]
         # A small rotation w moves a vector v by w x v = -[v]_x w.
         rows = slice(3 * k, 3 * k + 2), slice(6 * k, 6 * k + 3)
         by_pose[rows] = (first.rotation.T @ _cross(board.rotation[:, 2]))[:2]
-        by_pose[3 * k + 2, 6 * k : 6 * k + 3] = -(first.rotation.T @ _cross(arm_m))[2]
         by_pose[3 * k + 2, 6 * k + 3 : 6 * k + 6] = first.rotation[:, 2]
     uneven = np.diag(np.tile(np.array([_UNEVEN_RAD, _UNEVEN_RAD, _UNEVEN_M]) ** 2, len(root_from_boards)))
     weighted = np.linalg.solve(by_pose @ covariance @ by_pose.T + uneven, np.array(by_plane))

@@ -1,8 +1,8 @@
-"""Times of keypoint frames: from the numbers of the frames, or from a CSV file of timestamps."""
+"""Times of frames: from the numbers of the frames, or from a CSV file of timestamps."""
 
 import csv
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +70,7 @@ def times_from_rate(
 
 
 def times_from_file(
-    frames: Mapping[str, Mapping[int, People]], timestamps: Path, problems: list[Problem]
+    frames: Mapping[str, Collection[int]], timestamps: Path, problems: list[Problem]
 ) -> tuple[dict[str, FrameTimes], Timebase | None]:
     """Times from the file of timestamps; output frames start at 0 and have the rate of the fastest camera."""
     times: dict[str, FrameTimes] = {}

@@ -1,6 +1,7 @@
 """`multicap calibrate board`: cameras from videos or photographs of a board."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -23,6 +24,7 @@ from pipeline.calibration.board.spec import FORMS, Board, parse_board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.registry import read_intrinsics
+from pipeline.capture.keypoint_files.timestamps import times_from_file
 from pipeline.capture.session import CaptureSession
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
@@ -39,6 +41,13 @@ def command(
     videos: VideosOption = None,
     offset: OffsetOption = None,
     rate: RateOption = None,
+    timestamps: Annotated[
+        Path | None,
+        typer.Option(
+            help="Times of the videos' frames, if they are not those of the videos: CSV with the columns camera, frame "
+            "(from 0), time_s."
+        ),
+    ] = None,
     images: Annotated[
         Path | None, typer.Option(help="Folder of photographs, with a subfolder for each camera: intrinsics only.")
     ] = None,
@@ -63,12 +72,17 @@ def command(
             raise InputError(
                 [Problem(SOURCES, "A board is filmed or photographed.", hint="Give --videos or --images.")]
             )
+        if timestamps is not None and (images is not None or offset or rate):
+            message = "Timestamps are of videos, and hold their offsets and rates."
+            raise InputError([Problem(SOURCES, message, hint="Give either --timestamps, or --offset and --rate.")])
         with Progress(console=console, disable=as_json, transient=True) as progress:
             if videos is not None:
                 session = open_footage(videos, intrinsics, offset, rate, pair_by_order=pair_by_order, keeps_poses=False)
                 for sentence in () if as_json else session.warnings:
                     warn(sentence)
-                views = list(_in_videos(session, found, progress))
+                if timestamps is not None:
+                    session = timed(session, timestamps)
+                views = list(in_videos(session, found, progress))
                 named, rate_hz = {camera.name: camera for camera in session.cameras}, session.timebase.frame_rate_hz
             else:
                 views = list(_in_photographs(images or Path(), found, progress))
@@ -87,7 +101,18 @@ def command(
     show_made(made, out, as_json)
 
 
-def _in_videos(session: CaptureSession, board: Board, progress: Progress) -> Iterator[BoardViews]:
+def timed(session: CaptureSession, timestamps: Path) -> CaptureSession:
+    """Session with the times of a file for the frames of its videos; raises ``InputError`` if they don't serve."""
+    problems: list[Problem] = []
+    frames = {camera: range(len(times.time_s)) for camera, times in session.times.items()}
+    times, _ = times_from_file(frames, timestamps, problems)
+    if problems:
+        raise InputError(problems)
+    return replace(session, times=times)
+
+
+def in_videos(session: CaptureSession, board: Board, progress: Progress) -> Iterator[BoardViews]:
+    """Views of the board in the videos of a session, camera by camera."""
     times_s = [times.time_s for times in session.times.values()]
     span_s = (
         min(float(frame_times[0]) for frame_times in times_s),
