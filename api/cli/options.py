@@ -58,7 +58,13 @@ UpOption = Annotated[
     str, typer.Option(metavar="|".join(get_args(Up)), help="Axis of the calibration that points up: it becomes Z.")
 ]
 KeypointsOption = Annotated[
-    Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
+    list[Path] | None,
+    typer.Option(
+        metavar="FOLDER|CAMERA=FOLDER",
+        help="Instead of videos: folder with a folder of keypoint files for each camera. Or CAMERA=FOLDER for each "
+        "camera, which states the folder of its files; repeatable.",
+        show_default=False,
+    ),
 ]
 TimestampsOption = Annotated[
     Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")

@@ -1,6 +1,6 @@
 """Videos that commands open, with what their options state of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +14,7 @@ from pipeline.capture.recordings import Recording
 from pipeline.capture.session import CaptureSession, Session, open_session
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import PARAMETER_UNREADABLE, SOURCES
+from pipeline.problem_codes.sessions import CAMERA_WITH_TWO_FOLDERS
 from pipeline.video.images.files import SEQUENCE
 
 VideosOption = Annotated[
@@ -40,7 +41,7 @@ RateOption = Annotated[
 
 def open_source(
     videos: Sequence[Path] | None,
-    keypoints: Path | None,
+    keypoints: Sequence[Path] | None,
     calibration: Path,
     timestamps: Path | None,
     offset: Sequence[str] | None = None,
@@ -56,7 +57,8 @@ def open_source(
     The options are those of ``open_footage`` and ``open_keypoints``, of which ``check_sources`` knows the right ones.
     """
     if keypoints is not None:
-        return open_keypoints(keypoints, calibration, timestamps, frame_rate, units, pair_by_order=pair_by_order, up=up)
+        folder = keypoint_folder(keypoints)
+        return open_keypoints(folder, calibration, timestamps, frame_rate, units, pair_by_order=pair_by_order, up=up)
     return open_footage(videos or [], calibration, offset, rate, units, clock, frame_rate, pair_by_order, up=up)
 
 
@@ -102,8 +104,32 @@ def open_footage(
     return session
 
 
+def keypoint_folder(keypoints: Sequence[Path]) -> Path | Mapping[str, Path]:
+    """The folder of all cameras, or the folders by camera that are stated as ``CAMERA=FOLDER``.
+
+    Raises ``InputError`` if both are given, or several of one kind for the same.
+    """
+    stated = [stated_camera(folder) for folder in keypoints]
+    cameras = [camera for camera, _ in stated if camera is not None]
+    if len(stated) == 1 and not cameras:
+        return stated[0][1]
+    problems = [
+        Problem(CAMERA_WITH_TWO_FOLDERS, "Two folders are stated for this camera.", camera=camera, hint="State one.")
+        for camera in dict.fromkeys(cameras)
+        if cameras.count(camera) > 1
+    ]
+    if len(cameras) < len(stated):
+        message = "Keypoints are in one folder of all cameras, or in a folder that is stated for each camera."
+        problems.append(
+            Problem(SOURCES, message, hint="Give --keypoints FOLDER, or --keypoints CAMERA=FOLDER for each.")
+        )
+    if problems:
+        raise InputError(problems)
+    return {camera: folder for camera, folder in stated if camera is not None}
+
+
 def stated_camera(video: Path) -> tuple[str | None, Path]:
-    """Camera and path of ``CAMERA=VIDEO``; no camera for a file or folder that has this name as a whole."""
+    """Camera and path of ``CAMERA=PATH``; no camera for a file or folder that has this name as a whole."""
     camera, sign, path = str(video).partition("=")
     return (camera.strip(), Path(path)) if sign and not video.exists() else (None, video)
 
@@ -129,7 +155,7 @@ def _footage(
 
 def check_sources(
     videos: Sequence[Path] | None,
-    keypoints: Path | None,
+    keypoints: Sequence[Path] | None,
     timestamps: Path | None,
     offset: Sequence[str] | None,
     rate: Sequence[str] | None,

@@ -41,7 +41,7 @@ class TakeSource:
         rate_hz = None if self.timestamps is not None else self.frame_rate_hz
         return open_source(
             list(map(Path, self.videos)),
-            self.keypoints,
+            None if self.keypoints is None else [self.keypoints],
             self.calibration,
             self.timestamps,
             units=units,

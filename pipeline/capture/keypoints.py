@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
-from pipeline.capture.keypoint_files.folders import camera_folders, read_folder
+from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
@@ -117,7 +117,7 @@ class KeypointSession:
 
 
 def open_keypoints(
-    folder: StrPath,
+    folder: StrPath | Mapping[str, StrPath],
     calibration: StrPath,
     timestamps: StrPath | None = None,
     frame_rate_hz: float | None = None,
@@ -135,6 +135,8 @@ def open_keypoints(
 
     Parameters
     ----------
+    folder
+        Folder of the cameras' folders, or the folder of each camera by the camera's name, whatever the folders' names.
     timestamps
         CSV file with the columns ``camera``, ``frame`` and ``time_s``: seconds on the clock that all cameras share,
         which starts at 0. Without it, frame k of all cameras is at k / ``frame_rate_hz``.
@@ -154,7 +156,7 @@ def open_keypoints(
     InputError
         With all problems of all files.
     """
-    folder, calibration = Path(folder), Path(calibration)
+    calibration = Path(calibration)
     timestamps = None if timestamps is None else Path(timestamps)
     problems: list[Problem] = []
     findings: list[Finding] = []
@@ -166,13 +168,7 @@ def open_keypoints(
         problems += [_unknown_size(camera, calibration) for camera in cameras if camera.size_px == UNKNOWN_SIZE]
     except InputError as error:
         problems.extend(error.problems)
-    folders = camera_folders(folder, findings, problems)
-    pairs: Mapping[str, str] = {}
-    if cameras and folders:
-        pairing = pair(cameras, list(folders), "folder", by_order=pair_by_order)
-        pairs = pairing.pairs
-        problems += pairing.problems
-        findings += pairing.findings
+    folders, pairs = _paired(folder, cameras, pair_by_order, findings, problems)
     camera_of = {name: camera for camera, name in pairs.items()}
     sizes_px = {camera.name: camera.size_px for camera in cameras}
     forms: set[str] = set()
@@ -225,6 +221,28 @@ def open_keypoints(
         folders=pairs,
         findings=tuple(findings),
     )
+
+
+def _paired(
+    folder: StrPath | Mapping[str, StrPath],
+    cameras: Sequence[Camera],
+    by_order: bool,
+    findings: list[Finding],
+    problems: list[Problem],
+) -> tuple[Mapping[str, Source], Mapping[str, str]]:
+    """Folders by name, and the name of each camera's folder: as stated, or by the names."""
+    if isinstance(folder, Mapping):
+        folders = stated_folders(folder, cameras, problems)
+        stated = {camera: camera for camera in folders}
+    else:
+        folders, stated = camera_folders(Path(folder), findings, problems), {}
+    if not cameras or not folders:
+        return folders, {}
+    free = [name for name in folders if name not in stated]
+    pairing = pair(cameras, free, "folder", stated, by_order=by_order)
+    problems += pairing.problems
+    findings += pairing.findings
+    return folders, pairing.pairs
 
 
 def _unknown_size(camera: Camera, calibration: Path) -> Problem:

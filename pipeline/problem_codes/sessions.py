@@ -229,7 +229,10 @@ CAMERA_WITH_TWO_VIDEOS = VIDEOS.code(
     "Remove one video, or name its camera in the manifest.",
 )
 RECORDING_CAMERA_UNKNOWN = VIDEOS.code(
-    "recording_camera_unknown", _FILES, "The manifest names an unknown camera.", "Correct the name."
+    "recording_camera_unknown",
+    _FILES,
+    "The manifest, or a stated folder, names an unknown camera.",
+    "Correct the name.",
 )
 DUPLICATE_RECORDING = VIDEOS.code(
     "duplicate_recording", _FILES, "The manifest names a camera twice.", "Name each camera once."

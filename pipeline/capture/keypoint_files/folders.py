@@ -13,15 +13,18 @@ from pipeline.capture.keypoint_files.hdf5.process import read_in_child
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.capture.passed_over import is_passed_over, passed_over
-from pipeline.errors import Problem
+from pipeline.data.cameras import Camera
+from pipeline.errors import Problem, listed_names
 from pipeline.findings import Finding
 from pipeline.parsing import UnreadableError, read_json
+from pipeline.paths import StrPath
 from pipeline.problem_codes.findings import FILE_IGNORED
 from pipeline.problem_codes.sessions import (
     DUPLICATE_KEYPOINTS,
     KEYPOINTS_MISSING,
     KEYPOINTS_NONE,
     KEYPOINTS_UNREADABLE,
+    RECORDING_CAMERA_UNKNOWN,
     TOO_FEW_FOLDERS,
     TOO_MANY_PEOPLE,
 )
@@ -89,6 +92,35 @@ class Contents:
     frames: dict[int, People]  # People by frame number, in ascending order
     num_joints: int  # Number of their joints, detected or not
     forms: frozenset[str]  # Names of the forms of the files
+
+
+def stated_folders(
+    stated: Mapping[str, StrPath], cameras: Sequence[Camera], problems: list[Problem]
+) -> Mapping[str, Source]:
+    """Folders by the cameras that they are stated to belong to; report those that can't be right.
+
+    ``cameras`` are those of the calibration; none if it can't be read.
+    """
+    folders = {camera: Path(folder) for camera, folder in stated.items()}
+    names = [camera.name for camera in cameras]
+    for camera, folder in folders.items():
+        if not folder.is_dir():
+            problems.append(Problem(KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name, camera=camera))
+        if names and camera not in names:
+            message, hint = "The calibration has no camera of this name.", f"It has {listed_names(names)}."
+            problems.append(Problem(RECORDING_CAMERA_UNKNOWN, message, file=folder.name, camera=camera, hint=hint))
+    places = [folder.resolve() for folder in folders.values()]
+    for camera, folder in folders.items():
+        if places.count(folder.resolve()) > 1:
+            message = "The folder is stated to be that of several cameras."
+            problems.append(
+                Problem(DUPLICATE_KEYPOINTS, message, file=folder.name, camera=camera, hint="State others.")
+            )
+    if len(folders) < MIN_CAMERAS:
+        message = f"{len(folders)} folders are stated; at least {MIN_CAMERAS} cameras are needed."
+        problems.append(Problem(TOO_FEW_FOLDERS, message, hint="State a folder for each camera."))
+    is_there = {camera: folder for camera, folder in folders.items() if folder.is_dir()}
+    return is_there if not names else {camera: folder for camera, folder in is_there.items() if camera in names}
 
 
 def read_folder(

@@ -426,3 +426,37 @@ def test_more_joints_than_a_session_may_hold_are_not_read(scene: Path, simulatio
     with pytest.raises(InputError, match="more than") as raised:
         open_keypoints(*files, max_joints=num_joints - 1)
     assert "session_too_large" in {problem.code for problem in raised.value.problems}
+
+
+def stated(scene: Path, simulation: Simulation) -> dict[str, Path]:
+    """Folders of the cameras, moved to places whose names tell of no camera."""
+    places = {}
+    for number, camera in enumerate(simulation.cameras):
+        places[camera.name] = scene / f"take {number}" / "json"
+        places[camera.name].parent.mkdir()
+        (scene / "keypoints" / camera.name).rename(places[camera.name])
+    return places
+
+
+def test_stated_folders_are_those_of_their_cameras(scene: Path, simulation: Simulation) -> None:
+    rest = scene / "calibration.json", scene / "timestamps.csv"
+    by_name = open_keypoints(scene / "keypoints", *rest)
+    session = open_keypoints(stated(scene, simulation), *rest)
+    assert [camera.name for camera in session.cameras] == [camera.name for camera in by_name.cameras]
+    for name, detections in by_name.detections.items():
+        np.testing.assert_array_equal(session.detections[name].keypoints_px, detections.keypoints_px)
+    assert session.findings == ()
+
+
+def test_all_that_is_wrong_with_stated_folders_is_named(scene: Path, simulation: Simulation) -> None:
+    first, second, third, *_ = [camera.name for camera in simulation.cameras]
+    folder = scene / "keypoints" / first
+    wrong = {first: folder, second: folder, third: scene / "missing", "cam_x": scene / "keypoints" / second}
+    with pytest.raises(InputError) as refused:
+        open_keypoints(wrong, scene / "calibration.json", frame_rate_hz=25.0)
+    assert [(problem.code, problem.camera) for problem in refused.value.problems][:4] == [
+        ("keypoints_missing", third),
+        ("recording_camera_unknown", "cam_x"),
+        ("duplicate_keypoints", first),
+        ("duplicate_keypoints", second),
+    ]

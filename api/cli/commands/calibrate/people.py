@@ -1,6 +1,6 @@
 """`multicap calibrate people`: cameras from people who walk about."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +16,7 @@ from api.cli.options import (
     checked,
     with_choices,
 )
-from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_footage
+from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, keypoint_folder, open_footage
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
@@ -74,7 +74,12 @@ def command(
         session: CaptureSession | KeypointSession
         if keypoints is not None and intrinsics is not None:
             session = open_keypoints(
-                keypoints, intrinsics, timestamps, frame_rate, pair_by_order=pair_by_order, keeps_poses=False
+                keypoint_folder(keypoints),
+                intrinsics,
+                timestamps,
+                frame_rate,
+                pair_by_order=pair_by_order,
+                keeps_poses=False,
             )
             detections, joints = session.detections, session.joints
         else:
@@ -105,7 +110,7 @@ def command(
     show_made(made, out, as_json)
 
 
-def _check_sources(keypoints: Path | None, intrinsics: Path | None, stature_m: list[float]) -> None:
+def _check_sources(keypoints: Sequence[Path] | None, intrinsics: Path | None, stature_m: list[float]) -> None:
     problems = []
     if keypoints is not None and intrinsics is None:
         message = "Keypoints don't tell the size of the pictures."

@@ -159,3 +159,31 @@ def test_what_the_check_calls_an_error_reconstruct_and_batch_refuse_unless_they_
     answer = CliRunner().invoke(app, [*batch, "--force"])
     (row,) = json.loads(answer.stdout)["takes"]
     assert (answer.exit_code, row["state"]) == (0, "done")
+
+
+def test_folders_of_keypoints_are_stated_for_cameras(session: Path, tmp_path: Path) -> None:
+    words = [
+        "check",
+        "--timestamps",
+        str(session / "timestamps.csv"),
+        "--calibration",
+        str(session / "calibration.json"),
+    ]
+    names = [camera.name for camera in SIMULATION.cameras]
+    folders = {}
+    for number, name in enumerate(names):
+        folders[name] = shutil.copytree(session / "keypoints" / name, tmp_path / f"folder {number}")
+
+    def run(*stated: str) -> tuple[int, Any]:
+        answer = CliRunner().invoke(app, [*words, "--json", *(word for one in stated for word in ("--keypoints", one))])
+        document = json.loads(answer.stdout)
+        return answer.exit_code, document.get("findings", document.get("problems"))
+
+    assert run(*(f"{name}={folder}" for name, folder in folders.items())) == (0, [])
+    turned = [f"{name}={folders[other]}" for name, other in zip(names, [*names[1:], names[0]], strict=True)]
+    code, findings = run(*turned)
+    assert (code, {one["code"] for one in findings}) == (2, {"cameras_exchanged"})
+    code, findings = run(
+        f"{names[0]}={folders[names[0]]}", f"{names[0]}={folders[names[1]]}", str(session / "keypoints")
+    )
+    assert (code, [one["code"] for one in findings]) == (2, ["camera_with_two_folders", "sources"])
