@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
 from pipeline.config import MAX_OUTPUT_FRAMES, NETWORKS, ReconstructionConfig, method_warnings
 from pipeline.detect.entries import REGISTRY
-from pipeline.job_choices import ProxyChoices
+from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.stages.code import stage_codes
 from pipeline.stages.look import LOOKED_AT_FRAMES
 from pipeline.stages.plan import MAX_TASKS, STAGES, effective_choices, plan
@@ -142,6 +142,15 @@ def test_fields_are_another_output_than_bodies() -> None:
     assert not set(bodies[DETECT]) & set(keys(session, CLUSTERING)[DETECT])
     # Both methods use the same whole bodies.
     assert keys(session)[DETECT] == keys(session, JobSpec(method="clustering"))[DETECT]
+
+
+def test_cameras_that_people_calibrate_are_looked_at_without_their_poses() -> None:
+    given, calibrated, drawn = (
+        [chunk.output_key for chunk in plan_job(make_session(), JobSpec(), making=making)[0].chunks]
+        for making in (None, CalibrationChoices(None), VisualChoices())
+    )
+    assert given == drawn
+    assert not set(given) & set(calibrated)
 
 
 @given(chunk_frames=st.integers(1, 300))
