@@ -65,7 +65,7 @@ def test_a_picture_from_above_or_below_has_no_up(from_vertical_deg: float, is_kn
     assert turn_of_roll(camera) == (0.0 if is_known else None)
 
 
-class People:
+class StandingPeople:
     """Detector of two people in the turned pictures of a camera, with the confidence of a network in each lean."""
 
     def __init__(self, turn_deg: float, confidence: Callable[[float], float], shown: Sequence[float] = (0.0, 0.0)):
@@ -104,7 +104,7 @@ def collapsing(off_deg: float) -> float:
 def test_people_show_the_turn_of_a_camera_of_which_nothing_is_known(
     turn_deg: float, confidence: Callable[[float], float], shows_lean: bool
 ) -> None:
-    people = People(turn_deg, confidence)
+    people = StandingPeople(turn_deg, confidence)
     found_deg, bodies = find_turn(None, COCO_17, people, shows_lean)
     assert found_deg == turn_deg
     assert [frame for frame, _ in bodies] == [3, 9]
@@ -120,22 +120,22 @@ def test_people_show_the_turn_of_a_camera_of_which_nothing_is_known(
 def test_a_world_that_is_not_level_turns_no_picture_wrongly(
     actual_deg: float, known_deg: float, shows_lean: bool
 ) -> None:
-    found_deg, _ = find_turn(known_deg, COCO_17, People(actual_deg, falling), shows_lean)
+    found_deg, _ = find_turn(known_deg, COCO_17, StandingPeople(actual_deg, falling), shows_lean)
     assert found_deg == actual_deg
 
 
 def test_a_known_turn_is_confirmed_by_one_look() -> None:
-    people = People(137.0, falling)
+    people = StandingPeople(137.0, falling)
     assert find_turn(137.0, COCO_17, people, shows_lean=True)[0] == 137.0
     assert people.looks == [137.0]
     # A network that finds nobody in turned pictures needs a look at the picture as it is.
-    people = People(137.0, collapsing)
+    people = StandingPeople(137.0, collapsing)
     assert find_turn(137.0, COCO_17, people, shows_lean=False)[0] == 137.0
     assert people.looks == [137.0, 0.0]
 
 
 def test_a_camera_that_is_known_to_be_upright_stays_so_whatever_people_do() -> None:
-    people = People(0.0, falling, shown=(90.0, 90.0))  # they lie
+    people = StandingPeople(0.0, falling, shown=(90.0, 90.0))  # they lie
     assert find_turn(0.0, COCO_17, people, shows_lean=True)[0] == 0.0
     assert people.looks == [0.0]
 
@@ -143,13 +143,13 @@ def test_a_camera_that_is_known_to_be_upright_stays_so_whatever_people_do() -> N
 @pytest.mark.parametrize("known_deg", [None, 180.0])
 @pytest.mark.parametrize("shows_lean", [True, False])
 def test_without_people_the_calibration_counts(known_deg: float | None, shows_lean: bool) -> None:
-    nobody = People(0.0, lambda _: 0.0)
+    nobody = StandingPeople(0.0, lambda _: 0.0)
     assert find_turn(known_deg, COCO_17, nobody, shows_lean)[0] == (known_deg or 0.0)
 
 
 def test_people_of_any_lean_turn_nothing() -> None:
     """Seen from above, people lie in any direction, and one turn is as good as the other."""
-    people = People(0.0, lambda _: 0.5, shown=(70.0, -170.0))
+    people = StandingPeople(0.0, lambda _: 0.5, shown=(70.0, -170.0))
     assert find_turn(None, COCO_17, people, shows_lean=True)[0] == 0.0
     assert sorted(people.looks) == [0.0, 90.0, 180.0, 270.0]
 
@@ -159,7 +159,7 @@ def test_joints_that_do_not_count_show_no_lean() -> None:
 
     def guesses(turn_deg: float) -> list[tuple[int, ImageBodies]]:
         looks.append(turn_deg)
-        ((frame, bodies), _) = People(turn_deg, lambda _: 0.6)(turn_deg)
+        ((frame, bodies), _) = StandingPeople(turn_deg, lambda _: 0.6)(turn_deg)
         score = bodies.score.copy()
         score[1] = 0.1
         keypoints_px = bodies.keypoints_px.copy()
