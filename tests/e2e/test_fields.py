@@ -89,6 +89,7 @@ def test_the_service_gives_the_same_files(
     job = served.wait_for_end(answer.json()["id"])
     assert job["state"] == "succeeded", job
     assert [stage["name"] for stage in job["stages"]] == [
+        "look",
         "detect",
         "check_session",
         "lengths",
