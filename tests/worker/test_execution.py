@@ -12,9 +12,11 @@ import pytest
 from pipeline.capture import preflight
 from pipeline.capture.preflight_record import Preflight
 from pipeline.data.detections import Detections
+from pipeline.detect.look import CameraLook
 from pipeline.errors import InputError
 from pipeline.job_choices import ProxyChoices
-from pipeline.stages.codec import decode
+from pipeline.stages.codec import decode, encode
+from pipeline.stages.stage import LOOK
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
 from tests.e2e.captures import video_capture
@@ -70,14 +72,15 @@ def work(
     on_unit: Callable[[], None] = lambda: None,
     found: bytes | None = None,
 ) -> Work:
-    """The chunk of all frames of the camera on the left."""
+    """The chunk of all frames of the camera on the left, whose two cameras were found upright."""
     payload = {"camera": "left", "start_frame": 0, "stop_frame": NUM_FRAMES, "chunk_frames": NUM_FRAMES}
+    looks = [encode(CameraLook())] * 2
     claim = Claim(1, "job", session.id, "detect", 0, payload, NUM_FRAMES, "0" * 64, ALONE, "token", 1, 1, None)
     return Work(
         claim,
         session,
         artifacts,
-        lambda stage, chunks=slice(None): [],
+        lambda stage, chunks=slice(None): looks[chunks] if stage == LOOK else [],
         scratch,
         on_unit,
         lambda: None,
