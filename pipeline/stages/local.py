@@ -202,13 +202,19 @@ def _scratch_folder(files: "_Destination | None") -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
             yield Path(folder)
         return
+    is_new = not files.folder.exists()
     try:
         files.folder.mkdir(parents=True, exist_ok=True)
         scratch = tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=files.folder)
     except OSError as error:
         raise not_written(files.folder, error) from error
-    with scratch as folder:
-        yield Path(folder)
+    try:
+        with scratch as folder:
+            yield Path(folder)
+    finally:
+        if is_new:
+            with contextlib.suppress(OSError):  # it is not empty
+                files.folder.rmdir()
 
 
 def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFacts:

@@ -77,6 +77,17 @@ def test_a_forced_session_goes_on_and_its_metrics_say_so(session: KeypointSessio
     assert [check["severity"] for check in checks if check["code"] == "cameras_exchanged"] == ["error"] * 2
 
 
+def test_a_refused_session_leaves_no_folder_of_results(session: KeypointSession, tmp_path: Path) -> None:
+    with pytest.raises(SessionRefused):
+        reconstruct_to_files(exchanged(session), tmp_path / "new", CONFIG)
+    assert not (tmp_path / "new").exists()
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    with pytest.raises(SessionRefused):
+        reconstruct_to_files(exchanged(session), kept, CONFIG)
+    assert list(kept.iterdir()) == []
+
+
 def test_force_changes_nothing_without_errors(session: KeypointSession, tmp_path: Path) -> None:
     made = [reconstruct_to_files(session, tmp_path / name, config) for name, config in (("a", CONFIG), ("b", FORCED))]
     contents = [{path.name: path.read_bytes() for path in of_run.paths} for of_run in made]
