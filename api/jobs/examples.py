@@ -110,6 +110,7 @@ _ATTEMPTS: dict[str, Any] = {
                         "camera": None,
                         "hint": "It may lack memory.",
                         "retryable": True,
+                        "errors": [],
                     },
                 }
             ],

@@ -66,7 +66,7 @@ def test_check_that_is_killed_leaves_no_unpacked_file(
         "if 'pipeline.capture.preflight' in sys.orig_argv:\n"
         "    import pathlib, time\n"
         "    import pipeline.capture.keypoints\n"
-        "    def hang(folder, *_):\n"
+        "    def hang(folder, *_, **__):\n"
         f"        pathlib.Path({str(tmp_path / 'unpacked')!r}).write_text(str(folder))\n"
         "        assert (folder / 'cam_0' / 'a.json').is_file()\n"
         "        time.sleep(60)\n"
