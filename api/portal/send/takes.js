@@ -44,6 +44,7 @@ class Takes {
   isRunning = false;
   #shown = null; // take in the draft
   #sharedId = null; // calibration of the takes without their own
+  #ready = null; // promise of the files and the calibration of the take that is put into the draft
 
   constructor() {
     sending.addEventListener("sent", ({ detail: job }) => this.#sent(job));
@@ -76,13 +77,18 @@ class Takes {
     const known = knownJobs();
     this.list = takes.map((take) => ({ ...take, ...stateOf(take, known) }));
     const [next] = this.waiting;
-    if (next) await this.show(next, beside);
+    if (next) await this.#show(next, beside);
     this.#sharedId = next?.hasCalibration ? null : sending.rig.id;
   }
 
+  #show(take, beside = []) {
+    this.#ready = this.#fill(take, beside);
+    return this.#ready;
+  }
+
   // Put a take into the draft. An upload of the same files goes on.
-  async show(take, beside = []) {
-    const isInterrupted = sending.rows.length > 0 && sending.rows.every((row) => take.files.some((file) => isSame(row, file)));
+  async #fill(take, beside) {
+    const isInterrupted = sending.rows.length > 0 && sending.rows.every((row) => row.file === null && take.files.some((file) => isSame(row, file)));
     if (!isInterrupted) sending.clear();
     this.#shown = take;
     sending.draft.name = take.name;
@@ -93,7 +99,7 @@ class Takes {
   // Put a take that could not be sent, or was sent before, into the draft.
   async again(take) {
     Object.assign(take, { state: "waiting", job: null });
-    await this.show(take);
+    await this.#show(take);
   }
 
   remove(take) {
@@ -112,6 +118,7 @@ class Takes {
     if (this.isRunning) return;
     this.isRunning = true;
     try {
+      await this.#ready;
       for (;;) {
         const take = this.waiting.includes(this.#shown) ? this.#shown : this.waiting[0];
         if (!take) break;
@@ -131,7 +138,7 @@ class Takes {
 
   async #next(take) {
     if (!take.hasCalibration && this.#sharedId !== sending.rig.id) await sending.chooseCalibration(this.#sharedId);
-    await this.show(take);
+    await this.#show(take);
   }
 
   // A take that the check refused stays in Captures, with its findings.
