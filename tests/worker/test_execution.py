@@ -65,6 +65,11 @@ def session(
     opened.close()
 
 
+def looks(stage: str, chunks: slice = slice(None)) -> list[bytes]:
+    """Outputs of the stages before: two cameras that were found upright."""
+    return [encode(CameraLook())] * len(range(2)[chunks]) if stage == LOOK else []
+
+
 def work(
     session: Session,
     artifacts: LocalArtifacts,
@@ -72,15 +77,14 @@ def work(
     on_unit: Callable[[], None] = lambda: None,
     found: bytes | None = None,
 ) -> Work:
-    """The chunk of all frames of the camera on the left, whose two cameras were found upright."""
+    """The chunk of all frames of the camera on the left."""
     payload = {"camera": "left", "start_frame": 0, "stop_frame": NUM_FRAMES, "chunk_frames": NUM_FRAMES}
-    looks = [encode(CameraLook())] * 2
     claim = Claim(1, "job", session.id, "detect", 0, payload, NUM_FRAMES, "0" * 64, ALONE, "token", 1, 1, None)
     return Work(
         claim,
         session,
         artifacts,
-        lambda stage, chunks=slice(None): looks[chunks] if stage == LOOK else [],
+        looks,
         scratch,
         on_unit,
         lambda: None,
