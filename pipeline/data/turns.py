@@ -17,7 +17,7 @@ def turned_axes(turn_deg: float) -> Float[np.ndarray, "2 2"]:
 
 
 def is_quarter_turn(turn_deg: float) -> bool:
-    """Whether a turn is by a multiple of 90 degrees."""
+    """Test for a turn by a multiple of 90 degrees."""
     return turn_deg % 90.0 == 0.0
 
 

@@ -47,7 +47,7 @@ class PictureTurn:
 
     @property
     def is_quarter(self) -> bool:
-        """Whether rows and columns of the picture become rows or columns of the turned one."""
+        """True if rows and columns of the picture become rows or columns of the turned one."""
         return is_quarter_turn(self.turn_deg)
 
 

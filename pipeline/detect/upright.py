@@ -116,7 +116,7 @@ def _weights(bodies: ImageBodies) -> Float[np.ndarray, " n"]:
 
 
 def _is_upright(bodies: NumberedBodies, turn_deg: float, joints: JointSet) -> bool:
-    """Whether the trunks of the bodies point up in the turned frames."""
+    """Test for trunks of bodies that point up in the turned frames."""
     angle_deg, weight = _trunks(bodies, turn_deg, joints)
     return bool(weight[np.abs(angle_deg) <= _UPRIGHT_DEG].sum() >= _MIN_UPRIGHT_SHARE * weight.sum() > 0.0)
 

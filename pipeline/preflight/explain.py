@@ -100,7 +100,7 @@ class PairDisagreement:
         return self._pair(left, right)
 
     def is_clear(self, pairs: Sequence[tuple[int, int]], hypothesis: Hypothesis) -> bool:
-        """Whether the disagreement of pairs of cameras can have no other reason than that something is wrong.
+        """Test for a disagreement of pairs of cameras that has no other reason than that something is wrong.
 
         Cameras of a right calibration that see different people disagree about these, but agree exactly about the
         others.

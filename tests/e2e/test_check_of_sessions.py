@@ -128,7 +128,7 @@ def test_exchanged_calibrations(served: Served, capture: CalibratedVideos) -> No
         row.get_by_role("button", name="all the same").click()
         page.get_by_text("Despite errors").first.wait_for()
     jobs = served.client.get(job["links"]["session"] + "/jobs").raise_for_status().json()["jobs"]
-    (forced,) = [one for one in jobs if one["id"] != job["id"]]
+    (forced,) = [other for other in jobs if other["id"] != job["id"]]
     assert forced["spec"] == job["spec"] | {"force": True}
     ended = served.wait_for_end(forced["id"])
     assert ended["state"] == "succeeded", ended["error"]

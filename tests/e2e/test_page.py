@@ -144,9 +144,13 @@ def test_an_array_of_the_points_of_all_cameras(page: Page, served: Served, tmp_p
     page.get_by_role("button", name="Remove cam_00.mp4").click()
     page.get_by_role("button", name="Send and reconstruct").click()
     expect(page.get_by_role("heading", name="Array", level=1)).to_be_visible(timeout=180_000)
-    session = next(one for one in served.client.get("/v1/sessions").json()["sessions"] if one["name"] == "Array")
+    session = next(
+        stored for stored in served.client.get("/v1/sessions").json()["sessions"] if stored["name"] == "Array"
+    )
     cameras = served.client.get(f"/v1/sessions/{session['id']}").json()["preflight"]["cameras"]
-    assert [(one["name"], one["file"]) for one in cameras] == [(one.name, array.name) for one in simulation.cameras]
+    assert [(seen["name"], seen["file"]) for seen in cameras] == [
+        (camera.name, array.name) for camera in simulation.cameras
+    ]
 
 
 def throttle(page: Page, bytes_per_s: int) -> None:

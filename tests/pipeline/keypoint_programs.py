@@ -174,7 +174,7 @@ def _columns(frames: Frames) -> tuple[list[tuple[str, str, str, str]], np.ndarra
     """Labels of DeepLabCut's columns, and a row a frame."""
     people = [f"individual{k + 1}" for k in range(max(map(len, frames.values())))]
     coords = ("x", "y", "likelihood")
-    columns = [("DLC", one, part, coord) for one in people for part in COCO_17.names for coord in coords]
+    columns = [("DLC", person, part, coord) for person in people for part in COCO_17.names for coord in coords]
     rows = np.full((len(frames), len(columns)), np.nan)
     for row, seen in zip(rows, frames.values(), strict=True):
         cells = [value for person in seen for value in _flat(person)]

@@ -263,7 +263,9 @@ def test_what_was_said_of_the_videos_is_an_input() -> None:
     turned = replace(plain, preflight=replace(plain.preflight, up="-y"))
     found = [keys(plain), keys(said(offset_s=0.1)), keys(said(offset_s=0.2)), keys(in_mm), keys(turned)]
     for stage in found[0]:
-        assert len({key for one in found for key in one[stage]}) == len(found) * len(found[0][stage])
+        assert len({key for keys_by_stage in found for key in keys_by_stage[stage]}) == len(found) * len(
+            found[0][stage]
+        )
 
 
 @given(num_frames=st.integers(1, 500), chunk_frames=st.integers(1, 60), data=st.data())

@@ -47,7 +47,7 @@ class Deviations:
 
 
 class Posterior(NamedTuple):
-    """What observations leave open of the deviations, for given cameras."""
+    """Uncertainty of the deviations that the observations leave, for given cameras."""
 
     covariance: Float[np.ndarray, "cameras bodies 6 6"]
     is_seen: Bool[np.ndarray, "cameras bodies"]

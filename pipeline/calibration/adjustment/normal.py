@@ -218,7 +218,7 @@ def _has_delay(problem: AdjustmentProblem, state: State) -> Bool[np.ndarray, " c
 
 
 def is_delay(problem: AdjustmentProblem, state: State) -> Bool[np.ndarray, " parameters"]:
-    """Which of the parameters of the normal equations are delays."""
+    """Mask of the parameters of the normal equations that are delays."""
     parts = [
         np.arange(number + delays) >= number
         for number, delays in zip(problem.free.sum(1), _has_delay(problem, state), strict=True)

@@ -216,7 +216,7 @@ def _motion(rig: BoardRig, cameras: Sequence[Camera], board: Board) -> BoardMoti
     looked_at = np.unique(np.linspace(0, number - 1, min(number, _FLOOR_INSTANTS)).round().astype(int))
     placed = [one for _, one in _place_all(rig, dict(enumerate(cameras)), board, looked_at.tolist())]
     boards = alike_numbered(refine_boards(cameras, placed, board), board)
-    time_s = read_only(np.array([one.mean_time_s for one in boards]))
+    time_s = read_only(np.array([seen.mean_time_s for seen in boards]))
     return BoardMotion(time_s, boards, board.corners_m.mean(0))
 
 

@@ -137,7 +137,7 @@ def open_finder(networks: Networks, turn_deg: float = 0.0) -> BodyDetector:
 
 
 def shows_lean(networks: Networks) -> bool:
-    """Whether the network finds people in pictures that are turned, too, as MultiPose does, and shows how they lean."""
+    """True if the network finds people in turned pictures, too, as MultiPose does, and shows how they lean."""
     return entry_of(networks.body).head is NetworkHead.MOVENET_MULTIPOSE
 
 

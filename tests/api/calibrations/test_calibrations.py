@@ -124,7 +124,7 @@ def test_the_axis_that_points_up_is_asked_for_and_turned(strict: Live) -> None:
     assert (turned["warnings"], turned["source"]["axes"]) == ([], "-Y up, as stated: turned to Z up")
     assert [camera["position_m"] for camera in turned["cameras"]] == [[0.0, -4.0, 1.5], [-3.0, -4.0, 1.5]]
     problem = problem_of(send(strict, content, up="w"), 422, "invalid_request")
-    assert [one["pointer"] for one in problem["errors"]] == ["/spec/up"]
+    assert [error["pointer"] for error in problem["errors"]] == ["/spec/up"]
 
 
 def test_all_problems_of_a_file_are_named(strict: Live) -> None:

@@ -97,7 +97,7 @@ def test_the_axis_of_a_session_that_points_up(checking: Live, simulation: Simula
         ]
         answer = checking.client.post("/v1/sessions", files=sent)
         assert answer.status_code == 201, answer.text
-        found[up] = {one["code"]: one["evidence"] for one in answer.json()["preflight"]["findings"]}
+        found[up] = {finding["code"]: finding["evidence"] for finding in answer.json()["preflight"]["findings"]}
     assert found["z"]["not_upright"]["up_axis"] == "y"
     assert "not_upright" not in found["y"]
 

@@ -27,11 +27,11 @@ def checked(cameras: Sequence[Camera] = CAMERAS, seen: SimultaneousPeople = SEEN
 
 
 def found(cameras: Sequence[Camera] = CAMERAS, seen: SimultaneousPeople = SEEN) -> list[tuple[str, str | None]]:
-    return [(one.code, one.camera) for one in checked(cameras, seen)]
+    return [(finding.code, finding.camera) for finding in checked(cameras, seen)]
 
 
 def levels(findings: Sequence[Finding]) -> list[tuple[str, str]]:
-    return [(one.code, one.severity) for one in findings]
+    return [(finding.code, finding.severity) for finding in findings]
 
 
 def exchanged(order: Sequence[int]) -> tuple[Camera, ...]:
@@ -60,7 +60,7 @@ def test_good_rigs_have_no_finding_and_their_pairs_no_error(scene: str, seed: in
     for pair in itertools.combinations(range(0, len(cameras), max(1, len(cameras) // 4)), 2):
         of_pair = replace(seen, points_px=tuple(seen.points_px[number] for number in pair))
         findings = checked([cameras[number] for number in pair], of_pair)
-        assert {one.severity for one in findings} <= {"warning"}, (pair, findings)
+        assert {finding.severity for finding in findings} <= {"warning"}, (pair, findings)
 
 
 def test_exchanged_cameras_are_named_with_each_other() -> None:
@@ -78,7 +78,7 @@ def test_exchanged_cameras_are_named_with_each_other() -> None:
 
 def test_all_cameras_in_another_order() -> None:
     order = [*range(1, NUM), 0]
-    named = {one.camera: one.evidence["other_camera"] for one in checked(exchanged(order), SEEN)}
+    named = {finding.camera: finding.evidence["other_camera"] for finding in checked(exchanged(order), SEEN)}
     # Camera k has the calibration of its follower, so its picture fits what its predecessor was given.
     assert named == {CAMERAS[number].name: CAMERAS[number - 1].name for number in range(NUM)}
 
@@ -265,9 +265,9 @@ def test_few_bodies_are_no_error() -> None:
     few = tuple(
         tuple(one if k < 2 else one[:0] for k, one in enumerate(of) if one is not None) for of in SEEN.points_px
     )
-    single = replace(SEEN, points_px=tuple(tuple(one[:1] for one in of) for of in few))
+    single = replace(SEEN, points_px=tuple(tuple(points[:1] for points in of) for of in few))
     turned = [bumped(camera, 70.0 * number) for number, camera in enumerate(CAMERAS)]
-    assert {one.severity for one in checked(turned, single)} <= {"warning"}
+    assert {finding.severity for finding in checked(turned, single)} <= {"warning"}
 
 
 @pytest.mark.parametrize("is_backward", [False, True])
@@ -283,6 +283,6 @@ def test_eleven_cameras_in_alphabetical_for_natural_order(is_backward: bool) -> 
         places = {place: name for name, place in places.items()}
     # What camera ``name`` sees was filmed by the camera ``places[name]``.
     mixed = replace(seen, points_px=tuple(seen.points_px[names.index(places[name])] for name in names))
-    exchanged_by_name = {one.camera: one.evidence["other_camera"] for one in checked(cameras, mixed)}
+    exchanged_by_name = {finding.camera: finding.evidence["other_camera"] for finding in checked(cameras, mixed)}
     assert exchanged_by_name == {name: place for name, place in places.items() if name != place}
-    assert {one.severity for one in checked(cameras, mixed)} == {"error"}
+    assert {finding.severity for finding in checked(cameras, mixed)} == {"error"}

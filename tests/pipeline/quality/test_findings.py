@@ -33,7 +33,7 @@ def test_people_outweigh_errors_of_cameras_alone_but_for_those_with_which_nobody
     folds = Finding(DISTORTION_FOLDS, "The distortion folds the picture.", "a", "error")
     unposed = Finding(CALIBRATION_UNPOSED, "All cameras have the same pose.", None, "error")
     joined = join_findings([folds, unposed], [])
-    assert [(one.code, one.severity) for one in joined] == [
+    assert [(finding.code, finding.severity) for finding in joined] == [
         ("distortion_folds", "warning"),
         ("calibration_unposed", "error"),
     ]

@@ -142,7 +142,7 @@ def test_problems_have_the_words_of_the_findings(session: KeypointSession) -> No
         with pytest.raises(SessionRefused) as refusal:
             judge(both, session.cameras, config)
         said = [(problem.code, problem.camera, problem.message, problem.hint) for problem in refusal.value.problems]
-        assert said == [(one.code, one.camera, one.message, one.hint) for one in (ERROR, unit)]
+        assert said == [(finding.code, finding.camera, finding.message, finding.hint) for finding in (ERROR, unit)]
     with pytest.raises(SessionRefused, match="Refinement did not mend it"):
         judge_refined(CHECKED, session.cameras)
 

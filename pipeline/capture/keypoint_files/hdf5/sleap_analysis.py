@@ -24,7 +24,7 @@ _UNTURNED = ("frame", "node", "xy", "track")
 
 
 def is_analysis(file: h5py.File) -> bool:
-    """Whether a file has the arrays of an analysis."""
+    """Test for the arrays of an analysis in a file."""
     return {"tracks", "node_names"} <= set(names_in(file))
 
 

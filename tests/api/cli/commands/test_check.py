@@ -118,7 +118,7 @@ def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
     dark = next(one for one in findings if one["code"] == "picture_dark")
     assert (answer.exit_code, dark["camera"]) == (0, "right")
     # A place may be empty.
-    assert [one["severity"] for one in findings if one["code"] == "nobody_detected"] == ["warning"]
+    assert [finding["severity"] for finding in findings if finding["code"] == "nobody_detected"] == ["warning"]
     shown = {path.name: np.asarray(cv2.imread(str(path))).mean() for path in thumbnails.iterdir()}
     assert set(shown) == {f"{name}-{number}.jpg" for name in ("left", "right") for number in range(NUM_PICTURES)}
     assert all(
@@ -137,9 +137,11 @@ def test_what_the_check_calls_an_error_reconstruct_and_batch_refuse_unless_they_
     files = ["--keypoints", str(session / "keypoints"), "--timestamps", str(session / "timestamps.csv")]
     line = ["reconstruct", *files, "--calibration", str(rig), "--exports", "csv", "--no-cache"]
     refused = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "a"), "--json"])
-    said = [(one["code"], one["camera"], one["message"]) for one in json.loads(refused.stdout)["problems"]]
+    said = [
+        (finding["code"], finding["camera"], finding["message"]) for finding in json.loads(refused.stdout)["problems"]
+    ]
     assert refused.exit_code == 2
-    assert said == [(one["code"], one["camera"], one["message"]) for one in findings]
+    assert said == [(finding["code"], finding["camera"], finding["message"]) for finding in findings]
     spoken = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "a")])
     assert (spoken.exit_code, spoken.stdout) == (2, "")
     assert spoken.stderr.count("cameras or videos are exchanged") == 2
@@ -175,15 +177,17 @@ def test_folders_of_keypoints_are_stated_for_cameras(session: Path, tmp_path: Pa
         folders[name] = shutil.copytree(session / "keypoints" / name, tmp_path / f"folder {number}")
 
     def run(*stated: str) -> tuple[int, Any]:
-        answer = CliRunner().invoke(app, [*words, "--json", *(word for one in stated for word in ("--keypoints", one))])
+        answer = CliRunner().invoke(
+            app, [*words, "--json", *(word for pair in stated for word in ("--keypoints", pair))]
+        )
         document = json.loads(answer.stdout)
         return answer.exit_code, document.get("findings", document.get("problems"))
 
     assert run(*(f"{name}={folder}" for name, folder in folders.items())) == (0, [])
     turned = [f"{name}={folders[other]}" for name, other in zip(names, [*names[1:], names[0]], strict=True)]
     code, findings = run(*turned)
-    assert (code, {one["code"] for one in findings}) == (2, {"cameras_exchanged"})
+    assert (code, {finding["code"] for finding in findings}) == (2, {"cameras_exchanged"})
     code, findings = run(
         f"{names[0]}={folders[names[0]]}", f"{names[0]}={folders[names[1]]}", str(session / "keypoints")
     )
-    assert (code, [one["code"] for one in findings]) == (2, ["camera_with_two_folders", "sources"])
+    assert (code, [finding["code"] for finding in findings]) == (2, ["camera_with_two_folders", "sources"])

@@ -109,11 +109,11 @@ def test_few_common_views_are_refused_with_their_number() -> None:
 def test_videos_of_one_frame_and_a_board_that_one_camera_sees_are_refused() -> None:
     views = filmed(3)
     with pytest.raises(InputError) as raised:
-        calibrate_board([one.select([0]) for one in views], BOARD, None, 4.0)
+        calibrate_board([of_camera.select([0]) for of_camera in views], BOARD, None, 4.0)
     assert {problem.code for problem in raised.value.problems} == {"board_not_found"}
     given = {camera.name: camera for camera in CAMERAS}
     with pytest.raises(InputError) as raised:
-        calibrate_board([one.select([0]) for one in views], BOARD, given, 4.0)
+        calibrate_board([of_camera.select([0]) for of_camera in views], BOARD, given, 4.0)
     assert {problem.code for problem in raised.value.problems} == {"board_unlinked"}
     apart = [replace(one, time_s=read_only(one.time_s + 100.0 * number)) for number, one in enumerate(views)]
     with pytest.raises(InputError) as raised:

@@ -37,7 +37,7 @@ def test_a_board_on_webcams_gives_each_camera_its_own_lens_and_names_the_late_ca
     session = open_footage([folder], None, keeps_poses=False)
     with Progress(disable=True) as progress:
         views = list(in_videos(session, BOARD, progress))
-    assert [len(one) > 35 for one in views] == [True] * 4
+    assert [len(of_camera) > 35 for of_camera in views] == [True] * 4
     made = calibrate_board(views, BOARD, None, session.timebase.frame_rate_hz)
     assert [camera.name for camera in made.cameras] == ["cam_0", "cam_1", "cam_2", "cam_3"]
     for camera, own in zip(made.cameras, views, strict=True):

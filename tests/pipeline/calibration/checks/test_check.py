@@ -119,7 +119,7 @@ def test_cameras_that_look_straight_down_tell_only_what_may_be_up(axis: str) -> 
         for turn in [Rotation.from_euler("z", angle, degrees=True)]
     ]
     turn = Rotation.from_matrix(turn_upright(AXES[axis]).T)
-    (finding,) = [one for one in check_cameras(in_other_world(down, turn)) if one.code == "up_axis_unknown"]
+    (finding,) = [finding for finding in check_cameras(in_other_world(down, turn)) if finding.code == "up_axis_unknown"]
     axes = finding.evidence["up_axes"]
     assert (axes[0], OPPOSITE[axis] in axes) == (axis, False)
     assert finding.severity == ("warning" if axis == "-z" else "info")
@@ -151,7 +151,7 @@ def test_narrow_views_that_cross_are_found() -> None:
     far = [moved(distorted(camera), center) for camera, center in zip(narrow, ((10, 0, 2), (0, 10, 2)), strict=True)]
     assert codes(far) == []
     aside = [far[0], moved(far[1], (0, 10, 2), (0.0, 0.0, 6.0))]
-    assert {(one[0], one[2]) for one in codes(aside)} == {("no_common_view", "error")}
+    assert {(finding[0], finding[2]) for finding in codes(aside)} == {("no_common_view", "error")}
 
 
 def test_long_lenses_side_by_side_share_a_view_far_away() -> None:
@@ -161,7 +161,7 @@ def test_long_lenses_side_by_side_share_a_view_far_away() -> None:
     beside = [
         moved(distorted(camera), place, (-90.0, place[1], 1.0)) for camera, place in zip(narrow, places, strict=True)
     ]
-    assert "no_common_view" not in {one[0] for one in codes(beside)}
+    assert "no_common_view" not in {finding[0] for finding in codes(beside)}
 
 
 def test_folding_radius_of_one_coefficient() -> None:

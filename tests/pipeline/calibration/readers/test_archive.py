@@ -35,7 +35,7 @@ def biocv(one: Camera, number: Callable[[float], str] = repr) -> str:
 )
 def test_biocv(tmp_path: Path, number: Callable[[float], str], num_digits: int) -> None:
     """The programs of the data set write six digits, or six decimals."""
-    files = {f"{one.name}.calib": biocv(one, number) for one in RIG}
+    files = {f"{camera.name}.calib": biocv(camera, number) for camera in RIG}
     contents = read_contents(write_zip(tmp_path / "rig.zip", files))
     assert (contents.format, contents.unit) == ("bioCV", "mm")
     assert_rig(contents, num_digits=num_digits)

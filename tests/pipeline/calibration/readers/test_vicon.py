@@ -74,7 +74,7 @@ def test_points_are_seen_where_vicon_sees_them(
 
 def test_a_wide_lens_in_the_whole_picture(tmp_path: Path) -> None:
     lens = f'VICON_RADIAL2="Vicon3Parameter 951.5 548.25 {WIDE[0]} {WIDE[1]} {WIDE[2]}"'
-    square = [element(one, lens).replace(str(1450 / 1460), "1") for one in RIG]
+    square = [element(camera, lens).replace(str(1450 / 1460), "1") for camera in RIG]
     contents = read_contents(write(tmp_path / "session.xcp", *square))
     seen_px = np.stack(np.meshgrid(np.linspace(0, 1919, 49), np.linspace(0, 1079, 31)), -1).reshape(-1, 2)
     for camera in contents.cameras:
