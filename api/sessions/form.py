@@ -38,8 +38,9 @@ def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[Code, str, str]
 
 _PARTS: Mapping[str, str] = {
     VIDEOS: "Videos, one for each camera.",
-    KEYPOINTS: "Keypoints in place of videos: for each camera a zip of its keypoint files, named as the camera; or "
-    "FreeMoCap's array of all cameras, which `pair_by_order` of the manifest pairs with the cameras.",
+    KEYPOINTS: "Keypoints in place of videos: for each camera a zip of its keypoint files, named as the camera or "
+    "stated in `cameras` of the manifest; or FreeMoCap's array of all cameras, which `pair_by_order` of the manifest "
+    "pairs with the cameras.",
     CALIBRATION: "Calibration of all cameras; or `calibration_id`.",
     TIMESTAMPS: "Timestamps of keypoints: CSV with the columns camera, frame and time_s.",
 }

@@ -131,9 +131,8 @@ async def check(request: Request, services: Services, records: TenantRecords, se
         arrival = _parsed(sent)
     arrival = await run_in_threadpool(_with_calibration, records, arrival, sent.folder)
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
-    if form.keypoints and arrival.manifest and arrival.manifest.cameras:
-        message = "Keypoints have timestamps, and their archives the cameras' names: nothing else can be said of them."
-        errors.append(ErrorItem(code=CAMERAS_OF_KEYPOINTS, message=message, pointer=f"/{MANIFEST}/cameras"))
+    if form.keypoints and arrival.manifest:
+        errors.extend(_facts_of_videos(arrival.manifest))
     preflight: Preflight | None = None
     record_path, thumbnails = record_path_in(sent.folder), sent.folder / str(uuid_utils.uuid7())
     thumbnails.mkdir()
@@ -286,6 +285,21 @@ def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) ->
     path.write_bytes(content)
     file = ReceivedFile(name, path, len(content), hashlib.sha256(content).hexdigest())
     return replace(arrival, form=replace(arrival.form, files={**arrival.form.files, CALIBRATION: (file,)}))
+
+
+def _facts_of_videos(manifest: Manifest) -> Iterator[ErrorItem]:
+    """Find what a manifest states of cameras that is of videos alone."""
+    for index, camera in enumerate(manifest.cameras):
+        for field in ("offset_s", "rate", "more_files"):
+            if getattr(camera, field):
+                yield ErrorItem(
+                    code=CAMERAS_OF_KEYPOINTS,
+                    message="Keypoints have timestamps or one frame rate, and a camera has one archive.",
+                    camera=camera.name,
+                    field=field,
+                    pointer=pointer_to(MANIFEST, "cameras", index, field),
+                    hint=f"Omit {field}: of a camera with keypoints only its file can be stated.",
+                )
 
 
 def record_path_in(folder: Path) -> Path:

@@ -40,7 +40,10 @@ SessionName = Annotated[
 
 
 class CameraManifest(BaseModel):
-    """Facts about a camera's video that neither the file nor the calibration states."""
+    """Facts about a camera's video that neither the file nor the calibration states.
+
+    Of a camera with keypoints only ``file`` can be stated.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -51,7 +54,8 @@ class CameraManifest(BaseModel):
         default=None,
         min_length=1,
         max_length=200,
-        description="Name of the camera's video; by default the video with the camera's name.",
+        description="Name of the camera's video, or of its archive of keypoints; by default the one with the camera's "
+        "name.",
     )
     more_files: tuple[Annotated[str, AfterValidator(printable_name), Field(min_length=1, max_length=200)], ...] = Field(
         default=(),
@@ -93,7 +97,7 @@ class Manifest(BaseModel):
         "which need one unless their cameras have a `rate`.",
     )
     cameras: tuple[CameraManifest, ...] = Field(
-        default=(), max_length=256, description="Facts about some cameras of a session of videos."
+        default=(), max_length=256, description="Facts about some cameras; of keypoints only their files."
     )
     pair_by_order: bool = Field(
         default=False,
@@ -133,7 +137,7 @@ class UploadedSession(UploadedFiles):
     keypoints: tuple[UUID, ...] = Field(
         default=(),
         description="Uploads of keypoints in place of videos: for each camera a zip of its keypoint files, named as "
-        "the camera; or FreeMoCap's array of all cameras.",
+        "the camera or stated in `cameras` of the manifest; or FreeMoCap's array of all cameras.",
     )
     calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
     calibration_id: UUID | None = Field(

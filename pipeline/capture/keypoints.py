@@ -20,6 +20,7 @@ from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
 from pipeline.capture.pairing import pair
+from pipeline.capture.recordings import Recording, find_input, known_recordings
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
@@ -125,13 +126,14 @@ def open_keypoints(
     max_joints: int | None = None,
     pair_by_order: bool = False,
     *,
+    recordings: Sequence[Recording] = (),
     keeps_poses: bool = True,
     up: Up = "z",
 ) -> KeypointSession:
     """Open a folder that contains a folder of keypoint files for each camera.
 
-    A folder belongs to the camera whose name is a whole word in the folder's name, see ``names.cameras_in_names``.
-    Cameras without a folder are left out, with a warning.
+    A folder belongs to the camera for which ``recordings`` names it, else to the camera whose name is a whole word in
+    the folder's name, see ``names.cameras_in_names``. Cameras without a folder are left out, with a warning.
 
     Parameters
     ----------
@@ -147,7 +149,11 @@ def open_keypoints(
     max_joints
         Limit on the joints of all people in all files, detected or not; ``None``: no limit. Reading stops at the limit.
     pair_by_order
-        Pair folders with cameras by the natural order of their names; a warning lists the pairs.
+        Pair the folders that ``recordings`` does not name with the other cameras by the natural order of their names; a
+        warning lists the pairs.
+    recordings
+        Names of some cameras' folders in ``folder``, in ``file`` of at most one recording a camera; nothing else of it
+        is used. A camera of a recording is never left out.
     keeps_poses
         See ``open_session``.
 
@@ -168,7 +174,7 @@ def open_keypoints(
         problems += [_unknown_size(camera, calibration) for camera in cameras if camera.size_px == UNKNOWN_SIZE]
     except InputError as error:
         problems.extend(error.problems)
-    folders, pairs = _paired(folder, cameras, pair_by_order, findings, problems)
+    folders, pairs = _paired(folder, cameras, recordings, pair_by_order, findings, problems)
     camera_of = {name: camera for camera, name in pairs.items()}
     sizes_px = {camera.name: camera.size_px for camera in cameras}
     forms: set[str] = set()
@@ -226,6 +232,7 @@ def open_keypoints(
 def _paired(
     folder: StrPath | Mapping[str, StrPath],
     cameras: Sequence[Camera],
+    recordings: Sequence[Recording],
     by_order: bool,
     findings: list[Finding],
     problems: list[Problem],
@@ -233,13 +240,22 @@ def _paired(
     """Folders by name, and the name of each camera's folder: as stated, or by the names."""
     if isinstance(folder, Mapping):
         folders = stated_folders(folder, cameras, problems)
-        stated = {camera: camera for camera in folders}
+        if not cameras or not folders:
+            return folders, {}
+        pairing = pair(cameras, [], "folder", {camera: camera for camera in folders}, by_order=by_order)
     else:
-        folders, stated = camera_folders(Path(folder), findings, problems), {}
-    if not cameras or not folders:
-        return folders, {}
-    free = [name for name in folders if name not in stated]
-    pairing = pair(cameras, free, "folder", stated, by_order=by_order)
+        folders = camera_folders(Path(folder), findings, problems)
+        if not cameras or not folders:
+            return folders, {}
+        places = [Path(name) for name in folders]
+        known, recording_problems = known_recordings(recordings, cameras, places, "folder")
+        if recording_problems:
+            problems += recording_problems
+            return folders, {}
+        found = {camera: find_input(recording.file, places) for camera, recording in known.items() if recording.file}
+        stated = {camera: place.name for camera, place in found.items() if place is not None}
+        free = [name for name in folders if name not in stated.values()]
+        pairing = pair(cameras, free, "folder", stated, known, by_order)
     problems += pairing.problems
     findings += pairing.findings
     return folders, pairing.pairs

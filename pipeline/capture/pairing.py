@@ -118,7 +118,7 @@ def _by_name(
     """Pair cameras and inputs by name; report inputs of no camera, of several, and of a camera that has one."""
     codes = _CODES[thing]
     called = [camera.name for camera in cameras]
-    or_state = ", or state the video of each camera" if thing == "video" else ""
+    or_state = f", or state the {thing} of each camera"
     found = cameras_in_names(names, {camera.name: [camera.section] for camera in cameras})
     if names and not stated and not any(found.values()):
         message = f"No {thing} has the name of a camera."

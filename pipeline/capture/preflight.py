@@ -1,7 +1,7 @@
 """Check a session, or a calibration, in a child process.
 
-``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] [--clock CLOCK] [--frame-rate HZ] |
---keypoints ZIP... [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--units UNITS] [--up AXIS]
+``python -m pipeline.capture.preflight (--videos FILE... [--clock CLOCK] [--frame-rate HZ] | --keypoints ZIP...
+[--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--recordings JSON] [--units UNITS] [--up AXIS]
 [--pair-by-order]`` prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit code 2. So a
 caller can check a session without loading the numeric libraries, and without opening untrusted files itself.
 ``--record FILE`` stores the opened session, so that the files need not be examined again.
@@ -45,7 +45,7 @@ from pipeline.capture.preflight_record import (
     PreflightTimebase,
     thumbnail_name,
 )
-from pipeline.capture.recordings import Recording
+from pipeline.capture.recordings import Recording, find_input
 from pipeline.capture.session import Session, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.findings import Finding
@@ -123,10 +123,7 @@ def _camera_rate_hz(session: Session, camera: str) -> float:
 def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     if arguments.photographs and (others := [path for path in arguments.videos if not is_sequence(path)]):
         raise InputError([_no_archive(path) for path in others])
-    recordings = [
-        Recording(**{**recording, "more_files": tuple(recording.get("more_files", ()))})
-        for recording in json.loads(arguments.recordings)
-    ]
+    recordings = _recordings(arguments)
     units, clock = arguments.units, arguments.clock
     session = open_session(
         arguments.videos,
@@ -153,6 +150,13 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     return preflight, record
 
 
+def _recordings(arguments: argparse.Namespace) -> list[Recording]:
+    return [
+        Recording(**{**recording, "more_files": tuple(recording.get("more_files", ()))})
+        for recording in json.loads(arguments.recordings)
+    ]
+
+
 def _write_thumbnails(folder: Path, camera: int, thumbnails: Sequence[Thumbnail]) -> tuple[PreflightThumbnail, ...]:
     for number, thumbnail in enumerate(thumbnails):
         (folder / thumbnail_name(camera, number)).write_bytes(thumbnail.content)
@@ -177,6 +181,7 @@ def _no_archive(path: Path) -> Problem:
 
 
 def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
+    recordings = _recordings(arguments)
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         session = open_keypoints(
             unpack_keypoints(arguments.keypoints, Path(folder)),
@@ -186,15 +191,22 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
             arguments.units,
             arguments.max_joints,
             arguments.pair_by_order,
+            recordings=[_of_folder(recording, arguments.keypoints) for recording in recordings],
             up=arguments.up,
         )
     archives = {path.stem: path.name for path in arguments.keypoints}
     # Parts of an array of all cameras have no archives of their own.
     files = [[archives.get(session.folders[camera.name], arguments.keypoints[0].name)] for camera in session.cameras]
-    preflight = report(session, files, arguments.units, up=arguments.up)
+    preflight = report(session, files, arguments.units, recordings, up=arguments.up)
     if arguments.thumbnails:
         preflight = _with_findings(preflight, check_cameras(session.cameras))
     return preflight, encode_keypoints(session)
+
+
+def _of_folder(recording: Recording, archives: Sequence[Path]) -> Recording:
+    """Recording that names the folder into which its archive is unpacked."""
+    archive = None if recording.file is None else find_input(recording.file, archives)
+    return recording if archive is None else replace(recording, file=archive.stem)
 
 
 def _check(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -241,7 +253,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--intrinsics", type=Path, help="Calibration in place of --calibration; its poses don't count.")
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
-    parser.add_argument("--recordings", default="[]", help="JSON list of recordings: facts about the videos.")
+    parser.add_argument("--recordings", default="[]", help="JSON list of facts about videos or archives.")
     parser.add_argument("--clock", choices=get_args(Clock), default="declared", help="Clock of the videos' starts.")
     parser.add_argument("--units", choices=UNITS_M, help="Unit of lengths in the calibration.")
     parser.add_argument("--up", choices=get_args(Up), default="z", help="Axis of the calibration that points up.")

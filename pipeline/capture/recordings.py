@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from pipeline.capture.names import cameras_in_names, natural_key, nfc
+from pipeline.capture.pairing import Thing
 from pipeline.capture.parts import missing_parts, recordings_of
 from pipeline.capture.video_files import VideoFiles
 from pipeline.data.cameras import Camera
@@ -22,14 +23,14 @@ from pipeline.problem_codes.sessions import (
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Facts about a camera's video that neither the video nor the calibration contains.
+    """Facts about a camera's video that neither the video nor the calibration contains; or its folder of keypoints.
 
     Parameters
     ----------
     camera
         Name of the camera, or of its section in the calibration.
     file
-        Name or path of the video file; ``None``: the video with the camera's name.
+        Name or path of the video file; ``None``: the video with the camera's name. Of keypoints the name of the folder.
     offset_s
         Time of the first frame, on the clock that all cameras share.
     frame_rate_hz
@@ -66,7 +67,7 @@ def sort_files(files: VideoFiles, recordings: Sequence[Recording], cameras: Sequ
     Files are the parts of one recording if their names say so, unless they have the names of different cameras.
     """
     stated = {
-        recording.camera: tuple(path for file in recording.files if (path := _find(file, files)) is not None)
+        recording.camera: tuple(path for file in recording.files if (path := find_input(file, files.paths)) is not None)
         for recording in recordings
     }
     stated = {camera: paths for camera, paths in stated.items() if paths}
@@ -109,9 +110,12 @@ def left_out_parts(names: Sequence[str]) -> Iterator[Problem]:
 
 
 def known_recordings(
-    recordings: Sequence[Recording], cameras: Sequence[Camera], files: VideoFiles
+    recordings: Sequence[Recording], cameras: Sequence[Camera], inputs: Sequence[Path], thing: Thing = "video"
 ) -> tuple[dict[str, Recording], list[Problem]]:
-    """Sort recordings by camera; report unknown cameras and files, and cameras and files that occur twice."""
+    """Sort recordings by camera; report unknown cameras and inputs, and cameras and inputs that occur twice.
+
+    ``inputs`` are all videos, or all folders of keypoints.
+    """
     names = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
     hint = f"The calibration's cameras are {', '.join(sorted({*names.values()}, key=natural_key))}."
     known: dict[str, Recording] = {}
@@ -119,7 +123,7 @@ def known_recordings(
     problems = []
     for recording in recordings:
         camera = names.get(recording.camera)
-        paths = {file: _find(file, files) for file in recording.files}
+        paths = {file: find_input(file, inputs) for file in recording.files}
         if camera is None:
             message = "The calibration has no camera of this name."
             problems.append(Problem(RECORDING_CAMERA_UNKNOWN, message, camera=recording.camera, hint=hint))
@@ -129,13 +133,13 @@ def known_recordings(
             problems.append(Problem(DUPLICATE_RECORDING, message, camera=camera))
             continue
         wrong = [
-            Problem(RECORDING_FILE_UNKNOWN, "There is no video of this name.", file=Path(file).name, camera=camera)
+            Problem(RECORDING_FILE_UNKNOWN, f"There is no {thing} of this name.", file=Path(file).name, camera=camera)
             for file, path in paths.items()
             if path is None
         ]
         found = [path for path in paths.values() if path is not None]
         if taken & set(found) or len(set(found)) < len(recording.files) - len(wrong):
-            message = "The video is already assigned to a camera."
+            message = f"The {thing} is already assigned to a camera."
             doubled = next((path for path in found if path in taken), found[-1])
             wrong.append(Problem(DUPLICATE_RECORDING_FILE, message, file=doubled.name, camera=camera))
         problems += wrong
@@ -144,6 +148,6 @@ def known_recordings(
     return known, problems
 
 
-def _find(file: str, files: VideoFiles) -> Path | None:
+def find_input(file: str, paths: Sequence[Path]) -> Path | None:
     """Path of a file by its name or path, however their accents are composed."""
-    return next((path for path in files.paths if nfc(file) in {nfc(path.name), nfc(str(path))}), None)
+    return next((path for path in paths if nfc(file) in {nfc(path.name), nfc(str(path))}), None)

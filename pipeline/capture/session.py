@@ -186,7 +186,9 @@ def open_session(
             if (fault := name_problem(camera.name))
         ]
     problems += _range_problems(recordings)
-    recording_of_camera, recording_problems = known_recordings(recordings, cameras, files) if cameras else ({}, [])
+    recording_of_camera, recording_problems = (
+        known_recordings(recordings, cameras, files.paths) if cameras else ({}, [])
+    )
     problems += recording_problems
     if cameras and not recording_problems:
         stated = {

@@ -321,8 +321,8 @@ DUPLICATE_FILE_NAME = PARTS.code(
 CAMERAS_OF_KEYPOINTS = PARTS.code(
     "cameras_of_keypoints",
     _FIELD,
-    "`cameras` of the manifest was sent with keypoints.",
-    "Omit it: timestamps and the names of the archives state the same.",
+    "`offset_s`, `rate` or `more_files` of a camera in the manifest was sent with keypoints.",
+    "Omit it: timestamps or a frame rate state the times. Only `file` can be stated.",
 )
 CALIBRATION_UNKNOWN = PARTS.code(
     "calibration_unknown", _FIELD, "There is no calibration with this id.", "List the calibrations, or send the file."

@@ -238,10 +238,16 @@ DUPLICATE_RECORDING = VIDEOS.code(
     "duplicate_recording", _FILES, "The manifest names a camera twice.", "Name each camera once."
 )
 RECORDING_FILE_UNKNOWN = VIDEOS.code(
-    "recording_file_unknown", _FILES, "The manifest names an unknown video.", "Correct the name."
+    "recording_file_unknown",
+    _FILES,
+    "The manifest names an unknown video or archive of keypoints.",
+    "Correct the name.",
 )
 DUPLICATE_RECORDING_FILE = VIDEOS.code(
-    "duplicate_recording_file", _FILES, "The manifest gives one video to two cameras.", "Give each camera its video."
+    "duplicate_recording_file",
+    _FILES,
+    "The manifest gives one video, or one archive of keypoints, to two cameras.",
+    "Give each camera its own.",
 )
 SIZE_MISMATCH = VIDEOS.code(
     "size_mismatch",

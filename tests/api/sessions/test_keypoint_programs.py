@@ -65,6 +65,14 @@ def parts(simulation: Simulation, files: Mapping[str, Files]) -> list[tuple[str,
     return sent
 
 
+def stored_rig(checking: Live, sent: list[tuple[str, Any]]) -> str:
+    """Id of the calibration of a form, which the service stores."""
+    rig = next(content for name, content in sent if name == "calibration")
+    spec = ("spec", (None, json.dumps({"method": "file"})))
+    stored = checking.client.post("/v1/calibrations", files=[("calibration", rig), spec]).raise_for_status().json()
+    return str(stored["id"])
+
+
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_session_of_the_service(checking: Live, simulation: Simulation, program: str) -> None:
     answer = checking.client.post("/v1/sessions", files=parts(simulation, keypoint_files(simulation, program)))
@@ -181,11 +189,50 @@ def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
     assert "paired_in_sorted_order" in codes[1]
 
 
+def test_archives_are_those_of_the_cameras_for_which_the_manifest_states_them(
+    checking: Live, simulation: Simulation
+) -> None:
+    files = keypoint_files(simulation, "AlphaPose")
+    first, second = (camera.name for camera in simulation.cameras)
+    # Names that would pair them the other way round, and one whose accent is composed in the manifest alone.
+    names = {first: f"{second} take", second: "A\u0308hnlich (2)"}
+    sent = parts(simulation, {names[camera]: files[camera] for camera in (first, second)})
+
+    def answer(*cameras: Mapping[str, str]) -> Any:
+        part = ("manifest", (None, json.dumps({"cameras": cameras})))
+        return checking.client.post("/v1/sessions", files=[*sent, part])
+
+    stated = [{"name": first, "file": f"{names[first]}.zip"}, {"name": second, "file": "\u00c4hnlich (2).zip"}]
+    session = answer(*stated).raise_for_status().json()
+    assert {camera["name"]: camera["file"] for camera in session["preflight"]["cameras"]} == {
+        camera: f"{name}.zip" for camera, name in names.items()
+    }
+    by_name = checking.client.post("/v1/sessions", files=parts(simulation, files)).raise_for_status().json()
+    num_frames = [[camera["num_frames"] for camera in one["preflight"]["cameras"]] for one in (session, by_name)]
+    assert num_frames[0] == num_frames[1]
+    body = {"session_id": session["id"], "calibration_id": stored_rig(checking, sent)}
+    again = checking.client.post("/v1/sessions", json=body).raise_for_status().json()
+    assert again["preflight"]["cameras"] == session["preflight"]["cameras"]
+    problem = problem_of(answer(stated[1]), 422, "invalid_request")
+    assert [(item["code"], item["camera"]) for item in problem["errors"]] == [
+        ("camera_without_folder", first),
+        ("camera_with_two_folders", second),
+    ]
+
+    wrong = [{"name": first, "file": "x.zip"}, {"name": second, "file": f"{names[first]}.zip"}, stated[0]]
+    wrong.append({"name": "cam_x", "file": f"{names[first]}.zip"})
+    problem = problem_of(answer(*wrong), 422, "invalid_request")
+    assert [(item["code"], item["pointer"]) for item in problem["errors"]] == [
+        ("recording_file_unknown", "/manifest/cameras/2"),
+        ("duplicate_recording", "/manifest/cameras/2"),
+        ("recording_camera_unknown", "/manifest/cameras/3"),
+    ]
+
+
 def test_a_rate_is_asked_for_and_kept_with_the_pairs_of_copied_footage(checking: Live, simulation: Simulation) -> None:
     files = keypoint_files(simulation, "AlphaPose")
     renamed = {f"view{number}": files[camera.name] for number, camera in enumerate(simulation.cameras)}
     sent = [part for part in parts(simulation, renamed) if part[0] != "timestamps"]
-    rig = next(content for name, content in sent if name == "calibration")
 
     def manifest(**stated: Any) -> tuple[str, Any]:
         return "manifest", (None, json.dumps({"pair_by_order": True} | stated))
@@ -196,9 +243,11 @@ def test_a_rate_is_asked_for_and_kept_with_the_pairs_of_copied_footage(checking:
     assert (item["code"], item["field"]) == ("no_frame_rate", "frame_rate_hz")
     session = checking.client.post("/v1/sessions", files=[*sent, manifest(frame_rate_hz=50.0)]).json()
     assert session["preflight"]["timebase"]["frame_rate_hz"] == 50.0
-    spec = ("spec", (None, json.dumps({"method": "file"})))
-    stored = checking.client.post("/v1/calibrations", files=[("calibration", rig), spec]).raise_for_status().json()
-    body: dict[str, Any] = {"session_id": session["id"], "calibration_id": stored["id"], "manifest": {"name": "Again"}}
+    body: dict[str, Any] = {
+        "session_id": session["id"],
+        "calibration_id": stored_rig(checking, sent),
+        "manifest": {"name": "Again"},
+    }
     again = checking.client.post("/v1/sessions", json=body).raise_for_status().json()
     assert again["name"] == "Again"
     for field in ("cameras", "timebase"):

@@ -381,10 +381,13 @@ class TestManifest:
         problem = problem_of(self.send(live, {"cameras": [camera]}), 422, "invalid_request")
         assert [item["pointer"] for item in problem["errors"]] == [f"/manifest/cameras/0{pointer}"]
 
-    def test_cameras_of_a_manifest_are_refused_with_keypoints(self, live: Live) -> None:
-        answer = self.send(live, {"cameras": [{"name": "cam_0"}]}, files=keypoint_form())
-        problem = problem_of(answer, 422, "invalid_request")
-        assert [item["code"] for item in problem["errors"]] == ["cameras_of_keypoints"]
+    def test_facts_of_videos_are_refused_with_keypoints(self, live: Live) -> None:
+        of_videos = {"name": "cam_0", "file": "cam_0.zip", "more_files": ["b.zip"], "offset_s": 0.5, "rate": 25.0}
+        cameras = [{"name": "cam_1", "file": "cam_1.zip"}, of_videos]
+        problem = problem_of(self.send(live, {"cameras": cameras}, files=keypoint_form()), 422, "invalid_request")
+        assert [(item["code"], item["pointer"]) for item in problem["errors"]] == [
+            ("cameras_of_keypoints", f"/manifest/cameras/1/{field}") for field in ("offset_s", "rate", "more_files")
+        ]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Keypoint folders: accepted and rejected input, and messages of the problems."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_npz import encode_record
+from pipeline.capture.recordings import Recording
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.joints import BODY_25, COCO_17, COCO_18
@@ -446,6 +448,30 @@ def test_stated_folders_are_those_of_their_cameras(scene: Path, simulation: Simu
     for name, detections in by_name.detections.items():
         np.testing.assert_array_equal(session.detections[name].keypoints_px, detections.keypoints_px)
     assert session.findings == ()
+
+
+def test_recordings_name_folders_and_the_others_are_paired_by_name(scene: Path, simulation: Simulation) -> None:
+    rest = scene / "calibration.json", scene / "timestamps.csv"
+    by_name = open_keypoints(scene / "keypoints", *rest)
+    first, second, *_ = [camera.name for camera in simulation.cameras]
+    exchanged = {first: scene / "keypoints" / "take", second: scene / "keypoints" / first}
+    for camera, folder in exchanged.items():
+        (scene / "keypoints" / camera).rename(folder)
+    session = open_keypoints(
+        scene / "keypoints", *rest, recordings=[Recording(camera, path.name) for camera, path in exchanged.items()]
+    )
+    assert session.folders == {**by_name.folders, first: "take", second: first}
+    for name, detections in by_name.detections.items():
+        np.testing.assert_array_equal(session.detections[name].keypoints_px, detections.keypoints_px)
+
+
+def test_a_camera_of_a_recording_is_not_left_out(scene: Path, simulation: Simulation) -> None:
+    first, *_ = [camera.name for camera in simulation.cameras]
+    shutil.rmtree(scene / "keypoints" / first)
+    rest = scene / "calibration.json", scene / "timestamps.csv"
+    with pytest.raises(InputError) as refused:
+        open_keypoints(scene / "keypoints", *rest, recordings=[Recording(first)])
+    assert [(problem.code, problem.camera) for problem in refused.value.problems] == [("camera_without_folder", first)]
 
 
 def test_all_that_is_wrong_with_stated_folders_is_named(scene: Path, simulation: Simulation) -> None:
