@@ -17,6 +17,7 @@ from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh, c3d_file, csv_table, glb, trc
+from pipeline.export.writers.rotation_orders import BetweenFrames, rotation_orders
 from pipeline.joints import JointSet
 
 
@@ -42,6 +43,8 @@ class Format:
     # Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3); NaN for unknown
     # joints
     read_xyz_m: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ joints 3"]]]
+    # Place at which interpolated angles are farthest off; ``None`` for formats without angles
+    between_frames: Callable[[PersonContent], BetweenFrames | None] = lambda _: None
     # Whether the file holds the person's name. Other files stay as they are when the person is renamed.
     holds_name: bool = False
     # Whether numbers have single precision, and positions are relative to the origin of ``PersonContent``
@@ -53,6 +56,7 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
         "bvh": Format(
             lambda person: bvh.encode(person.motion, PRESETS[person.preset]),
             lambda path, preset: bvh.read_xyz_m(path, PRESETS[preset]),
+            lambda person: rotation_orders(person.motion, PRESETS[person.preset]).between,
         ),
         "glb": Format(
             lambda person: glb.encode(person.motion, person.origin_m),

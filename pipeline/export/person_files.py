@@ -18,6 +18,7 @@ from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.origin import file_origin_m
 from pipeline.export.writers import skeletons_json
+from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, part_of, split
 from pipeline.skeleton.model import forward_kinematics
@@ -54,6 +55,8 @@ class KeptFile:
 
     # Largest distance between joints read back and their true positions; ``None`` without any joint
     distance_mm: float | None
+    # Place at which interpolated angles are farthest off, for formats with angles
+    between: BetweenFrames | None = None
 
 
 class KeptFiles:
@@ -63,13 +66,13 @@ class KeptFiles:
         """Write a person's file of a format, if it is kept, to a path; ``None`` if it is not."""
         return None
 
-    def keep(self, person: PersonOfTake, name: str, path: Path, distance_mm: float | None) -> None:
-        """Keep the file of a person of a format, and the distance found in it."""
+    def keep(self, person: PersonOfTake, name: str, path: Path, kept: KeptFile) -> None:
+        """Keep the file of a person of a format, and what was found in it."""
 
 
 def write_person(
     person: PersonOfTake, paths: Mapping[str, Path], preset: Preset, kept: KeptFiles, on_share: OnShare
-) -> Iterator[tuple[str, float | None]]:
+) -> Iterator[tuple[str, KeptFile]]:
     """Write the files of a person, or take them from those that are kept.
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
@@ -81,7 +84,7 @@ def write_person(
 
     Yields
     ------
-        Format, and ``KeptFile.distance_mm`` of its file, when the file is complete.
+        Format, and what was found in its file, when the file is complete.
 
     Raises
     ------
@@ -93,10 +96,10 @@ def write_person(
         found = kept.find(person, name, path)
         if found is None:
             # Writing takes about as long as reading.
-            found = KeptFile(_written(person, name, path, preset, skeleton_m, part_of(on_file, 0.5, 1.0)))
-            kept.keep(person, name, path, found.distance_mm)
+            found = _written(person, name, path, preset, skeleton_m, part_of(on_file, 0.5, 1.0))
+            kept.keep(person, name, path, found)
         on_file(1.0)
-        yield name, found.distance_mm
+        yield name, found
     on_share(1.0)
 
 
@@ -107,17 +110,18 @@ def _written(
     preset: Preset,
     skeleton_m: Callable[[], Float[np.ndarray, "frames joints 3"]],
     on_read: OnShare,
-) -> float | None:
-    """Write a file of a person and read it back; returns the distance found in it."""
+) -> KeptFile:
+    """Write a file of a person and read it back; returns what was found in it."""
     track = person.track
     if name == SKELETONS:
         with replacing(path, skeletons_json.encode_track(track)) as part:
-            return _furthest_mm(path, track.xyz_m, [skeletons_json.read_track_m(part)], on_read)
+            return KeptFile(_furthest_mm(path, track.xyz_m, [skeletons_json.read_track_m(part)], on_read))
     export: Export = next(export for export in FILE_FORMATS if export == name)
     content = PersonContent(track, person.motion, person.joints, person.timebase, path.name, person.origin_m, preset)
     expected_m = skeleton_m() if FILE_FORMATS[export].holds == "motion" else track.xyz_m
     with replacing(path, FORMATS[export].encode(content)) as part:
-        return _furthest_mm(path, expected_m, FORMATS[export].read_xyz_m(part, preset), on_read)
+        distance_mm = _furthest_mm(path, expected_m, FORMATS[export].read_xyz_m(part, preset), on_read)
+    return KeptFile(distance_mm, FORMATS[export].between_frames(content))
 
 
 @contextlib.contextmanager

@@ -40,6 +40,7 @@ class Convention:
     file_from_world: Float[np.ndarray, "3 3"] = field(default_factory=lambda: Y_UP_FROM_WORLD)
     units_per_m: float = 100.0  # Length of a metre in the file's unit
     rotation_order: str = "ZXY"  # Axes of the intrinsic rotations of the Euler angles
+    is_order_demanded: bool = False  # Whether software reads no other order; other files may have one for each joint
     arms_lowered_deg: float = 0.0  # Angle by which the arms of the rest pose are lowered from a T-pose
 
     def name(self, joint: str) -> str:
@@ -142,7 +143,8 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
             ),
             units_per_m=1.0,
         ),
-        # Names of Unity's HumanBodyBones.
+        # Names of Unity's HumanBodyBones. Unity has no importer of its own; the loader of BVH Tools turns about axes in
+        # one order, whatever the file's.
         "unity-humanoid": Convention(
             names=_sided(
                 {
@@ -158,6 +160,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                 }
             ),
             units_per_m=1.0,
+            is_order_demanded=True,
         ),
         # Names of the Unreal mannequin, whose collar bones are children of the third bone of the spine.
         "unreal": Convention(

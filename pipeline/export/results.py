@@ -1,7 +1,7 @@
 """Write the result files of a reconstruction; the service's results have the same names."""
 
 import tempfile
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from pipeline.export.formats import FORMATS
 from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import (
     SKELETONS,
+    KeptFile,
     KeptFiles,
     PersonOfTake,
     people_of,
@@ -110,8 +111,8 @@ def write_files(
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
     ``calibration.json`` is written if the calibration was refined. ``metrics.json`` is the last file. It contains the
-    largest distance, for each format, between joints read back and their true positions, and the origin of files of
-    single precision, if it is not the world's.
+    largest distance, for each format, between joints read back and their true positions, the same half-way between two
+    frames for files with angles, and the origin of files of single precision, if it is not the world's.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def write_files(
         paths.append(path)
         on_file(path)
 
-    far_mm: dict[str, list[float | None]] = {name: [] for name in (SKELETONS, *exports)}
+    written: dict[str, dict[int, KeptFile]] = {name: {} for name in (SKELETONS, *exports)}
     num_frames = [track.num_frames for track in shown.tracks]
     on_people = split(part_of(on_share, 0.0, 0.9), num_frames)
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
@@ -154,8 +155,8 @@ def write_files(
         for person, on_person in zip(people_of(shown), on_people, strict=True):
             of_person = _paths(person, folder, Path(tracks_folder), exports)
             tracks.append(of_person[SKELETONS])
-            for name, distance_mm in write_person(person, of_person, preset, kept, on_person):
-                far_mm[name].append(distance_mm)
+            for name, file in write_person(person, of_person, preset, kept, on_person):
+                written[name][person.track.track_id] = file
                 if name != SKELETONS:
                     complete(of_person[name])
         path = folder / "skeletons.json"
@@ -163,9 +164,7 @@ def write_files(
             _require_equal(part, path, skeletons_json.join(shown, tracks))
     on_share(0.95)
     complete(path)
-    check: dict[str, dict[str, Any]] = {
-        export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()
-    }
+    check = {export: _found_in(of_people) for export, of_people in written.items()}
     origin_m = file_origin_m(shown.cameras)
     for export in exports:
         if FORMATS[export].has_origin and origin_m.any():
@@ -226,6 +225,17 @@ def _require_equal(part: Path, path: Path, pieces: Iterable[bytes]) -> None:
             raise spoilt(path)
 
 
-def _largest(values: Iterable[float | None]) -> float | None:
-    largest = max((value for value in values if value is not None), default=None)
-    return None if largest is None else round(largest, _DECIMALS_MM)
+def _found_in(of_people: Mapping[int, KeptFile]) -> dict[str, Any]:
+    """Entry of ``metrics.json`` about the files of a format, by the number of the person's track."""
+    distances_mm = [file.distance_mm for file in of_people.values() if file.distance_mm is not None]
+    entry: dict[str, Any] = {"max_distance_mm": round(max(distances_mm), _DECIMALS_MM) if distances_mm else None}
+    between = [(file.between, track_id) for track_id, file in of_people.items() if file.between is not None]
+    if between:
+        worst, track_id = max(between, key=lambda item: item[0].distance_mm)
+        entry["between_frames"] = {
+            "max_distance_mm": round(worst.distance_mm, _DECIMALS_MM),
+            "track_id": track_id,
+            "joint": worst.joint,
+            "frame": worst.frame,
+        }
+    return entry

@@ -8,7 +8,7 @@ with the same bytes.
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from pipeline.export.formats import FORMATS
 from pipeline.export.person_files import KeptFile, KeptFiles, PersonOfTake, replacing, spoilt
 from pipeline.export.results import METRICS
 from pipeline.export.viewer.description import with_names
+from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.quality.report import encode as encode_report
 from pipeline.quality.report import quality_report
 from pipeline.quality.views import ViewsOf
@@ -57,7 +58,7 @@ class Pieces:
 class FilesInPieces(KeptFiles):
     """Files of people that earlier tasks have kept, and those that this task keeps, whoever is renamed.
 
-    A piece is a line of JSON with the distance found in a file, and then the file. ``scratch`` is for temporary files
+    A piece is a line of JSON with what was found in a file, and then the file. ``scratch`` is for temporary files
     of the task.
     """
 
@@ -74,13 +75,15 @@ class FilesInPieces(KeptFiles):
         with replacing(path, [content]) as part:
             if part.read_bytes() != content:
                 raise spoilt(path)
-        return KeptFile(**json.loads(head))
+        found = json.loads(head)
+        between = found["between"]
+        return KeptFile(found["distance_mm"], None if between is None else BetweenFrames(**between))
 
-    def keep(self, person: PersonOfTake, name: str, path: Path, distance_mm: float | None) -> None:
+    def keep(self, person: PersonOfTake, name: str, path: Path, kept: KeptFile) -> None:
         """Keep a copy of a person's file."""
         piece = self._scratch / f"piece-{person.track.track_id}-{name}"
         with piece.open("wb") as file:
-            file.write(json.dumps({"distance_mm": distance_mm}).encode() + b"\n")
+            file.write(json.dumps(asdict(kept)).encode() + b"\n")
             file.write(path.read_bytes())
         self._pieces.keep(self._key(person, name), piece)
 

@@ -30,7 +30,7 @@ from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleto
 from pipeline.stages.local import reconstruct
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
-from tests.pipeline.export.writers.test_bvh import with_fingers
+from tests.pipeline.export.writers.test_bvh import encoded, orders_in, tumbling, with_fingers
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -172,6 +172,27 @@ def test_bvh_in_three(capture: ExportedCapture, preset: Preset) -> None:
         for joint in with_channels(motion):
             expected = expected_m[:, INDEX[joint]] @ axes.T * units_per_m
             assert_same(read.positions[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
+
+
+def test_an_order_for_each_joint_in_three(tmp_path: Path) -> None:
+    motion, path = tumbling(), tmp_path / "person.bvh"
+    path.write_bytes(encoded(motion))
+    assert len(set(orders_in(path.read_bytes()).values())) > 1
+    read = read_with_three([path])[path]
+    for joint in with_channels(motion):
+        expected_cm = forward_kinematics(motion)[:, INDEX[joint]] @ Y_UP.T * 100.0
+        assert_same(read.positions[joint], expected_cm, 0.1, joint)
+
+
+@pytest.mark.blender
+def test_an_order_for_each_joint_in_blender(tmp_path: Path) -> None:
+    motion, path = tumbling(), tmp_path / "person.bvh"
+    path.write_bytes(encoded(motion, "blender"))
+    assert len(set(orders_in(path.read_bytes()).values())) > 1
+    read = read_with_blender([(path, motion.frame_rate_hz, IN_BLENDER["blender"])], tmp_path)[path]
+    for joint in with_channels(motion):
+        expected_m = forward_kinematics(motion)[:, INDEX[joint]]
+        assert_same(read.positions[PRESETS["blender"].name(joint)], expected_m, 1e-3, joint)
 
 
 def test_glb_in_three(capture: ExportedCapture) -> None:

@@ -12,7 +12,7 @@ from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
 from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, skeleton_of
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvhio
-from tests.pipeline.export.writers.test_bvh import MOTIONS, encoded, walk
+from tests.pipeline.export.writers.test_bvh import MOTIONS, encoded, orders_in, tumbling, walk
 
 SOME_NAMES: dict[Preset, set[str]] = {
     "default": {"Hips", "Chest", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot"},
@@ -108,3 +108,14 @@ def test_our_own_reader_agrees_with_another(
             expected = PRESETS[preset].file_from_xyz_m(own_m[:, index])
             other = found[PRESETS[preset].name(joint.name)]
             assert np.abs(other - expected).max() < 2e-4 * PRESETS[preset].units_per_m
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_our_own_reader_reads_an_order_for_each_joint(preset: Preset, tmp_path: Path) -> None:
+    motion = tumbling()
+    path = tmp_path / "person.bvh"
+    path.write_bytes(encoded(motion, preset))
+    own_m = np.concatenate(list(bvh.read_xyz_m(path, PRESETS[preset])))
+    np.testing.assert_allclose(own_m, forward_kinematics(motion), atol=2e-4)
+    # Unity's plug-in turns about axes in one order.
+    assert (len(set(orders_in(path.read_bytes()).values())) == 1) == (preset == "unity-humanoid")

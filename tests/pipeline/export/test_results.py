@@ -22,6 +22,7 @@ from pipeline.joints import COCO_17
 from pipeline.skeleton.animate import animate
 from tests.e2e.foreign import validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
+from tests.pipeline.export.writers.test_bvh import tumbling
 from tests.pipeline.quality.test_report import CAMERAS, observe
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
@@ -82,7 +83,11 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
         of_joints = export not in {"bvh", "glb"}
         if of_joints and np.isnan(xyz_m).all():
             assert figures == {"max_distance_mm": None}
+        elif export == "bvh" and len(xyz_m) > 1:
+            assert 0.0 <= figures["max_distance_mm"] < 0.5
+            assert set(figures) == {"max_distance_mm", "between_frames"}
         else:
+            assert set(figures) == {"max_distance_mm"}
             assert 0.0 <= figures["max_distance_mm"] < 0.5
     assert validate_with_khronos([tmp_path / "person-1.glb"])[tmp_path / "person-1.glb"]["numErrors"] == 0
 
@@ -185,5 +190,18 @@ def test_survey_coordinates_have_an_origin_near_the_people(tmp_path: Path) -> No
 def test_usual_worlds_keep_their_origin(tmp_path: Path) -> None:
     write_results(take(track_of(walker(5))), tmp_path, EXPORTS)
     check = json.loads((tmp_path / "metrics.json").read_bytes())["exports"]
-    assert all(set(figures) == {"max_distance_mm"} for figures in check.values())
+    assert all("origin_m" not in figures for figures in check.values())
     assert "WORLD" not in ezc3d.c3d(str(tmp_path / "person-1.c3d"))["parameters"]
+
+
+def test_metrics_name_the_joint_and_the_frame_whose_interpolated_angles_are_off(tmp_path: Path) -> None:
+    only_bvh: tuple[Export, ...] = ("bvh",)
+    alone = take(track_of(walker(60)))
+    motions = (tumbling(), replace(tumbling(), track_id=2, start_frame=30, root_m=tumbling().root_m + 3.0))
+    tracks = tuple(replace(track_of(walker(60)), track_id=number) for number in (1, 2))
+    people = replace(alone, animation=replace(alone.animation, tracks=tracks, motions=motions))
+    write_files(people, tmp_path, only_bvh, preset="unity-humanoid", report=lambda _: {})
+    between = json.loads((tmp_path / "metrics.json").read_bytes())["exports"]["bvh"]["between_frames"]
+    assert between["max_distance_mm"] > 30.0
+    assert (between["track_id"], between["joint"]) == (1, "Hips")
+    assert 100 <= between["frame"] < 159

@@ -7,12 +7,14 @@ import pytest
 from bvh_converter.bvhplayer_skeleton import process_bvhfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from pipeline.config import Preset
 from pipeline.data.animation import SkeletonMotion
-from pipeline.export.presets import PRESETS
+from pipeline.export.presets import PRESETS, Convention
 from pipeline.export.writers import bvh
+from pipeline.export.writers.euler import euler_deg
+from pipeline.export.writers.rotation_orders import rotation_orders
 from pipeline.joints import COCO_17
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import (
@@ -51,6 +53,39 @@ def with_fingers(motion: SkeletonMotion) -> SkeletonMotion:
     )
 
 
+def tumbling(num_frames: int = 60, frame_rate_hz: float = 50.0) -> SkeletonMotion:
+    """Body that turns on its back and lifts a stretched leg: hips and thigh are in gimbal lock of Z X Y."""
+    turn = np.linspace(0.0, 1.5 * np.pi, num_frames)
+    quat_xyzw = np.tile([0.0, 0.0, 0.0, 1.0], (num_frames, len(SKELETON), 1))
+    # World axes: about X the body lies down, about Z it turns on the floor.
+    lying = Rotation.from_rotvec(np.column_stack([np.radians(-88.0 - 3.0 * np.sin(3.0 * turn)), 0 * turn, 0 * turn]))
+    quat_xyzw[:, 0] = (Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]) * lying).as_quat()
+    raised = np.column_stack([-1.5 + 0.3 * np.sin(turn), 0.4 * np.cos(turn), 0.5 * turn])
+    quat_xyzw[:, INDEX["LeftUpLeg"]] = Rotation.from_euler("XYZ", raised).as_quat()
+    return SkeletonMotion(
+        track_id=1,
+        name="person-1",
+        start_frame=100,
+        frame_rate_hz=frame_rate_hz,
+        bone_length_m=np.array([1.8 * joint.stature_share for joint in SKELETON]),
+        root_m=np.column_stack([np.cos(turn), np.sin(turn), 0.2 + 0 * turn]),
+        parent_from_joint=quat_xyzw,
+        contacts=(),
+    )
+
+
+def orders_in(content: bytes) -> dict[str, str]:
+    """Axes of the rotations of each joint of a file, in order."""
+    name, orders = "", {}
+    for line in content.decode("ascii").splitlines():
+        match line.split():
+            case [("ROOT" | "JOINT"), name]:
+                pass
+            case ["CHANNELS", _, *channels]:
+                orders[name] = "".join(channel[0] for channel in channels[-3:])
+    return orders
+
+
 MOTIONS = pytest.mark.parametrize("dressed", [lambda motion: motion, with_fingers], ids=["body", "fingers"])
 
 
@@ -64,12 +99,17 @@ def encoded(motion: SkeletonMotion, preset: Preset = "default") -> bytes:
     return b"".join(bvh.encode(motion, PRESETS[preset]))
 
 
-def parse(content: bytes) -> tuple[float, np.ndarray, np.ndarray]:
-    """Read a BVH file: frame time, positions (frames, joints, 3) and rest positions (joints, 3)."""
+def parse(content: bytes, *, half_way: bool = False) -> tuple[float, np.ndarray, np.ndarray]:
+    """Read a BVH file: frame time, positions (frames, joints, 3) and rest positions (joints, 3).
+
+    ``half_way`` reads it as programs do between two frames: each channel is interpolated linearly.
+    """
     header, motion = content.decode("ascii").split("MOTION\n")
     num_frames, frame_time, *rows = motion.splitlines()
     values = np.array([row.split() for row in rows], dtype=float)
     assert num_frames == f"Frames: {len(values)}"
+    if half_way:
+        values = (values[1:] + values[:-1]) / 2
     num_joints = header.count("OFFSET")
     positions = np.zeros((len(values), num_joints, 3))
     rest = np.zeros((num_joints, 3))
@@ -89,11 +129,12 @@ def parse(content: bytes) -> tuple[float, np.ndarray, np.ndarray]:
                     rest[INDEX[name]] = rest[INDEX[parent]] + offset_cm
                 stack.append((name, Rotation.identity(len(values))))
             case ["CHANNELS", count, *channels]:
-                assert channels[-3:] == ["Zrotation", "Xrotation", "Yrotation"]
+                assert sorted(channels[-3:]) == ["Xrotation", "Yrotation", "Zrotation"]
+                axes = "".join(channel[0] for channel in channels[-3:])
                 if count == "6":
                     positions[:, 0] = values[:, :3]
                     column = 3
-                rotation = Rotation.from_euler("ZXY", values[:, column : column + 3], degrees=True)
+                rotation = Rotation.from_euler(axes, values[:, column : column + 3], degrees=True)
                 column += 3
                 stack[-1] = (name, stack[-2][1] * rotation if len(stack) > 1 else rotation)
             case ["}"]:
@@ -119,6 +160,18 @@ def test_other_readers_find_the_same_positions(
     for name, found_cm in found.items():
         assert found_cm.shape == (50, 3)
         assert np.linalg.norm(found_cm - expected_cm[:, INDEX[name]], axis=-1).max() < TOLERANCE_CM, name
+
+
+@pytest.mark.parametrize("read", [read_with_bvhio, read_with_bvh_converter])
+def test_other_readers_read_an_order_for_each_joint(
+    tmp_path: Path, read: Callable[[Path], dict[str, np.ndarray]]
+) -> None:
+    motion = tumbling()
+    path = tmp_path / "person.bvh"
+    path.write_bytes(encoded(motion))
+    assert len(set(orders_in(encoded(motion)).values())) > 1
+    for name, found_cm in read(path).items():
+        assert np.linalg.norm(found_cm - positions_cm(motion)[:, INDEX[name]], axis=-1).max() < TOLERANCE_CM, name
 
 
 def test_fingers_leave_the_lines_of_the_body_as_they_are() -> None:
@@ -182,7 +235,7 @@ def test_angles_are_continuous_through_gimbal_lock_and_full_turns() -> None:
     around = np.column_stack([720 * steps, 10 * np.sin(9 * steps), -400 * steps])
     truth = np.stack([over_the_top, around], axis=1)
     matrices = Rotation.from_euler("ZXY", truth.reshape(-1, 3), degrees=True).as_matrix().reshape(181, 2, 3, 3)
-    angles = bvh.euler_deg(matrices, "ZXY", np.zeros((2, 3)))
+    angles = euler_deg(matrices, ["ZXY", "ZXY"], np.zeros((2, 3)))
     assert np.abs(np.diff(angles, axis=0)).max() < 6.0
     again = Rotation.from_euler("ZXY", angles.reshape(-1, 3), degrees=True).as_matrix().reshape(181, 2, 3, 3)
     np.testing.assert_allclose(again, matrices, atol=1e-6)
@@ -200,3 +253,57 @@ def test_the_same_motion_gives_the_same_bytes_without_negative_zeros() -> None:
 def test_frame_time_has_full_precision() -> None:
     for frame_rate_hz in (25.0, 29.97, NTSC_HZ, 59.94, 240.0):
         assert parse(encoded(walk(1, frame_rate_hz)))[0] == 1.0 / frame_rate_hz
+
+
+ONE_ORDER = replace(PRESETS["default"], is_order_demanded=True)
+
+
+def between_frames_mm(motion: SkeletonMotion, convention: Convention = PRESETS["default"]) -> np.ndarray:
+    """Distance of each joint half-way between two frames, (frames - 1, joints): by the file, and by shortest arcs."""
+    _, found, _ = parse(b"".join(bvh.encode(motion, convention)), half_way=True)
+    steps = np.arange(len(motion.root_m))
+    turns = [
+        Slerp(steps, Rotation.from_quat(quat))(steps[:-1] + 0.5) for quat in motion.parent_from_joint.swapaxes(0, 1)
+    ]
+    half = replace(
+        motion,
+        root_m=(motion.root_m[1:] + motion.root_m[:-1]) / 2,
+        parent_from_joint=np.stack([turn.as_quat() for turn in turns], axis=1),
+    )
+    expected = convention.file_from_xyz_m(forward_kinematics(half))
+    apart_mm: np.ndarray = 1e3 / convention.units_per_m * np.linalg.norm(found - expected, axis=-1)
+    return apart_mm
+
+
+def test_interpolated_angles_of_a_body_that_turns_stay_near_its_motion() -> None:
+    motion = tumbling()
+    assert between_frames_mm(motion, ONE_ORDER).max() > 30.0
+    assert between_frames_mm(motion).max() < 2.0
+    orders = orders_in(encoded(motion))
+    assert orders["Hips"] != "ZXY" != orders["LeftUpLeg"]
+    # Joints whose angles are not off keep the usual order.
+    assert orders["RightUpLeg"] == orders["Head"] == "ZXY"
+    assert encoded(motion) == encoded(motion)
+
+
+def test_people_who_walk_have_one_order_in_all_joints() -> None:
+    motion = SkeletonFit(track_of(walker(100, 50.0)), COCO_17, timebase(100, 50.0), "person-1").motion()
+    assert set(orders_in(encoded(motion)).values()) == {"ZXY"}
+    assert between_frames_mm(motion).max() < 2.0
+
+
+@pytest.mark.parametrize("convention", [PRESETS["default"], ONE_ORDER], ids=["orders by joint", "one order"])
+def test_the_place_where_interpolated_angles_are_off_is_found(convention: Convention) -> None:
+    motion = tumbling(700)  # more than a block of frames
+    apart_mm = between_frames_mm(motion, convention)
+    between = rotation_orders(motion, convention).between
+    assert between is not None
+    assert between.distance_mm == pytest.approx(apart_mm.max(), abs=0.05)
+    assert apart_mm[between.frame - motion.start_frame].max() == pytest.approx(apart_mm.max(), abs=0.05)
+    assert between.joint in {"Hips", "LeftUpLeg"}
+
+
+def test_a_single_frame_has_nothing_between_frames() -> None:
+    motion = tumbling(1)
+    assert rotation_orders(motion, PRESETS["default"]).between is None
+    assert set(orders_in(encoded(motion)).values()) == {"ZXY"}
