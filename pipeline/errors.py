@@ -14,6 +14,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 from pipeline.problem_codes.fields import MORE_PROBLEMS
@@ -62,6 +63,18 @@ class Problem:
         )
         text = f"{where}: {self.message}" if where else self.message
         return f"{text} {self.hint}" if self.hint else text
+
+
+class UnusableError(Exception):
+    """A file can't be used: problem code, message and hint."""
+
+    def __init__(self, code: Code, message: str, hint: str | None = None) -> None:
+        super().__init__(code)
+        self.code, self.message, self.hint = code, message, hint
+
+    def problem(self, path: Path) -> Problem:
+        """Build the problem, with the name of the file."""
+        return Problem(self.code, self.message, file=path.name, hint=self.hint)
 
 
 def listed(problems: Sequence[Problem]) -> tuple[Problem, ...]:

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
@@ -58,6 +57,8 @@ def turn_upright(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     length = float(np.linalg.norm(axis))
     if length < 1e-12:
         return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import, and seldom needed
+
     return Rotation.from_rotvec(np.arctan2(length, up[2]) * axis / length).as_matrix()
 
 

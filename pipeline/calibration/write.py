@@ -5,8 +5,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from scipy.spatial.transform import Rotation
-
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.readers.json_formats import SCHEMA_VERSION
 from pipeline.data.cameras import Camera
@@ -88,6 +86,8 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def _rotation_vector(camera: Camera) -> list[float]:
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import, and seldom needed
+
     vector: list[float] = Rotation.from_matrix(camera.cam_from_world.rotation).as_rotvec().tolist()
     return vector
 

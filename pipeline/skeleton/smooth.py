@@ -14,7 +14,6 @@ from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.signal import butter, sosfiltfilt
 
 from pipeline.config import ReconstructionConfig
 from pipeline.data.arrays import read_only
@@ -61,6 +60,8 @@ def butterworth(
     xyz_m: Float[np.ndarray, "frames joints 3"], rate_hz: float, cutoff_hz: float
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Low-pass of fourth order without delay; NaN stays NaN, and nothing is filtered across it."""
+    from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415 - slow to import, and seldom needed
+
     # The bilinear transform of the digital filter warps frequencies by the tangent.
     raised_hz = np.arctan(np.tan(np.pi * cutoff_hz / rate_hz) / _BOTH_PASSES) * rate_hz / np.pi
     sections = butter(_ORDER, raised_hz, fs=rate_hz, output="sos")

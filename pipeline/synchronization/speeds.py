@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy import signal
 
 from pipeline.synchronization.motions import STEP_S, BodyMotion
 
@@ -20,6 +19,8 @@ def likely_lags(motions: Sequence[BodyMotion], pair: tuple[int, int]) -> list[in
     Speeds are summed over people, as multiples of the body's height: of all joints, and of their vertical parts, which
     look much the same from all sides. Their logarithms are compared, so that no jump outweighs the rest.
     """
+    from scipy.signal import correlate  # noqa: PLC0415 - slow to import, and seldom needed
+
     signals = [_signals([motion for motion in motions if motion.camera == camera]) for camera in pair]
     (first, first_start), (second, second_start) = signals
     if not len(first) or not len(second):
@@ -31,7 +32,7 @@ def likely_lags(motions: Sequence[BodyMotion], pair: tuple[int, int]) -> list[in
         a, b = (signal[:, column] - signal[:, column].mean() for signal in (first, second))
         norm = max(float(np.std(a) * np.std(b)), 1e-12)
         # By Fourier transform: a session may have a pause of hours.
-        correlation = correlation + signal.correlate(a, b, "full", "fft") / norm
+        correlation = correlation + correlate(a, b, "full", "fft") / norm
     # As many standard deviations as chance would give: the sum of n products of independent numbers is about sqrt(n).
     score = np.where(shared >= _MIN_SHARED, correlation / np.sqrt(shared), -np.inf)
     lags = (np.arange(len(score)) - (len(second) - 1) + first_start - second_start) * _SAMPLE

@@ -21,11 +21,11 @@ import av.logging
 from av.filter import Graph
 from av.video.frame import VideoFrame
 
+from pipeline.errors import UnusableError
 from pipeline.video.children import start_child
 from pipeline.video.container import DECODE_ERRORS, decode_from, decode_keyframes, display_pts
 from pipeline.video.images.files import SEQUENCE
 from pipeline.video.images.frames import decode_images, wanted_images
-from pipeline.video.info import UnusableError
 
 FRAME = struct.Struct("<qII??")
 """Timestamp, width, height, whether the decoder marks the frame as damaged, and whether there is a picture."""

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import Problem
-from pipeline.problem_codes.model import Code
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,15 +76,3 @@ def seek_points(keyframe_pts: NDArray[np.int64], target_pts: int) -> list[int]:
     last = int(np.searchsorted(keyframe_pts, target_pts, side="right")) - 1
     steps_back = [2**k - 1 for k in range(max(last, 0).bit_length() + 1)]
     return [int(keyframe_pts[last - steps]) for steps in steps_back if last - steps > 0]
-
-
-class UnusableError(Exception):
-    """The file can't be used: problem code, message and hint."""
-
-    def __init__(self, code: Code, message: str, hint: str | None = None) -> None:
-        super().__init__(code)
-        self.code, self.message, self.hint = code, message, hint
-
-    def problem(self, path: Path) -> Problem:
-        """Build the problem, with the name of the file."""
-        return Problem(self.code, self.message, file=path.name, hint=self.hint)

@@ -1,7 +1,12 @@
-"""Examine a video file in its own process: ``python -m pipeline.video.probe FILE``.
+"""Examine video files, each in its own process: ``python -m pipeline.video.probe PARENT``.
 
-The program reads all packets, but decodes only the first pictures and one near the end. The stages decode the other
-frames later, once.
+All packets of a file are read, but only its first pictures and one near the end are decoded. The stages decode the
+other frames later, once.
+
+The program loads the libraries once, and forks a process with limits for each file. It never opens a file itself, and
+ends with the process ``PARENT``, which started it. Stdin has a JSON list of the files' paths, each with its time limit.
+For each file a JSON line is written with its number and the end of its process, followed by what that wrote: the line
+``READY``, then the properties or the problem of the file as JSON. After a failure that no file causes the rest is left.
 """
 
 import json
@@ -9,6 +14,7 @@ import math
 import sys
 from dataclasses import asdict, replace
 from fractions import Fraction
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,7 +24,7 @@ from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
-from pipeline.errors import Problem
+from pipeline.errors import Problem, UnusableError
 from pipeline.problem_codes.findings import INTERLACED_VIDEO, PIXEL_ASPECT
 from pipeline.problem_codes.sessions import (
     NO_FRAMES,
@@ -33,7 +39,8 @@ from pipeline.problem_codes.sessions import (
     VIDEO_TRUNCATED,
     VIDEO_UNREADABLE,
 )
-from pipeline.video.children import start_child
+from pipeline.runtime.parent_watch import die_with_parent
+from pipeline.video.children import READY, Fork, is_caused_by_file, run_in_forks, start_child
 from pipeline.video.container import (
     CODECS,
     DECODE_ERRORS,
@@ -46,7 +53,7 @@ from pipeline.video.container import (
 from pipeline.video.frame_rate import measured_rate, measured_rate_hz
 from pipeline.video.images.files import is_sequence
 from pipeline.video.images.probe import probe_images
-from pipeline.video.info import UnusableError, VideoInfo, seek_points
+from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
 from pipeline.video.properties.packets import REPAIR_TIMES, read_packets, shown_pts
@@ -54,6 +61,7 @@ from pipeline.video.properties.regularity import uneven_times
 from pipeline.video.signatures import document_type, is_container
 
 _NUM_DECODED = 8
+_AT_ONCE = 2
 
 # Limit on the computing time for a small file. A large file gets additional time for reading its packets.
 _MAX_CPU_S = 8
@@ -248,9 +256,25 @@ def limits_problem(name: str) -> Problem:
     )
 
 
+def is_of_file(fork: Fork) -> bool:
+    """Return whether a process ended well, or by a fault of its file, and by no other failure."""
+    return fork.output.startswith(READY) and (not fork.exit_code or is_caused_by_file(fork.exit_code))
+
+
 def main() -> None:
+    """Examine the files."""
+    die_with_parent(int(sys.argv[1]))
+    tasks = [(partial(_answer, Path(path)), timeout_s) for path, timeout_s in json.load(sys.stdin)]
+    for fork in run_in_forks(tasks, _AT_ONCE):
+        end = {"number": fork.number, "exit_code": fork.exit_code, "errors": fork.errors, "size": len(fork.output)}
+        sys.stdout.buffer.write(json.dumps(end).encode() + b"\n" + fork.output)
+        sys.stdout.flush()
+        if not is_of_file(fork):
+            return
+
+
+def _answer(path: Path) -> None:
     """Print the line ``READY``, then the properties or the problem of the file as one JSON object."""
-    path = Path(sys.argv[1])
     start_child(_MAX_CPU_S + reading_s(path))
     try:
         result = probe(path)

@@ -1,22 +1,24 @@
-"""Examine several video files, each in a child process (``pipeline.video.probe``) with limits."""
+"""Examine several video files, each in a child process with limits; see ``pipeline.video.probe``."""
 
+import io
 import json
+import os
 import subprocess
+import tempfile
 import time
-from collections.abc import Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.errors import Problem
 from pipeline.runtime.child_processes import module_command, uninterrupted
-from pipeline.video.children import READY, child_error, is_caused_by_file
+from pipeline.video.children import READY, Fork, child_environment, child_error
 from pipeline.video.info import Timecode, VideoInfo
-from pipeline.video.probe import limits_problem, problem_before_opening, reading_s
+from pipeline.video.probe import is_of_file, limits_problem, problem_before_opening, reading_s
 
 _TIMEOUT_S = 120.0
-_CHILDREN_AT_ONCE = 2
 _LOOK_S = 0.5
 
 
@@ -27,54 +29,74 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
     function returns or raises, also on an interruption. Returns properties or problem of each file, in the order of
     ``paths``. Raises ``ChildError`` if a child fails for a reason other than its file.
     """
-    running: set[subprocess.Popen[bytes]] = set()
-    with ThreadPoolExecutor(_CHILDREN_AT_ONCE) as pool:
-        waiting: list[Future[VideoInfo | Problem]] = []
+    results: list[VideoInfo | Problem | None] = [problem_before_opening(path) for path in paths]
+    numbers = [number for number, problem in enumerate(results) if problem is None]
+    if numbers:
+        for number, result in zip(numbers, _probe([paths[number] for number in numbers]), strict=True):
+            results[number] = result
+    return [result for result in results if result is not None]
+
+
+def _probe(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
+    limits_s = [_TIMEOUT_S + 2 * reading_s(path) for path in paths]
+    files = [[str(path.absolute()), limit_s] for path, limit_s in zip(paths, limits_s, strict=True)]
+    timeout_s = _TIMEOUT_S + sum(limits_s)
+    exit_code, output, errors = _run(json.dumps(files), timeout_s)
+    results: dict[int, VideoInfo | Problem] = {}
+    for fork in _forks(output):
+        path = paths[fork.number]
+        if not is_of_file(fork):
+            raise child_error(f"check of {path.name}", fork.exit_code, limits_s[fork.number], fork.errors)
+        results[fork.number] = _result(path, fork)
+    for number, path in enumerate(paths):
+        if number not in results:
+            raise child_error(f"check of {path.name}", exit_code, timeout_s, errors.decode(errors="replace"))
+    return [results[number] for number in range(len(paths))]
+
+
+def _run(files: str, timeout_s: float) -> tuple[int | None, bytes, bytes]:
+    """Run the program; return its exit code, ``None`` if it was killed after the time limit, its output and its log."""
+    child: subprocess.Popen[bytes] | None = None
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as given:
+        given.write(files)
+        given.seek(0)
         try:
             with uninterrupted():
-                waiting += [pool.submit(_probe_in_child, path, running) for path in paths]
-            # A signal that reached another thread wakes no thread that waits; its handler runs when this one looks.
-            while wait(waiting, _LOOK_S, FIRST_EXCEPTION).not_done and not any(map(_is_failed, waiting)):
-                pass
-            return [future.result() for future in waiting]
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            while not all(future.done() for future in waiting):
-                for child in list(running):
-                    child.kill()
-                time.sleep(0.01)
-            raise
+                child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
+                    module_command("pipeline.video.probe", str(os.getpid())),
+                    stdin=given,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    env=child_environment(),
+                )
+            end_s = time.monotonic() + timeout_s
+            while time.monotonic() < end_s:
+                # A signal that reached another thread wakes no thread that waits; its handler runs when this one looks.
+                with suppress(subprocess.TimeoutExpired):
+                    output, errors = child.communicate(timeout=_LOOK_S)
+                    return child.returncode, output, errors
+            child.kill()
+            return None, *child.communicate()
+        finally:
+            if child is not None:
+                child.kill()
+                with child:  # closes the pipes, and waits
+                    pass
 
 
-def _is_failed(future: Future[VideoInfo | Problem]) -> bool:
-    return future.done() and future.exception() is not None
+def _forks(output: bytes) -> Iterator[Fork]:
+    """Ends of processes in what the program wrote; an incomplete one is left out."""
+    file = io.BytesIO(output)
+    while (line := file.readline()).endswith(b"\n"):
+        end = json.loads(line)
+        if len(content := file.read(end["size"])) == end["size"]:
+            yield Fork(end["number"], end["exit_code"], content, end["errors"])
 
 
-def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoInfo | Problem:
-    if problem := problem_before_opening(path):
-        return problem
-    child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
-        module_command("pipeline.video.probe", str(path.absolute())),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    running.add(child)
-    timeout_s = _TIMEOUT_S + 2 * reading_s(path)
-    try:
-        output, errors = child.communicate(timeout=timeout_s)
-        exit_code: int | None = child.returncode
-    except subprocess.TimeoutExpired:
-        child.kill()
-        output, errors = child.communicate()
-        exit_code = None
-    finally:
-        running.remove(child)
-    if not output.startswith(READY) or (exit_code and not is_caused_by_file(exit_code)):
-        raise child_error(f"check of {path.name}", exit_code, timeout_s, errors.decode(errors="replace"))
-    if exit_code != 0:
+def _result(path: Path, fork: Fork) -> VideoInfo | Problem:
+    if fork.exit_code != 0:
         return limits_problem(path.name)
-    answer = json.loads(output.removeprefix(READY))
+    answer = json.loads(fork.output.removeprefix(READY))
     if "problem" in answer:
         return Problem(**answer["problem"])
     return VideoInfo(

@@ -11,7 +11,6 @@ from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.cameras import Camera
 from pipeline.findings import CERTAIN, Finding, Severity
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
-from pipeline.geometry.undistortion import undistort_px
 from pipeline.problem_codes.findings import NO_COMMON_VIEW
 from pipeline.problem_codes.warnings import TOO_FEW_CAMERAS
 
@@ -84,8 +83,11 @@ def _places_m(camera: Camera, extent_m: float) -> Float[np.ndarray, "places 3"]:
     """Places that a camera sees, from half a metre to thirty times the extent of the rig away."""
     columns, rows = (np.linspace(0.0, side - 1.0, count) for side, count in zip(camera.size_px, _GRID, strict=True))
     grid_px = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    ideal_px = undistort_px(camera, grid_px)
-    rays = rays_in_world(camera, ideal_px[np.isfinite(ideal_px).all(-1)])
+    if not camera.is_ideal:
+        from pipeline.geometry.undistortion import undistort_px  # noqa: PLC0415 - loads numba
+
+        grid_px = undistort_px(camera, grid_px)
+    rays = rays_in_world(camera, grid_px[np.isfinite(grid_px).all(-1)])
     distance_m = np.geomspace(_NEAREST_M, max(_FARTHEST_M, _FARTHEST * extent_m), _NUM_DISTANCES)
     places_m = (center_in_world(camera) + distance_m[:, None, None] * rays).reshape(-1, 3)
     return places_m[sees(camera, places_m)]

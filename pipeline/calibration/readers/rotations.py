@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.reading import Reading
 from pipeline.parsing import ROTATION_VECTOR_RAD, UnreadableError, read_numbers
@@ -26,6 +25,8 @@ def read_rotation(value: Any, camera: str, reading: Reading) -> np.ndarray | Non
     if array.shape == (3, 3):
         return array
     if array.size == max(array.shape, default=0) == 3 and ROTATION_VECTOR_RAD.holds(array):
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import, and seldom needed
+
         return Rotation.from_rotvec(array.ravel()).as_matrix()
     message = f"The rotation is neither a matrix of 3 x 3 numbers nor a vector of 3 numbers from {ROTATION_VECTOR_RAD}."
     reading.complain(INVALID_ROTATION, message, camera, "rotation")
@@ -36,4 +37,6 @@ def quaternion_matrix(xyzw: np.ndarray) -> np.ndarray:
     """Matrix of a quaternion with the scalar last, of any plausible length; raises ``UnreadableError`` for others."""
     if xyzw.shape != (4,) or not _MIN_NORM < np.abs(xyzw).max() < _MAX_NORM:
         raise UnreadableError
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import, and seldom needed
+
     return Rotation.from_quat(xyzw).as_matrix()

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
-from scipy.signal import correlate
 
 _MS = 1000
 # An onset is a rise of the loudness over the time before; onsets are as wide as echoes and the rounding of times are.
@@ -90,6 +89,8 @@ def _binned(strength: Float[np.ndarray, " ms"]) -> Float[np.ndarray, " bins"]:
 
 def _coarse_lag(first: Float[np.ndarray, " m"], second: Float[np.ndarray, " n"]) -> tuple[int, float] | None:
     """Best lag in bins and its score."""
+    from scipy.signal import correlate  # noqa: PLC0415 - slow to import, and seldom needed
+
     together = correlate(first, second, "full", method="fft")
     lags = np.arange(len(together)) - (len(second) - 1)
     # The part that both recorded, of each lag.
@@ -116,6 +117,8 @@ def _windows(
     first: Float[np.ndarray, " m"], second: Float[np.ndarray, " n"], lag_ms: int
 ) -> tuple[Float[np.ndarray, " windows"], Float[np.ndarray, " windows"]]:
     """Middle of each window in the second camera's time, and the lag in it, both in ms."""
+    from scipy.signal import correlate  # noqa: PLC0415 - slow to import, and seldom needed
+
     places, lags = [], []
     begin = max(0, _REACH_MS - lag_ms)
     end = min(len(second), len(first) - lag_ms - _REACH_MS)

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 from av.video.frame import VideoFrame
 
+from pipeline.errors import UnusableError
 from pipeline.problem_codes.sessions import NO_FRAMES, VIDEO_CHANGES_SIZE
 from pipeline.video.frame_rate import without_rounding
 from pipeline.video.images.files import SEQUENCE, open_images
 from pipeline.video.images.frames import decode_images
-from pipeline.video.info import UnusableError, VideoInfo
+from pipeline.video.info import VideoInfo
 from pipeline.video.properties.regularity import uneven_times
 
 _NUM_DECODED = 8

@@ -8,8 +8,8 @@ from av.packet import Packet
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
+from pipeline.errors import UnusableError
 from pipeline.problem_codes.sessions import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
-from pipeline.video.info import UnusableError
 
 MAX_FRAMES = 2_000_000
 # Longest span of timestamps in ticks: differences of 64-bit integers do not overflow below it.

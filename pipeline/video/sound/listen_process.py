@@ -9,7 +9,7 @@ from jaxtyping import Float32
 
 from pipeline.data.arrays import read_only
 from pipeline.runtime.child_processes import module_command
-from pipeline.video.children import READY, child_error, is_caused_by_file
+from pipeline.video.children import READY, child_environment, child_error, is_caused_by_file
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import reading_s
 
@@ -36,6 +36,7 @@ def listen_in_child(video: VideoInfo) -> Float32[np.ndarray, " ms"] | str:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        env=child_environment(),
     )
     try:
         output, errors = child.communicate(timeout=timeout_s)

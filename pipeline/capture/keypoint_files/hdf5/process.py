@@ -6,7 +6,7 @@ from pathlib import Path
 from pipeline.capture.keypoint_files.hdf5.tracks import PeopleByFrame, decoded
 from pipeline.capture.keypoint_files.people import KeypointsError
 from pipeline.runtime.child_processes import module_command
-from pipeline.video.children import READY, child_error, is_caused_by_file
+from pipeline.video.children import READY, child_environment, child_error, is_caused_by_file
 
 # Far above the second or two of a file of the largest size.
 _MAX_CPU_S = 60
@@ -21,7 +21,14 @@ def read_in_child(path: Path) -> PeopleByFrame:
     """
     command = module_command("pipeline.capture.keypoint_files.hdf5.read", str(path.absolute()), str(_MAX_CPU_S))
     try:
-        child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_TIMEOUT_S, check=False)  # noqa: S603 - our own interpreter and module
+        child = subprocess.run(  # noqa: S603 - our own interpreter and module
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_TIMEOUT_S,
+            check=False,
+            env=child_environment(),
+        )
     except subprocess.TimeoutExpired:
         raise _beyond_limits() from None
     if is_caused_by_file(child.returncode):

@@ -14,7 +14,10 @@ import h5py
 import numpy as np
 import pytest
 
+from pipeline.capture.keypoint_files import folders
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
+from pipeline.capture.keypoint_files.hdf5.read import answer
+from pipeline.capture.keypoint_files.hdf5.tracks import decoded
 from pipeline.errors import Problem
 from pipeline.joints import COCO_17
 from pipeline.runtime.child_processes import python_command
@@ -49,6 +52,12 @@ def read(folder: Path, content: bytes, name: str = "take.h5") -> tuple[Contents,
     (folder / name).write_bytes(content)
     problems: list[Problem] = []
     return read_folder(folder, "left", (640, 480), 10**9, [], problems), problems
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Well-formed files are read in this process, without a child for each."""
+    monkeypatch.setattr(folders, "read_in_child", lambda path: decoded(answer(path)))
 
 
 def refused(folder: Path, write: Callable[[h5py.File], Any]) -> str:
@@ -230,6 +239,7 @@ HAT = [("us", "Hat", "x"), ("us", "Hat", "y")]
     ],
     ids=map(str, range(100)),
 )  # fmt: skip
+@pytest.mark.usefixtures("here")
 def test_files_that_cant_be_used_say_why(tmp_path: Path, write: Callable[[h5py.File], Any], words: str) -> None:
     message = refused(tmp_path, write)
     assert words in message
@@ -245,7 +255,11 @@ def test_a_group_that_contains_itself_is_no_matter(tmp_path: Path) -> None:
     assert len(contents.frames) == 4
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89HDF\r\n\x1a\n", b"scorer,a\n", written(analysis)[:3000]])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\x89HDF\r\n\x1a\n", b"scorer,a\n", written(analysis)[:3000]],
+    ids=["empty", "signature", "text", "truncated"],
+)
 def test_files_that_are_no_hdf5(tmp_path: Path, content: bytes) -> None:
     _, (problem,) = read(tmp_path, content)
     assert problem.code == "keypoints_unreadable"
