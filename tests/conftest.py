@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,6 +77,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.relative_to(tests).as_posix().startswith(SLOW):
             item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def browser_of_a_module() -> Iterator[None]:
+    """Close the browser that tests of a module have started."""
+    yield
+    if (browsing := sys.modules.get("tests.e2e.browsing")) is not None:
+        browsing.close_browser()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,4 +1,4 @@
-"""A real browser for tests of the page."""
+"""A real browser for tests of the page: one for all tests of a module, and a context of its own for each test."""
 
 import contextlib
 import shutil
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import ConsoleMessage, Locator, Page, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, ViewportSize, expect, sync_playwright
 
 from tests.e2e.foreign import READERS
 
@@ -21,28 +21,47 @@ FLAGS = [
 OWN = ("GPU stall due to ReadPixels",)
 DESKTOP: ViewportSize = {"width": 1280, "height": 800}
 
+_running = contextlib.ExitStack()
+_shared: Browser | None = None
+
 
 @contextlib.contextmanager
 def opened(url: str, viewport: ViewportSize = DESKTOP, *, allowed: tuple[str, ...] = ()) -> Iterator[Page]:
-    """Open the page in a new browser; at the end of the block check that its console has no errors.
+    """Open the page without anything stored; at the end of the block check that its console has no errors.
 
     Parameters
     ----------
     allowed
         Parts of errors that the test provokes, such as the status of a refused request.
     """
+    page = _browser().new_page(base_url=url, viewport=viewport)
+    try:
+        with _checked(page, allowed):
+            page.goto(url)
+            yield page
+    finally:
+        page.context.close()
+
+
+def close_browser() -> None:
+    """Close the browser, if a test has started it. While it runs, no other event loop can run in this thread."""
+    _running.close()
+
+
+def _browser() -> Browser:
+    """Browser of the module's tests, started by the first of them."""
+    global _shared  # noqa: PLW0603 - it lives from one test to the next
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("there is no chromium (`make browser` installs it on Debian)")
     if not VENDOR.is_dir():
         pytest.skip("the page's libraries are not installed (`make setup`)")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-        page = browser.new_page(base_url=url, viewport=viewport)
-        with _checked(page, allowed):
-            page.goto(url)
-            yield page
-        browser.close()
+    if _shared is None or not _shared.is_connected():
+        _running.close()
+        playwright = _running.enter_context(sync_playwright())
+        _shared = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        _running.callback(_shared.close)
+    return _shared
 
 
 @contextlib.contextmanager
