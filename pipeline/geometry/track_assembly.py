@@ -14,7 +14,8 @@ from pipeline.geometry.tracks import reproject
 
 # Longest gap of a joint that is interpolated.
 _MAX_GAP_S = 0.2
-# Shortest time for which two cameras must see a person; half of the session if that is shorter.
+# Shortest time for which two cameras must see a person: at least two frames, half of the session if that is shorter. A
+# picture is enough where the next one is later.
 _MIN_LIFE_S = 0.15
 
 Person = tuple[Track3D, Observations]
@@ -71,7 +72,8 @@ def record_life(
 def find_life(timebase: Timebase, xyz_m: Float[np.ndarray, "frames joints 3"]) -> slice | None:
     """Frames from the first to the last frame with a located joint; ``None`` if they are too few for a person."""
     alive = np.flatnonzero(np.isfinite(xyz_m[..., 0]).any(-1))
-    if len(alive) < max(2, min(_MIN_LIFE_S * timebase.frame_rate_hz, timebase.num_frames / 2)):
+    shortest = max(1.0, _MIN_LIFE_S * timebase.frame_rate_hz)
+    if len(alive) < min(shortest, max(min(2, timebase.num_frames), timebase.num_frames / 2)):
         return None
     return slice(int(alive[0]), int(alive[-1]) + 1)
 

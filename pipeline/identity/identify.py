@@ -34,6 +34,7 @@ def identify(
     min_score: float,
     most: int | None = None,
     colour: UInt8[np.ndarray, "detections parts bins"] | None = None,
+    num_recorded: int | None = None,
 ) -> People:
     """Find out who is who over a whole session.
 
@@ -47,6 +48,8 @@ def identify(
         Number of people to keep, those with the most observations; ``None``: all.
     colour
         Colours of all detections, in the order of ``Observations.detection``; ``None`` if they were not measured.
+    num_recorded
+        Number of output frames at which a camera took a frame; ``None``: all.
 
     Returns
     -------
@@ -54,7 +57,8 @@ def identify(
         that may be chance are left out (``spurious_tracks``).
     """
     tracks: list[Person] = list(zip(people.tracks, people.observations, strict=True))
-    num_bodies = mean_bodies(people.observations, timebase)
+    recorded = timebase.num_frames if num_recorded is None else num_recorded
+    num_bodies = mean_bodies(people.observations, recorded)
     whole = cut_at_gaps([path_of(track, joints) for track, _ in tracks], timebase.frame_rate_hz)
     pieces = [cut(tracks[piece.track], piece.start_frame, piece.stop_frame) for piece in whole]
     pieces = merge_doubles(pieces, cameras, joints, timebase, min_score)
@@ -67,7 +71,7 @@ def identify(
     kept = [
         (person, number)
         for number, person in enumerate(merged)
-        if person is not None and not is_spurious(person, cameras, timebase, num_bodies)
+        if person is not None and not is_spurious(person, cameras, timebase, num_bodies, recorded)
     ]
     if most is not None:
         kept = sorted(kept, key=lambda entry: int(entry[0][0].views.sum()), reverse=True)[:most]

@@ -3,7 +3,8 @@
 Bodies of different cameras that do not belong together agree by chance now and then. How often follows from geometry
 (a-contrario detection, Desolneux, Moisan and Morel 2000): a body of a second camera lies at a ray by chance with the
 probability that the band around its epipolar line covers, times the number of bodies in the picture; a body of a third
-camera with that of the disc around a point. Moments count once a fifth of a second, because wrong detections last.
+camera with that of the disc around a point. Moments count once a fifth of a second, because wrong detections last, and
+only where there are pictures: chance has no occasion in a pause.
 """
 
 import math
@@ -24,23 +25,27 @@ _MIN_JOINTS = 3
 _RADIUS, _LEAST_ERROR = 2.0, 0.005
 
 
-def mean_bodies(observations: Iterable[Observations], timebase: Timebase) -> float:
-    """Mean number of bodies in a picture, at least 1."""
+def mean_bodies(observations: Iterable[Observations], num_recorded: int) -> float:
+    """Mean number of bodies in a picture, at least 1; ``num_recorded`` frames have pictures."""
     bodies = [_has_body(seen) for seen in observations]
-    return float(max(1.0, sum(of_person.sum() / of_person.shape[1] for of_person in bodies) / timebase.num_frames))
+    return float(max(1.0, sum(of_person.sum() / of_person.shape[1] for of_person in bodies) / num_recorded))
 
 
-def is_spurious(person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float) -> bool:
+def is_spurious(
+    person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float, num_recorded: int
+) -> bool:
     """Whether a track may be chance; never if it lasts for half of the session, which may be too short to tell.
 
-    ``num_bodies`` is the mean number of bodies in a picture.
+    ``num_bodies`` is the mean number of bodies in a picture; ``num_recorded`` output frames have pictures.
     """
-    if 2 * person[0].num_frames >= timebase.num_frames:
+    if 2 * person[0].num_frames >= num_recorded:
         return False
-    return log_false_alarms(person, cameras, timebase, num_bodies) > math.log(_MAX_FALSE_ALARMS)
+    return log_false_alarms(person, cameras, timebase, num_bodies, num_recorded) > math.log(_MAX_FALSE_ALARMS)
 
 
-def log_false_alarms(person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float) -> float:
+def log_false_alarms(
+    person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float, num_recorded: int
+) -> float:
     """Logarithm of the expected number of coincidences that are as good as a track; see ``is_spurious``."""
     track, seen = person
     num_views = _has_body(seen).sum(-1)
@@ -51,9 +56,9 @@ def log_false_alarms(person: Person, cameras: Sequence[Camera], timebase: Timeba
     at_point = np.minimum(1.0, num_bodies * np.pi * radius_px**2 / size_px.prod())
     log_chance = np.log(at_line) + (num_views - 2) * np.log(at_point)
     agreeing = (num_views >= 2) & np.isfinite(error_px)
-    num_moments = max(1.0, timebase.num_frames / timebase.frame_rate_hz / _MOMENT_S)
     num_pairs = max(1.0, len(cameras) * (len(cameras) - 1) / 2)
     frames_a_moment = max(1.0, _MOMENT_S * timebase.frame_rate_hz)
+    num_moments = max(1.0, num_recorded / frames_a_moment)
     return float(np.log(num_moments * num_pairs * num_bodies**2) + log_chance[agreeing].sum() / frames_a_moment)
 
 

@@ -13,9 +13,13 @@ from scipy.optimize import linear_sum_assignment
 from pipeline.geometry.epipolar import distance_to_line_px
 from pipeline.preflight.sightings import Points
 
-# Distance, as a share of a person's extent in the picture, from which on a pair of bodies counts as not the same.
-# Detectors are off by 1 to 2 % of it. The next person is a body's width, a quarter of it, away.
-_FAR = 0.1
+FAR = 0.1
+"""Distance, as a share of a person's extent in the picture, from which on a pair of bodies counts as not the same.
+
+Detectors are off by 1 to 2 % of it. The next person is a body's width, a quarter of it, away.
+"""
+SURE = 0.015
+"""Distance within which most pairs of bodies of one person are, and of different people as many as chance has it."""
 # Distance within which a pair of bodies counts as exactly the same.
 _EXACT = 0.03
 # Fewer common joints are no evidence.
@@ -28,6 +32,10 @@ class PeopleAgreement:
 
     disagreement: float = np.nan  # Mean distance of pairs of bodies: 0 if they agree, 1 if they do not; NaN without any
     exact_share: float = np.nan  # Share of these pairs that are exactly the same; NaN without any
+    near_share: float = np.nan  # Share of these pairs that may be the same; NaN without any
+    sure_share: float = (
+        np.nan
+    )  # Share of these pairs that are as near as detectors have the same person; NaN without any
     num_pairs: int = 0  # Number of pairs of bodies at all instants together
     num_instants: int = 0  # Number of instants with a pair
 
@@ -46,8 +54,9 @@ def compare(
     if not pairs:
         return PeopleAgreement()
     instants, distances = np.array(pairs).T
-    mean = float(np.mean(np.minimum(distances, _FAR))) / _FAR
-    return PeopleAgreement(mean, float(np.mean(distances < _EXACT)), len(pairs), len(set(instants)))
+    mean = float(np.mean(np.minimum(distances, FAR))) / FAR
+    exact, near, sure = (float(np.mean(distances < limit)) for limit in (_EXACT, FAR, SURE))
+    return PeopleAgreement(mean, exact, near, sure, len(pairs), len(set(instants)))
 
 
 def matches(
@@ -57,13 +66,14 @@ def matches(
     for instant, (first, second) in enumerate(zip(left, right, strict=True)):
         if first is not None and second is not None and len(first) and len(second):
             distance = _distances(fundamental, first, second)
-            for row, column in zip(*linear_sum_assignment(distance), strict=True):
+            # Beyond ``FAR`` all distances are alike: somebody whom one camera sees takes nobody from another pair.
+            for row, column in zip(*linear_sum_assignment(np.minimum(distance, FAR)), strict=True):
                 yield instant, int(row), int(column), float(distance[row, column])
 
 
 def is_same(distance: float) -> bool:
     """Whether two bodies at a distance of ``matches`` may be one person."""
-    return distance < _FAR
+    return distance < FAR
 
 
 def _distances(fundamental: Float[np.ndarray, "3 3"], left: Points, right: Points) -> Float[np.ndarray, "left right"]:

@@ -11,12 +11,13 @@ from functools import cache, partial
 from typing import Literal
 
 import numpy as np
+from scipy.special import bdtrc
 
 from pipeline.capture.names import natural_key
 from pipeline.data.cameras import Camera
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.joints import JointSet
-from pipeline.preflight.agreement import PeopleAgreement, compare
+from pipeline.preflight.agreement import FAR, SURE, PeopleAgreement, compare
 from pipeline.preflight.sightings import Points, SimultaneousPeople, ideal_px
 
 Move = Literal["as is", "90", "180", "270", "mirrored"]
@@ -40,6 +41,8 @@ _OTHER = {"left": "right", "right": "left"}
 _MAX_EXACT = 1 / 3
 # With fewer pairs of bodies, or at fewer instants, chance decides.
 _MIN_COMPARED, _MIN_INSTANTS = 6, 3
+# Probability of as many near pairs by chance below which some of the people are the same.
+_MAX_CHANCE = 0.01
 # Cameras that are tried in exchanges, the most doubtful ones.
 _MAX_EXCHANGED = 8
 
@@ -103,13 +106,20 @@ class PairDisagreement:
         """Test for a disagreement of pairs of cameras that has no other reason than that something is wrong.
 
         Cameras of a right calibration that see different people disagree about these, but agree exactly about the
-        others.
+        others, however few they are: distances of different people are spread evenly, those of the same people are
+        nearly 0.
         """
         known = [self.of_pair(*pair, hypothesis) for pair in pairs]
         num_compared = sum(agreement.num_pairs for agreement in known)
         num_instants = max((agreement.num_instants for agreement in known), default=0)
         num_exact = sum(agreement.exact_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
-        return num_instants >= _MIN_INSTANTS and num_compared >= _MIN_COMPARED and num_exact < _MAX_EXACT * num_compared
+        num_near = sum(agreement.near_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
+        num_sure = sum(agreement.sure_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
+        if num_instants < _MIN_INSTANTS or num_compared < _MIN_COMPARED or num_exact >= _MAX_EXACT * num_compared:
+            return False
+        # Probability that of so many near pairs of different people so many, or more, are as near as the same person.
+        chance = bdtrc(round(num_sure) - 1, round(num_near), SURE / FAR) if round(num_sure) else 1.0
+        return bool(chance > _MAX_CHANCE)
 
     def of_pairs(self, hypothesis: Hypothesis, among: Sequence[int]) -> Mapping[tuple[int, int], float]:
         """Disagreement of all pairs with one of some cameras, as far as it is known."""

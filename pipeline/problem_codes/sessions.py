@@ -373,9 +373,6 @@ SESSION_TOO_LONG = TIMES.code(
 TOO_MANY_FRAMES = TIMES.code(
     "too_many_frames", _FILES, "The session has too many output frames.", "Use a lower output rate or fewer frames."
 )
-TOO_FEW_FRAMES = TIMES.code(
-    "too_few_frames", _FILES, "No camera has two frames.", "Send at least two frames of a camera."
-)
 TWO_CLOCKS = TIMES.code("two_clocks", _FILES, "Both timestamps and a frame rate were given.", "Give one of them.")
 TIMESTAMPS_INVALID = TIMES.code(
     "timestamps_invalid", _FILES, "The timestamps can't be read, or a row is wrong.", "Correct the CSV."

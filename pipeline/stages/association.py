@@ -34,7 +34,7 @@ from pipeline.tracking.associate import track_bodies
 from pipeline.tracking.observations import Detections2D
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
-from pipeline.video.timeline import frames_in, span_s
+from pipeline.video.timeline import frames_in, num_recorded, span_s
 
 _DEFAULTS = ReconstructionConfig()
 
@@ -147,7 +147,8 @@ def assign_identities(
 ) -> People:
     """Find out who is who among the tracks of either method; see ``pipeline.identity.identify``."""
     min_score = 0.0 if config.method == "clustering" else tracking_parameters(session, config.tracking).min_score
-    return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people, colour)
+    recorded = num_recorded(session.timebase, (times.time_s for times in session.times.values()))
+    return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people, colour, recorded)
 
 
 def attach(

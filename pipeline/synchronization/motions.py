@@ -63,11 +63,11 @@ def find_motions(
     detections: Mapping[str, Detections],
     joints: JointSet,
 ) -> list[BodyMotion]:
-    """Follow bodies through each camera's frames, and sample them."""
-    period_s = max(
+    """Follow bodies through each camera's frames, and sample them; no motions if no camera has two frames."""
+    periods_s = [
         float(np.median(np.diff(frame_times.time_s))) for frame_times in times.values() if len(frame_times.time_s) > 1
-    )
-    kernel_s = max(_KERNEL_S, _KERNEL_PERIODS * period_s)
+    ]
+    kernel_s = max(_KERNEL_S, _KERNEL_PERIODS * max(periods_s, default=0.0))
     return [
         motion
         for number, camera in enumerate(cameras)

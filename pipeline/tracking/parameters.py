@@ -14,6 +14,10 @@ from pipeline.geometry.camera import center_in_world
 
 # Speed of a joint above which its 2D affinity is negative: a brisk walk with swinging arms.
 _JOINT_SPEED_M_S = 3.0
+# Preferred walking speed (Bohannon 1997).
+_WALK_M_S = 1.4
+_ALPHA_3D_M = 0.15
+_CONFIRM_INSTANTS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +34,16 @@ class TrackingParameters:
     # Weights of 2D and 3D correspondence, w2D and w3D (eq. 2 and 4)
     weight_2d: float = 0.4
     weight_3d: float = 0.6
-    alpha_3d_m: float = 0.15  # Threshold of the distance between a predicted joint and a ray (eq. 4)
+    alpha_3d_m: float = _ALPHA_3D_M  # Threshold of the distance between a predicted joint and a ray (eq. 4)
     velocity_window_s: float = 0.2  # Span of the recent positions behind a joint's velocity (eq. 5)
     min_score: float = 0.15  # Least score of a joint that is used
-    confirm_instants: int = 3  # Number of instants at which two cameras must see a target to confirm it
+    confirm_instants: int = _CONFIRM_INSTANTS  # Number of instants at which two cameras must see a target to confirm it
     # Time after which a confirmed or a tentative target ends if no two cameras see it
     max_unseen_s: float = 2.0
     max_unseen_tentative_s: float = 0.2
     max_extrapolation_s: float = 0.25  # Time after which predictions (eq. 5) stand still
-    # Speed at which a lost target may leave its predicted path and still be matched on return: preferred walking speed
-    # (Bohannon 1997)
-    max_detour_m_s: float = 1.4
+    # Speed at which a lost target may leave its predicted path and still be matched on return
+    max_detour_m_s: float = _WALK_M_S
     duplicate_m: float = 0.2  # Mean joint distance below which two targets are the same person
 
 
@@ -74,12 +77,18 @@ def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> Tracki
 
     ``alpha_2d`` is 3 m/s and ``alpha_epipolar`` is ``alpha_3d``, both projected at the viewed point. Penalty rates are
     the paper's for 25 frames a second (lambda_a 5, lambda_t 10), scaled by the frame rate.
+
+    A single instant confirms a person where somebody walks farther than ``alpha_3d`` from one frame to the next, as in
+    time-lapse and photographs: without a velocity the target can't be matched again. What may be chance is left out
+    afterwards (``identity.spurious_tracks``).
     """
     scale_px_m = pixels_per_metre(cameras)
+    may_follow = _ALPHA_3D_M * frame_rate_hz >= _WALK_M_S
     return TrackingParameters(
         alpha_2d_px_s=_JOINT_SPEED_M_S * scale_px_m,
-        alpha_epipolar_px=0.15 * scale_px_m,
+        alpha_epipolar_px=_ALPHA_3D_M * scale_px_m,
         lambda_a_hz=0.2 * frame_rate_hz,
         lambda_t_hz=0.4 * frame_rate_hz,
         instant_s=0.75 / frame_rate_hz,
+        confirm_instants=_CONFIRM_INSTANTS if may_follow else 1,
     )

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.rules import frame_range_problems, require
@@ -42,11 +42,7 @@ def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " 
     Frame times are in seconds, an array a camera. The ranges are in order, at least one; the output frame of every time
     is in one of them.
     """
-    is_recorded = np.zeros(timebase.num_frames, bool)
-    for camera_time_s in time_s:
-        nearest = np.rint((camera_time_s - timebase.start_time_s) * timebase.frame_rate_hz)
-        is_recorded[np.clip(nearest, 0, timebase.num_frames - 1).astype(np.int64)] = True
-    frames = np.flatnonzero(is_recorded)
+    frames = _recorded_frames(timebase, time_s)
     if not len(frames):
         return (range(min(1, timebase.num_frames)),)
     last = np.flatnonzero(np.diff(frames) > _PAUSE_S * timebase.frame_rate_hz)
@@ -54,6 +50,21 @@ def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " 
     starts = np.maximum(frames[[0, *(last + 1)]] - 1, 0).tolist()
     stops = np.minimum(frames[[*last, -1]] + 2, timebase.num_frames).tolist()
     return tuple(range(start, stop) for start, stop in zip(starts, stops, strict=True))
+
+
+def num_recorded(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " frames"]]) -> int:
+    """Count the output frames at which a camera took a frame; times are as of ``recorded_stretches``."""
+    return len(_recorded_frames(timebase, time_s))
+
+
+def _recorded_frames(
+    timebase: Timebase, time_s: Iterable[Float[np.ndarray, " frames"]]
+) -> Int[np.ndarray, " recorded"]:
+    is_recorded = np.zeros(timebase.num_frames, bool)
+    for camera_time_s in time_s:
+        nearest = np.rint((camera_time_s - timebase.start_time_s) * timebase.frame_rate_hz)
+        is_recorded[np.clip(nearest, 0, timebase.num_frames - 1).astype(np.int64)] = True
+    return np.flatnonzero(is_recorded)
 
 
 def require_frames(whole: Timebase, frames: range) -> None:

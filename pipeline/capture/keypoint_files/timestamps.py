@@ -19,9 +19,8 @@ from pipeline.problem_codes.sessions import (
     TIMESTAMPS_MISSING,
     TIMESTAMPS_ORDER,
     TIMESTAMPS_START,
-    TOO_FEW_FRAMES,
 )
-from pipeline.video.frame_rate import measured_rate_hz, without_rounding
+from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 
 _MAX_START_S = 3600.0
 _START_HINT = "Subtract the time at which the capture started."
@@ -98,13 +97,12 @@ def times_from_file(
     rates_hz = [
         measured_rate_hz(camera_times.time_s) for camera_times in times.values() if len(camera_times.time_s) > 1
     ]
-    if not rates_hz:
-        problems.append(Problem(TOO_FEW_FRAMES, "No camera has two frames.", file=timestamps.name))
-        return times, None
-    rate_hz = max(rates_hz)
+    rate_hz = max(rates_hz, default=float(DEFAULT_RATE))
     if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE):
         message = f"By the times the fastest camera has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are allowed."
-        hint = "Check that the times are in seconds."
+        hint = (
+            "Check that the times are in seconds. Number pictures that are farther apart by seconds: 0, 1, 2 and so on."
+        )
         problems.append(Problem(FRAME_RATE, message, file=timestamps.name, field="time_s", hint=hint))
     source = TimeSource(
         files=dict.fromkeys(times, timestamps.name),

@@ -5,7 +5,8 @@ The energy, for a joint position X in metres at an instant, is the sum of:
 - *rays*: see ``fitting.rays``; the scale decreases from step to step (graduated non-convexity);
 - *acceleration*: Cauchy's function of the second difference of X, relative to the usual value of the joint at the frame
   rate. It is heavy-tailed, because a Gaussian prior would smooth away punches and jumps;
-- *bones*: squared difference between the length of a limb and the person's own length, left and right pooled.
+- *bones*: squared difference between the length of a limb and the person's own length, left and right pooled
+  unless they disagree.
 
 If a view has confused left and right limbs, which then fit clearly better when exchanged, they are exchanged. Each step
 reweights and solves for one joint after the other, with the other joints fixed. This is a banded system over time, so
@@ -25,6 +26,7 @@ from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.fitting.rays import Rays
 from pipeline.skeleton.fitting.windows import Blend, windows
 from pipeline.skeleton.gaps import filled_linearly
+from pipeline.skeleton.landmarks import lengths_of_sides_m
 
 # Scales c of the rays, in order of the steps; the last scale is kept.
 SCALES_M = (0.20, 0.12, 0.10)
@@ -75,7 +77,7 @@ def fit_positions(
 
     World positions (metres) are those of all frames, gaps included; NaN in all for joints that were never located.
     """
-    limbs = _limbs(track, track.source == Source.MEASURED, joints)
+    limbs = limb_lengths(track, track.source == Source.MEASURED, joints)
     usual_m = usual_step_m(joints, timebase)
     fitted_m = np.empty(track.xyz_m.shape)
     fitted = Blend(fitted_m)
@@ -85,21 +87,22 @@ def fit_positions(
     return fitted_m
 
 
-def _limbs(
+def limb_lengths(
     track: Track3D, measured: Bool[np.ndarray, "frames joints"], joints: JointSet
 ) -> list[list[tuple[int, float]]]:
-    """Limbs of each joint, as other end and the person's median length in metres, left and right pooled."""
-    pooled: dict[str, list[np.ndarray]] = {}
+    """Limbs of each joint, as other end and the person's length in metres; see ``landmarks.lengths_of_sides_m``."""
+    sides: dict[str, list[np.ndarray]] = {}
     ends = [(joints.index(upper), joints.index(lower)) for upper, lower in LIMBS if {upper, lower} <= set(joints.names)]
     for upper, lower in ends:
         both = measured[:, upper] & measured[:, lower]
         lengths_m = np.linalg.norm(track.xyz_m[both, upper] - track.xyz_m[both, lower], axis=-1)
-        pooled.setdefault(joints.names[lower].rpartition("_")[2], []).append(lengths_m)
+        sides.setdefault(joints.names[lower].rpartition("_")[2], []).append(lengths_m)
+    of_sides_m = {kind: lengths_of_sides_m(*of_kind) for kind, of_kind in sides.items()}
     hanging: list[list[tuple[int, float]]] = [[] for _ in joints.names]
     for upper, lower in ends:
-        lengths_m = np.concatenate(pooled[joints.names[lower].rpartition("_")[2]])
-        if len(lengths_m):
-            length_m = float(np.median(lengths_m))
+        side, _, kind = joints.names[lower].rpartition("_")
+        length_m = of_sides_m[kind][side == "right"]
+        if np.isfinite(length_m):
             hanging[upper].append((lower, length_m))
             hanging[lower].append((upper, length_m))
     return hanging

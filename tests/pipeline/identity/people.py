@@ -93,7 +93,8 @@ def told_apart(
     num_frames: int,
     most: int | None = None,
     leftovers: Leftovers | None = None,
+    num_recorded: int | None = None,
 ) -> People:
     tracks, observations = zip(*people, strict=True) if people else ((), ())
     found = People(tracks, observations, leftovers=leftovers)
-    return identify(found, cameras, COCO_17, Timebase(0.0, RATE_HZ, num_frames), 0.1, most)
+    return identify(found, cameras, COCO_17, Timebase(0.0, RATE_HZ, num_frames), 0.1, most, None, num_recorded)

@@ -111,6 +111,14 @@ def test_a_coincidence_of_two_cameras_is_left_out_and_a_person_is_not(ring: tupl
     assert len(told_apart([man, everybody], ring, 200).tracks) == 2
 
 
+def test_chance_has_no_occasion_in_pauses(ring: tuple[Camera, ...]) -> None:
+    """Two cameras see somebody for half a second; they take pictures for ten seconds, or for a whole day."""
+    seen = person(walker((0, 0), (0.5, 0), 12, build=1), ring, start_frame=1000, seen_by=(0, 1))
+    day = 24 * 3600 * 25
+    assert len(told_apart([seen], ring, day).tracks) == 0
+    assert len(told_apart([seen], ring, day, num_recorded=250).tracks) == 1
+
+
 def test_bodies_of_nobody_fill_a_gap(ring: tuple[Camera, ...]) -> None:
     walk_m = walker((-1, 0), (1, 0), 150, SHORT)
     whole = person(walk_m, ring)

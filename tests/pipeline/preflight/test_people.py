@@ -260,6 +260,19 @@ def test_cameras_that_see_different_people_too_are_no_error() -> None:
     assert levels(checked(other, seen_by(pair, own_m, SCENE.joints))) == [("calibration_of_another_rig", "error")]
 
 
+def test_cameras_that_see_few_people_together_are_no_error() -> None:
+    """Two cameras see one person together, and three each whom the other one misses: a quarter of the pairs agrees."""
+    crowd_m = np.concatenate(
+        [posed(SCENE, Rotation.from_euler("z", 40.0 * turn, degrees=True), height_m=0.9) for turn in range(3)], axis=1
+    )
+    common_m, left_m, right_m = crowd_m[:, :1], crowd_m[:, 1:4] + [0.5, 0.3, 0.0], crowd_m[::-1, 4:7] - [0.4, 0.6, 0.0]
+    pair = CAMERAS[:2]
+    seen = seen_by(pair, [np.concatenate([common_m, own_m], axis=1) for own_m in (left_m, right_m)], SCENE.joints)
+    assert levels(checked(pair, seen)) == [("calibration_of_another_rig", "warning")]
+    other = (pair[0], bumped(pair[1], 40.0))
+    assert levels(checked(other, seen)) == [("calibration_of_another_rig", "error")]
+
+
 def test_few_bodies_are_no_error() -> None:
     """Two false bodies that agree with nothing, as detectors find them in empty rooms."""
     few = tuple(
