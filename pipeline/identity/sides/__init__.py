@@ -1,0 +1,1 @@
+"""Sides: left and right limbs of a person, decided over all views and over time together."""
