@@ -77,8 +77,10 @@ def test_groups_of_tests_stay_together(tmp_path: Path) -> None:
         "def test_process(number, tmp_path_factory):\n"
         f"    pathlib.Path({str(tmp_path)!r}, f'{{os.getpid()}}.process').touch()\n"
     )
-    options = ["-n2", "--dist=loadgroup", "-q", "-p", "no:cacheprovider", "-c", os.devnull, f"--rootdir={tmp_path}"]
+    options = ["-p", "xdist", "-n2", "--dist=loadgroup", "-q", "-p", "no:cacheprovider", "-c", os.devnull]
+    options.append(f"--rootdir={tmp_path}")
     command = [sys.executable, "-P", "-m", "pytest", *options, str(tmp_path)]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # other plugins take seconds to load
     subprocess.run(command, env=environment, capture_output=True, check=True)
     assert len(list(tmp_path.glob("*.process"))) == 1

@@ -283,19 +283,30 @@ def test_few_bodies_are_no_error() -> None:
     assert {finding.severity for finding in checked(turned, single)} <= {"warning"}
 
 
-@pytest.mark.parametrize("is_backward", [False, True])
-def test_eleven_cameras_in_alphabetical_for_natural_order(is_backward: bool) -> None:
-    names = [f"cam{number}" for number in range(1, 12)]
+@pytest.fixture(scope="module")
+def eleven() -> tuple[list[Camera], SimultaneousPeople]:
+    """Eleven cameras, cam1 to cam11, and what they see."""
     scene = replace(find_scene("walk"), rig=replace(find_scene("walk").rig, num_cameras=11), duration_s=6.0)
     simulation = record(scene, seed=6)
+    names = (f"cam{number}" for number in range(1, 12))
     cameras = [replace(camera, name=name) for camera, name in zip(simulation.cameras, names, strict=True)]
     seen = sightings(simulation)
     assert found(cameras, seen) == []
+    return cameras, seen
+
+
+@pytest.mark.parametrize("is_backward", [False, True])
+def test_eleven_cameras_in_alphabetical_for_natural_order(
+    is_backward: bool, eleven: tuple[list[Camera], SimultaneousPeople]
+) -> None:
+    cameras, seen = eleven
+    names = [camera.name for camera in cameras]
     places = dict(zip(names, sorted(names), strict=True))
     if is_backward:
         places = {place: name for name, place in places.items()}
     # What camera ``name`` sees was filmed by the camera ``places[name]``.
     mixed = replace(seen, points_px=tuple(seen.points_px[names.index(places[name])] for name in names))
-    exchanged_by_name = {finding.camera: finding.evidence["other_camera"] for finding in checked(cameras, mixed)}
+    findings = checked(cameras, mixed)
+    exchanged_by_name = {finding.camera: finding.evidence["other_camera"] for finding in findings}
     assert exchanged_by_name == {name: place for name, place in places.items() if name != place}
-    assert {finding.severity for finding in checked(cameras, mixed)} == {"error"}
+    assert {finding.severity for finding in findings} == {"error"}

@@ -79,6 +79,7 @@ def test_a_late_camera_is_named_and_bends_no_lens() -> None:
     assert not np.isnan([report.reprojection_error_px for report in made.by_camera]).any()
 
 
+@pytest.mark.slow
 def test_cameras_that_agree_give_no_doubt() -> None:
     made = calibrate_board(filmed(1), BOARD, None, 4.0)
     assert "board_disagrees" not in {warning.code for warning in made.warnings}

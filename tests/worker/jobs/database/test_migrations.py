@@ -73,7 +73,15 @@ def test_down_and_up_again_keeps_sessions_jobs_and_results(jobs: StoreBench, eng
     assert {one.state for one in jobs.store.jobs.page()} == {"succeeded"}
 
 
-@pytest.mark.parametrize("revision", REVISIONS[1:])
+# The latest steps and the first one; the others are slow tests, and all are gone down and up one after the other above.
+@pytest.mark.parametrize(
+    "revision",
+    [
+        *REVISIONS[1:4],
+        *(pytest.param(revision, marks=pytest.mark.slow) for revision in REVISIONS[4:-1]),
+        REVISIONS[-1],
+    ],
+)
 def test_each_step_down_can_be_taken_back_alone(jobs: StoreBench, engine: sa.Engine, revision: str) -> None:
     add_data(jobs)
     before = jobs.store.sessions.page(), [one.id for one in jobs.store.jobs.page()]
