@@ -33,11 +33,9 @@ class PeopleAgreement:
     disagreement: float = np.nan  # Mean distance of pairs of bodies: 0 if they agree, 1 if they do not; NaN without any
     exact_share: float = np.nan  # Share of these pairs that are exactly the same; NaN without any
     near_share: float = np.nan  # Share of these pairs that may be the same; NaN without any
-    sure_share: float = (
-        np.nan
-    )  # Share of these pairs that are as near as detectors have the same person; NaN without any
+    sure_share: float = np.nan  # Share of these pairs that are as near as one person's are; NaN without any
     num_pairs: int = 0  # Number of pairs of bodies at all instants together
-    num_instants: int = 0  # Number of instants with a pair
+    instants: frozenset[int] = frozenset()  # Places of the instants with a pair
 
 
 def compare(
@@ -53,10 +51,10 @@ def compare(
     pairs = [(instant, distance) for instant, _, _, distance in matches(fundamental, left, right)]
     if not pairs:
         return PeopleAgreement()
-    instants, distances = np.array(pairs).T
+    distances = np.array([distance for _, distance in pairs])
     mean = float(np.mean(np.minimum(distances, FAR))) / FAR
     exact, near, sure = (float(np.mean(distances < limit)) for limit in (_EXACT, FAR, SURE))
-    return PeopleAgreement(mean, exact, near, sure, len(pairs), len(set(instants)))
+    return PeopleAgreement(mean, exact, near, sure, len(pairs), frozenset(instant for instant, _ in pairs))
 
 
 def matches(

@@ -15,6 +15,7 @@ from scipy.special import bdtrc
 
 from pipeline.capture.names import natural_key
 from pipeline.data.cameras import Camera
+from pipeline.findings import Severity
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.joints import JointSet
 from pipeline.preflight.agreement import FAR, SURE, PeopleAgreement, compare
@@ -39,8 +40,10 @@ _OTHER = {"left": "right", "right": "left"}
 # right calibrations that see different people have at least 0.37; cameras that were turned by 3 degrees have 0.03 in
 # the median, and 0.25 with nine tenths of the others.
 _MAX_EXACT = 1 / 3
-# With fewer pairs of bodies, or at fewer instants, chance decides.
-_MIN_COMPARED, _MIN_INSTANTS = 6, 3
+# With fewer pairs of bodies chance decides.
+_MIN_COMPARED = 6
+MIN_INSTANTS = 3
+"""Independent instants below which chance decides."""
 # Probability of as many near pairs by chance below which some of the people are the same.
 _MAX_CHANCE = 0.01
 # Cameras that are tried in exchanges, the most doubtful ones.
@@ -73,6 +76,7 @@ class PairDisagreement:
     def __init__(self, cameras: Sequence[Camera], sightings: SimultaneousPeople) -> None:
         self.num_cameras = len(cameras)
         self.names = [camera.name for camera in cameras]
+        self._num_independent = sightings.num_independent
         self._num_people = [sightings.num_people(number) for number in range(len(cameras))]
         fundamentals = fundamental_matrices(cameras)
 
@@ -111,15 +115,23 @@ class PairDisagreement:
         """
         known = [self.of_pair(*pair, hypothesis) for pair in pairs]
         num_compared = sum(agreement.num_pairs for agreement in known)
-        num_instants = max((agreement.num_instants for agreement in known), default=0)
         num_exact = sum(agreement.exact_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
         num_near = sum(agreement.near_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
         num_sure = sum(agreement.sure_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
-        if num_instants < _MIN_INSTANTS or num_compared < _MIN_COMPARED or num_exact >= _MAX_EXACT * num_compared:
+        if not self._is_enough(known) or num_exact >= _MAX_EXACT * num_compared:
             return False
         # Probability that of so many near pairs of different people so many, or more, are as near as the same person.
         chance = bdtrc(round(num_sure) - 1, round(num_near), SURE / FAR) if round(num_sure) else 1.0
         return bool(chance > _MAX_CHANCE)
+
+    def certainty(self, changed: Sequence[int], hypothesis: Hypothesis) -> Severity:
+        """Severity of an explanation that changes some cameras: an error if enough people decide."""
+        pairs = [pair for pair in itertools.combinations(range(self.num_cameras), 2) if set(pair) & set(changed)]
+        return "error" if self._is_enough([self.of_pair(*pair, hypothesis) for pair in pairs]) else "warning"
+
+    def _is_enough(self, known: Sequence[PeopleAgreement]) -> bool:
+        num_instants = max((self._num_independent(agreement.instants) for agreement in known), default=0)
+        return num_instants >= MIN_INSTANTS and sum(agreement.num_pairs for agreement in known) >= _MIN_COMPARED
 
     def of_pairs(self, hypothesis: Hypothesis, among: Sequence[int]) -> Mapping[tuple[int, int], float]:
         """Disagreement of all pairs with one of some cameras, as far as it is known."""

@@ -9,7 +9,15 @@ import numpy as np
 
 from pipeline.data.cameras import Camera
 from pipeline.findings import Finding, Severity
-from pipeline.preflight.explain import DOUBTFUL, Hypothesis, PairDisagreement, as_given, explain, move_points
+from pipeline.preflight.explain import (
+    DOUBTFUL,
+    MIN_INSTANTS,
+    Hypothesis,
+    PairDisagreement,
+    as_given,
+    explain,
+    move_points,
+)
 from pipeline.preflight.sightings import SimultaneousPeople
 from pipeline.preflight.world import check_world, locate
 from pipeline.problem_codes.findings import (
@@ -56,8 +64,9 @@ def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Pe
     agreeing = [pair for pair, value in evidence.of_pairs(best, range(len(cameras))).items() if value <= DOUBTFUL]
     mended = _mended(cameras, sightings, best)
     rig = [cameras[place] for place in best.places]
-    poses_m = locate(rig, mended, agreeing)
-    of_world = check_world(rig, poses_m, sightings.joints)
+    instants, poses_m = locate(rig, mended, agreeing)
+    is_certain = sightings.num_independent(set(instants)) >= MIN_INSTANTS
+    of_world = check_world(rig, poses_m, sightings.joints, is_certain)
     return PeopleCheck((*seen, *explained, *disagreeing, *of_world), len(poses_m))
 
 
@@ -111,6 +120,7 @@ def _exchanged(
         "Exchange the videos of these cameras, or their entries in the calibration. Give each video the name of its "
         "camera."
     )
+    severity = evidence.certainty(changed, given)
     for number in changed:
         other = cameras[best.places[number]].name
         message = f"What {cameras[number].name} sees fits the calibration of {other}: cameras or videos are exchanged."
@@ -118,7 +128,7 @@ def _exchanged(
             CAMERAS_EXCHANGED,
             message,
             cameras[number].name,
-            "error",
+            severity,
             hint,
             {"other_camera": other, **_disagreements(evidence, given, best, number)},
         )
@@ -127,17 +137,18 @@ def _exchanged(
 def _moved(
     cameras: Sequence[Camera], evidence: PairDisagreement, given: Hypothesis, best: Hypothesis
 ) -> Iterator[Finding]:
+    severity = evidence.certainty([number for number, move in enumerate(best.moves) if move != "as is"], given)
     for number, move in enumerate(best.moves):
         numbers = _disagreements(evidence, given, best, number)
         if move == "mirrored":
             message = "The picture is mirrored against its calibration: left is right."
             hint = "Turn off the mirroring of the camera, or mirror the video back."
-            yield Finding(PICTURE_MIRRORED, message, cameras[number].name, "error", hint, numbers)
+            yield Finding(PICTURE_MIRRORED, message, cameras[number].name, severity, hint, numbers)
         elif move != "as is":
             message = f"The picture is turned by {move} degrees against its calibration."
             hint = f"Turn the video clockwise by {move} degrees, or calibrate the camera as it is turned."
             turned = {"turn_deg": int(move), **numbers}
-            yield Finding(PICTURE_TURNED, message, cameras[number].name, "error", hint, turned)
+            yield Finding(PICTURE_TURNED, message, cameras[number].name, severity, hint, turned)
 
 
 def _disagreements(evidence: PairDisagreement, given: Hypothesis, best: Hypothesis, number: int) -> Mapping[str, float]:

@@ -48,10 +48,12 @@ def check_bodies(
     session: Session, detections: Mapping[str, Detections], joints: JointSet, parts: Sequence[range]
 ) -> SessionCheck:
     """Check a session by the people at a few instants, with the detections at least of these instants."""
-    sightings = sightings_of(session.cameras, detections, frames_at_instants(session, parts), joints)
+    instants = choose_instants(parts)
+    time_s = [session.timebase.time_s(instant) for instant in instants]
+    sightings = sightings_of(session.cameras, detections, frames_at_instants(session, parts), joints, time_s)
     people = {camera.name: sightings.num_people(number) for number, camera in enumerate(session.cameras)}
     checked = check_people(session.cameras, sightings)
-    return SessionCheck(checked.findings, people, len(choose_instants(parts)), checked.num_located)
+    return SessionCheck(checked.findings, people, len(instants), checked.num_located)
 
 
 def frames_at_instants(session: Session, parts: Sequence[range]) -> Mapping[str, Sequence[int | None]]:

@@ -1,6 +1,6 @@
 """People whom the cameras see at a few instants of a session."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,8 @@ from pipeline.joints import FINGER_JOINTS, JointSet
 NUM_INSTANTS = 12
 """Number of instants at which people are looked at: enough for medians, few enough for a network on a processor."""
 
+# Within less time people hardly move, and what a detector gets wrong it gets wrong again.
+_INDEPENDENT_S = 0.25
 # Joints with lower scores are guesses, and fewer joints are no body.
 _MIN_SCORE, _MIN_JOINTS = 0.3, 6
 
@@ -29,6 +31,7 @@ class SimultaneousPeople:
     # the camera took it.
     points_px: tuple[tuple[Points | None, ...], ...]
     joints: JointSet  # Joints of the people, without fingers
+    time_s: tuple[float, ...]  # Times of the instants, ascending
 
     def num_people(self, camera: int) -> int:
         """Number of people whom a camera sees, at all instants together."""
@@ -38,6 +41,14 @@ class SimultaneousPeople:
         """Sightings after the points of a camera were moved."""
         own = tuple(None if people is None else move(people) for people in self.points_px[camera])
         return replace(self, points_px=(*self.points_px[:camera], own, *self.points_px[camera + 1 :]))
+
+    def num_independent(self, instants: Iterable[int]) -> int:
+        """Number of instants, given by their places, that tell something new: those a quarter of a second apart."""
+        number, last_s = 0, -np.inf
+        for instant in sorted(instants):
+            if self.time_s[instant] - last_s >= _INDEPENDENT_S:
+                number, last_s = number + 1, self.time_s[instant]
+        return number
 
 
 def choose_instants(stretches: Sequence[range], number: int = NUM_INSTANTS) -> list[int]:
@@ -71,11 +82,12 @@ def sightings_of(
     detections: Mapping[str, Detections],
     frames: Mapping[str, Sequence[int | None]],
     joints: JointSet,
+    time_s: Sequence[float],
 ) -> SimultaneousPeople:
     """Select the people in frames of each camera.
 
     Detections of other frames, and fingers, are left out; ``frames`` are those of each camera at the instants, see
-    ``frames_at``.
+    ``frames_at``, and ``time_s`` are the times of the instants.
     """
     kept = [number for number, name in enumerate(joints.names) if name not in FINGER_JOINTS]
     names = tuple(joints.names[number] for number in kept)
@@ -89,6 +101,7 @@ def sightings_of(
             for camera in cameras
         ),
         JointSet(names, bones),
+        tuple(time_s),
     )
 
 

@@ -1,6 +1,7 @@
 """Checks of the world by people: they are upright, of human size, on the floor, and have left where left is."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -42,33 +43,40 @@ _ANKLES = ("left_ankle", "right_ankle")
 
 def locate(
     cameras: Sequence[Camera], sightings: SimultaneousPeople, pairs: Sequence[tuple[int, int]]
-) -> Float[np.ndarray, "poses joints 3"]:
+) -> tuple[Sequence[int], Float[np.ndarray, "poses joints 3"]]:
     """Locate people from pairs of cameras; a person whom several pairs see has several poses.
 
-    ``pairs`` are numbers of cameras that agree. Joints are in metres, NaN where not both cameras see a joint.
+    ``pairs`` are numbers of cameras that agree. Returns the place of the instant of each pose, and the poses: joints in
+    metres, NaN where not both cameras see a joint.
     """
     fundamentals = fundamental_matrices(cameras)
     matrices = projection_matrices(cameras)
     ideal = [ideal_px(camera, of_camera) for camera, of_camera in zip(cameras, sightings.points_px, strict=True)]
-    poses = []
+    instants, poses = [], []
     for first, second in pairs:
         for instant, row, column, distance in matches(fundamentals[first, second], ideal[first], ideal[second]):
             left, right = ideal[first][instant], ideal[second][instant]
             if is_same(distance) and left is not None and right is not None:
                 points_px = np.stack([left[row], right[column]])
                 weights = np.isfinite(points_px[..., 0]).astype(np.float64)
+                instants.append(instant)
                 poses.append(triangulate(matrices[[first, second]], points_px, weights))
-    return np.array(poses) if poses else np.zeros((0, len(sightings.joints.names), 3))
+    return instants, np.array(poses) if poses else np.zeros((0, len(sightings.joints.names), 3))
 
 
 def check_world(
-    cameras: Sequence[Camera], poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet
+    cameras: Sequence[Camera], poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet, is_certain: bool = True
 ) -> list[Finding]:
-    """Check the world by located people. ``poses_m`` are those of ``locate``."""
+    """Check the world by located people. ``poses_m`` are those of ``locate``.
+
+    Nothing is an error unless ``is_certain``: the people were seen at enough instants.
+    """
     if len(poses_m) < _MIN_POSES:
         return []
     poses = _as_track(poses_m)
     wrong = [*_check_upright(cameras, poses, joints), *_check_stature(poses, joints), *_check_sides(poses, joints)]
+    if not is_certain:
+        wrong = [replace(finding, severity="warning") for finding in wrong]
     # Heights mean nothing in another unit, or along another axis.
     return wrong or list(_check_heights(cameras, poses_m, joints))
 

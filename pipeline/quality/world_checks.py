@@ -45,6 +45,8 @@ _ANKLES = ("left_ankle", "right_ankle")
 
 # A world counts as mirrored if left and right are exchanged in at least this share of so many frames.
 MIRRORED_SHARE, MIRRORED_FRAMES = 0.75, 20
+# Cosine below which left and right are not known. Nine in ten people of good sessions have more.
+_MIN_LEFTNESS = 0.3
 # Largest median epipolar distance of a camera, at the people: 1.3 to 1.8 cm on Shelf.
 _MAX_EPIPOLAR_M = 0.025
 
@@ -238,14 +240,19 @@ def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_
 
 
 def leftness(track: Track3D, joints: JointSet) -> Float[np.ndarray, " frames"]:
-    """Component of the left shoulder to the left of the face: positive in a true world, NaN if unknown."""
+    """Cosine of the left shoulder to the left of the face: positive in a true world; NaN if unknown.
+
+    It is unknown, too, of people without a front: pictures of people are flat, and so are people whose front is noise.
+    """
     needed = ("nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
     if not set(needed) <= set(joints.names):
         return np.zeros(0)
     nose, left_ear, right_ear, left, right, left_hip, right_hip = np.moveaxis(_points_m(track, joints, needed), 1, 0)
     front = nose - (left_ear + right_ear) / 2
     top = (left + right - left_hip - right_hip) / 2
-    return np.asarray((np.cross(top, front) * (left - right)).sum(-1))
+    extents = [np.linalg.norm(vector, axis=-1) for vector in (top, front, left - right)]
+    cosine = np.asarray((np.cross(top, front) * (left - right)).sum(-1)) / np.maximum(np.prod(extents, axis=0), 1e-12)
+    return np.where(np.abs(cosine) >= _MIN_LEFTNESS, cosine, np.nan)
 
 
 def _check_pairs(cameras: Sequence[Camera], by_pair: Pairs) -> Iterator[_Found]:

@@ -19,7 +19,8 @@ def sightings(simulation: Simulation) -> SimultaneousPeople:
     """People of a simulation at twelve instants."""
     instants = choose_instants([range(simulation.timebase.num_frames)])
     frames = {name: frames_at(times, simulation.timebase, instants) for name, times in simulation.times.items()}
-    return sightings_of(simulation.cameras, simulation.detections, frames, simulation.joints)
+    time_s = [simulation.timebase.time_s(instant) for instant in instants]
+    return sightings_of(simulation.cameras, simulation.detections, frames, simulation.joints, time_s)
 
 
 def bumped(camera: Camera, degrees: float) -> Camera:
@@ -54,8 +55,9 @@ def seen_by(
     people_m: Sequence[Float[np.ndarray, "instants people joints 3"]],
     joints: JointSet,
     noise_px: float = 2.0,
+    step_s: float = 0.5,
 ) -> SimultaneousPeople:
-    """What cameras see of people, those of each camera, with noise."""
+    """What cameras see of people, those of each camera, with noise, at instants that are a step apart."""
     rng = np.random.default_rng(11)
     return SimultaneousPeople(
         tuple(
@@ -65,4 +67,5 @@ def seen_by(
             for camera, own_m in zip(cameras, people_m, strict=True)
         ),
         joints,
+        tuple(step_s * instant for instant in range(len(people_m[0]))),
     )

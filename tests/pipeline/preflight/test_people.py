@@ -204,7 +204,7 @@ def test_a_camera_has_no_frame_before_it_starts() -> None:
     assert frames[0] is None
     assert frames[1] == 3
     people = sightings_of(
-        CAMERAS, simulation.detections, {camera.name: [None] for camera in CAMERAS}, simulation.joints
+        CAMERAS, simulation.detections, {camera.name: [None] for camera in CAMERAS}, simulation.joints, [0.0]
     )
     assert people.points_px[0] == (None,)
 
@@ -281,6 +281,56 @@ def test_few_bodies_are_no_error() -> None:
     single = replace(SEEN, points_px=tuple(tuple(points[:1] for points in of) for of in few))
     turned = [bumped(camera, 70.0 * number) for number, camera in enumerate(CAMERAS)]
     assert {finding.severity for finding in checked(turned, single)} <= {"warning"}
+
+
+@pytest.mark.parametrize(
+    ("cameras", "move"),
+    [
+        (exchanged([1, 0, *range(2, NUM)]), None),
+        (CAMERAS, "mirrored"),
+        (CAMERAS, "90"),
+        ([bumped(camera, 70.0 * number) for number, camera in enumerate(CAMERAS)], None),
+        ([CAMERAS[0], bumped(CAMERAS[1], 30.0), *CAMERAS[2:]], None),
+        ([in_other_world(camera, scale=100.0) for camera in CAMERAS], None),
+        ([in_other_world(camera, Rotation.from_euler("x", 180, degrees=True)) for camera in CAMERAS], None),
+    ],
+    ids=["exchanged", "mirrored", "turned", "another rig", "bumped", "unit", "upside down"],
+)
+def test_instants_that_follow_each_other_at_once_are_no_error(cameras: Sequence[Camera], move: Move | None) -> None:
+    """What a detector gets wrong in one frame it gets wrong in the next, too."""
+    seen = (
+        SEEN
+        if move is None
+        else SEEN.moved(1, lambda points: move_points(points, move, CAMERAS[1].size_px, SEEN.joints))
+    )
+    short = replace(seen, time_s=tuple(0.04 * instant for instant in range(len(seen.time_s))))
+    expected = levels(checked(cameras, seen))
+    assert {severity for _, severity in expected} == {"error"}
+    # 12 frames at 25 Hz have two instants that are a quarter of a second apart.
+    assert levels(checked(cameras, short)) == [(code, "warning") for code, _ in expected]
+
+
+def test_a_picture_of_a_person_has_no_left_and_right() -> None:
+    """The nose of a cut-out is 5 mm behind the ears by the errors of the calibration, that of a person 10 cm before."""
+    sides = {"ear": (0.08, 1.65), "eye": (0.03, 1.66), "shoulder": (0.19, 1.45), "elbow": (0.25, 1.15)}
+    sides |= {"wrist": (0.27, 0.9), "hip": (0.14, 0.95), "knee": (0.13, 0.5), "ankle": (0.13, 0.1)}
+    places_m = {"nose": (0.0, 1.62)}
+    for part, (side_m, height_m) in sides.items():
+        places_m |= {f"left_{part}": (side_m, height_m), f"right_{part}": (-side_m, height_m)}
+
+    def codes(nose_m: float, sign: float = 1.0) -> set[str]:
+        person_m = [
+            (nose_m if name == "nose" else 0.0, sign * places_m[name][0], places_m[name][1])
+            for name in SCENE.joints.names
+        ]
+        people_m = np.broadcast_to(np.array(person_m), (12, 1, len(person_m), 3))
+        return {
+            finding.code for finding in checked(seen=seen_by(CAMERAS, [people_m] * NUM, SCENE.joints, noise_px=0.1))
+        }
+
+    assert "mirrored_world" not in codes(-0.005)
+    assert "mirrored_world" not in codes(0.1)
+    assert "mirrored_world" in codes(0.1, sign=-1.0)
 
 
 @pytest.fixture(scope="module")
