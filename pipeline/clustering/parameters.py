@@ -35,7 +35,8 @@ class ClusteringParameters:
     use_lengths: bool = True
     min_score: float = 0.1  # Least score of a 2D candidate
     duplicate_m: float = 0.2  # Mean joint distance below which two poses are the same person, seen by different cameras
-    min_joints: int = 5  # Least number of joints of a pose, counted among the paper's 14
+    # Least number of joints, counted among the paper's 14, of a pose that is not found from whole bodies
+    min_joints: int = 5
     max_unseen_s: float = 0.5  # Longest gap without a pose within a track
     speed_m_s: float = 4.0  # Largest speed of the centre of a body
     length_rate_hz: float = 5.0  # Rate of the poses from which bone lengths are measured

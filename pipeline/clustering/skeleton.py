@@ -68,6 +68,11 @@ class Skeleton:
         return [j for j, name in enumerate(self.names) if name == ROOT or name in _CORE]
 
     @property
+    def core_observed(self) -> list[int]:
+        """Positions of the paper's joints that the detector finds: a neck between the shoulders is none of its own."""
+        return [j for j in self.core if self.sources[j] >= 0]
+
+    @property
     def shoulders(self) -> list[int]:
         """Positions of the two shoulders."""
         return self.indices(("left_shoulder", "right_shoulder"))

@@ -4,6 +4,7 @@ An addition to the paper for detectors that give bodies. Rays of two joints meet
 bodies do not.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +19,11 @@ from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 from pipeline.geometry.triangulation import DISPUTED_M, plane_rows, solve_normal
 
-# Least agreement of two groups of bodies that are one person: two joints that agree with certainty are too few.
-_LEAST_AGREEMENT = 1.5
+# Least number of joints that agree with certainty if two groups of bodies are one person: two are too few.
+_LEAST_JOINTS = 1.5
+# Probability with which a joint of different people's bodies agrees, and expected number of such pairs of bodies in two
+# views below which bodies are one person.
+_CHANCE, _MAX_COINCIDENCES = 0.05, 0.1
 # Sine of the smallest angle of two rays at which the length of a limb counts: the error along rays is three times that
 # across them.
 _LEAST_SINE = 0.34
@@ -66,7 +70,8 @@ def match_bodies(
     if not limits.allows(len(bodies.view), MAX_BODIES):
         return np.empty((0, num_cameras), int)
     agreement = agree(image_from_world, candidates, bodies, skeleton, lengths, parameters, limits)
-    groups, sizes = np.unique(group_of := join_bodies(agreement), return_counts=True)
+    group_of = join_bodies(agreement, least_agreement(candidates, bodies))
+    groups, sizes = np.unique(group_of, return_counts=True)
     people = np.full((len(groups), num_cameras), NOWHERE)
     people[np.searchsorted(groups, group_of), bodies.view] = np.arange(len(group_of))
     return people[sizes >= 2]
@@ -134,18 +139,34 @@ def _miss_m(
     return np.where(depth <= 0, np.inf, np.linalg.norm(residual_m, axis=-1))
 
 
-def join_bodies(agreement: Float[np.ndarray, "bodies bodies"]) -> Int[np.ndarray, " bodies"]:
+def least_agreement(candidates: Candidates, bodies: InstantBodies) -> float:
+    """Least agreement of two groups of bodies that are one person.
+
+    So many joints must agree that chance is not expected to give such a pair of bodies among all pairs of two views. A
+    joint counts as much as joints score in these views: detectors have scales of their own, and score low in bad light
+    and for half-hidden people.
+    """
+    if not len(bodies.view):
+        return np.inf
+    views, count = np.unique(bodies.view, return_counts=True)
+    usual_score = np.mean([candidates.score[candidates.view == view].mean() for view in views])
+    num_pairs = float(np.median(np.outer(count, count)[np.triu_indices(len(views), 1)])) if len(views) > 1 else 1.0
+    num_joints = math.log(num_pairs / _MAX_COINCIDENCES) / -math.log(_CHANCE)
+    return float(usual_score) * max(_LEAST_JOINTS, num_joints)
+
+
+def join_bodies(agreement: Float[np.ndarray, "bodies bodies"], least: float) -> Int[np.ndarray, " bodies"]:
     """Join bodies to groups, the two groups with the largest sum of agreement first; returns each body's group.
 
     All pairs count, so that a group is consistent around every cycle of views. Two groups with bodies of the same view
-    never join.
+    never join, nor do groups whose agreement is not above ``least``.
     """
     total = agreement.copy()
     np.fill_diagonal(total, -np.inf)
     group = np.arange(len(total))
     while len(total):
         first, second = divmod(int(total.argmax()), len(total))
-        if not total[first, second] > _LEAST_AGREEMENT:
+        if not total[first, second] > least:
             break
         total[first] += total[second]
         total[:, first] = total[first]

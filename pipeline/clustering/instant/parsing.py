@@ -36,9 +36,9 @@ def parse(
 ) -> Poses:
     """Assemble poses from the root joints on; a joint belongs to at most one pose.
 
-    Poses with fewer than ``min_joints`` of the paper's joints are left out. Of poses closer than ``duplicate_m``, the
-    pose with the most observations is kept. ``known`` are joints of people who were found before, ``NOWHERE`` where a
-    joint is missing; only missing joints are added.
+    Poses with fewer than ``min_joints`` of the paper's joints are left out, unless they are known. Of poses closer than
+    ``duplicate_m``, the pose with the most observations is kept. ``known`` are joints of people who were found before,
+    ``NOWHERE`` where a joint is missing; only missing joints are added.
     """
     if known is None:
         known = np.empty((0, len(skeleton.names)), int)
@@ -65,7 +65,8 @@ def parse(
     xyz_m = np.full((*shape, 3), np.nan)
     candidate = np.full((*shape, joints.candidate.shape[1]), NOWHERE)
     xyz_m[has], candidate[has] = joints.points.xyz_m[joint_of[has]], joints.candidate[joint_of[has]]
-    enough = np.flatnonzero(has[:, skeleton.core].sum(-1) >= parameters.min_joints)
+    is_known = np.arange(len(has)) < len(known)
+    enough = np.flatnonzero(is_known | (has[:, skeleton.core].sum(-1) >= parameters.min_joints))
     distinct = _distinct(xyz_m[enough], (candidate[enough] >= 0).sum((1, 2)), parameters.duplicate_m)
     return Poses(xyz_m[enough[distinct]], candidate[enough[distinct]])
 

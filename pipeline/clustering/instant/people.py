@@ -22,6 +22,8 @@ from pipeline.geometry.triangulation import DISPUTED_M, plane_rows, triangulate_
 _FARTHEST_M = 0.15
 # Relative error of a limb beyond which its outer joint is left out: no noise of a detector explains it.
 _LARGEST_ERROR = 0.4
+# Least number of joints of a person. Chance was excluded when the bodies were matched.
+_LEAST_JOINTS = 3
 # Least gain of a repair, in joints; a smaller gain may be noise.
 _LEAST_GAIN = 0.3
 _MAX_ROUNDS = 4
@@ -112,7 +114,7 @@ def match_people(
     xyz_m = _share(sight, _renamed(candidates, candidate), candidate, parameters.eps_m)
     known = np.isfinite(xyz_m[..., 0])
     known &= ~(pose_length_error(xyz_m, skeleton, lengths) > _LARGEST_ERROR)
-    known &= (known[:, skeleton.core].sum(-1) >= parameters.min_joints)[:, None]
+    known &= (known[:, skeleton.core_observed].sum(-1) >= _LEAST_JOINTS)[:, None]
     person, joint = np.nonzero(known)
     body_of = np.append(candidates.body, NOWHERE)[bodies.candidate.max(-1, initial=NOWHERE)]
     of_people = np.append(body_of, NOWHERE)[matched]

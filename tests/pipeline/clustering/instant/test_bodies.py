@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.clustering.bone_lengths import LimbLengths, unknown_lengths
 from pipeline.clustering.instant import bodies as module
-from pipeline.clustering.instant.bodies import agree, bodies_of, join_bodies, match_bodies
+from pipeline.clustering.instant.bodies import agree, bodies_of, join_bodies, least_agreement, match_bodies
 from pipeline.clustering.instant.hypotheses import Candidates
 from pipeline.clustering.instant.work_limits import WorkLimits
 from pipeline.clustering.parameters import ClusteringParameters
@@ -91,8 +91,8 @@ def symmetric(values: list[float]) -> np.ndarray:
 def test_all_pairs_of_a_group_count() -> None:
     """The second body agrees with both of its neighbours, who contradict each other."""
     chain = symmetric([9.0, -20.0, 0.0, 8.0, 0.0, 0.0])
-    assert join_bodies(chain).tolist() == [0, 0, 2, 3]
-    assert len(set(join_bodies(symmetric([9.0, -5.0, 0.0, 8.0, 0.0, 0.0]))[:3].tolist())) == 1
+    assert join_bodies(chain, 1.5).tolist() == [0, 0, 2, 3]
+    assert len(set(join_bodies(symmetric([9.0, -5.0, 0.0, 8.0, 0.0, 0.0]), 1.5)[:3].tolist())) == 1
 
 
 @given(
@@ -105,11 +105,33 @@ def test_groups_keep_views_apart_and_do_not_depend_on_the_order(
 ) -> None:
     view = np.array(views)
     agreement = np.where(view[:, None] == view, -np.inf, symmetric(values))
-    group = join_bodies(agreement)
+    group = join_bodies(agreement, 1.5)
     together = group[:, None] == group
     assert not np.any(together & (view[:, None] == view) & ~np.eye(4, dtype=bool))
-    permuted = join_bodies(agreement[np.ix_(order, order)])
+    permuted = join_bodies(agreement[np.ix_(order, order)], 1.5)
     np.testing.assert_array_equal(permuted[:, None] == permuted, together[np.ix_(order, order)])
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.3])
+def test_joints_count_as_much_as_the_views_score(ring: tuple[Camera, ...], scale: float) -> None:
+    """Bodies of three joints each, by detectors of different scales."""
+    candidates = candidates_of(ring[:3], two_people(0.2), noise_px=1.0)
+    few = candidates.where(np.isin(candidates.joint, SKELETON.indices(("left_hip", "left_knee", "left_ankle"))))
+    assert people_of(few._replace(score=scale * few.score), ring[:3]) == [[0, 0, 0], [1, 1, 1]]
+
+
+def test_more_bodies_need_more_joints_that_agree(ring: tuple[Camera, ...]) -> None:
+    candidates = candidates_of(ring[:3], two_people(0.2))
+
+    def least(num_copies: int) -> float:
+        """Least agreement, in joints, if each body is there some times."""
+        copies = [candidates._replace(body=candidates.body + 2 * copy) for copy in range(num_copies)]
+        crowd = Candidates(*(np.concatenate(parts) for parts in zip(*copies, strict=True)))
+        return least_agreement(crowd, bodies_of(crowd, len(SKELETON.names))) / 0.9
+
+    assert least(1) == pytest.approx(1.5)
+    # 400 pairs of bodies in two views, each with the chance 0.05 a joint.
+    assert least(10) == pytest.approx(np.log(4000.0) / np.log(20.0))
 
 
 def test_limits_leave_bodies_out_and_say_so(ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,6 +77,17 @@ def test_left_and_right_that_a_view_exchanges_are_put_right(ring: tuple[Camera, 
     assert (poses.candidate != NOWHERE).all()
 
 
+def test_three_joints_in_two_views_are_a_person_and_two_are_none(ring: tuple[Camera, ...]) -> None:
+    candidates = candidates_of(ring[:2], PEOPLE_M, noise_px=0.5)
+    leg = SKELETON.indices(("left_hip", "left_knee", "left_ankle"))
+    is_hidden = (candidates.body == 1) & ~np.isin(candidates.joint, leg)
+    poses = poses_of(candidates.where(~is_hidden), ring[:2])
+    np.testing.assert_allclose(poses.xyz_m[1][leg], PEOPLE_M[1][leg], atol=0.03)
+    assert np.isnan(np.delete(poses.xyz_m[1], leg, axis=0)).all()
+    is_hidden |= (candidates.body == 1) & (candidates.joint == leg[0])
+    assert len(poses_of(candidates.where(~is_hidden), ring[:2]).xyz_m) == 1
+
+
 def test_a_person_without_a_neck_in_three_views_is_found(ring: tuple[Camera, ...]) -> None:
     """Each view lacks a shoulder, and with it the neck, from which the paper's steps start."""
     left, right = ([0, joint] for joint in SKELETON.shoulders)
