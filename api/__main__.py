@@ -6,7 +6,6 @@ import socket
 import sys
 
 import uvicorn
-from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.app import ExposedError, create_app, require_keys_if_exposed, unusable_database
@@ -41,6 +40,8 @@ def main() -> None:
     app = create_app(settings)
     tracing.start("multicap-api")
     if tracing.is_wanted():
+        from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor  # noqa: PLC0415 - slow to import
+
         # An upload arrives in thousands of pieces: a span for each piece would tell nothing.
         FastAPIInstrumentor.instrument_app(app, excluded_urls=_NOT_TRACED, exclude_spans=["receive", "send"])
     uvicorn.Server(server_config(app, settings)).run(sockets=None if fd is None else [socket.socket(fileno=fd)])
