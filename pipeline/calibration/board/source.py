@@ -39,7 +39,7 @@ def frames_to_look_at(
     interval of the session's frames, or farther if there are too many.
     """
     begin_s, end_s = span_s
-    number = min(BOARD_FRAMES, int((end_s - begin_s) / interval_s) + 1)
+    number = min(BOARD_FRAMES, round((end_s - begin_s) / interval_s) + 1)
     instants_s = begin_s + (end_s - begin_s) * np.arange(number) / max(number - 1, 1)
     after = np.clip(np.searchsorted(time_s, instants_s), 1, max(len(time_s) - 1, 1))
     before = after - 1

@@ -50,7 +50,8 @@ def test_a_rig_is_recovered_with_its_floor(board: Board) -> None:
     assert ("board_ambiguous" in {warning.code for warning in made.warnings}) is board.is_ambiguous
     assert [report.name for report in made.by_camera] == [camera.name for camera in truth]
     assert not {"board_floor_uncertain", "board_disagrees"} & {warning.code for warning in made.warnings}
-    # One camera is the origin of the adjustment; the standard deviations of the others are those of its lens, too.
+    # One camera is the origin of the adjustment; the standard deviations of the others are those of its lens, too, with
+    # the coefficients that the chosen model lacks: 12 mm, of which the errors of other seeds are 0.4 to 1.6 times.
     sigma_mm = sorted(report.position_sigma_mm for report in made.by_camera)
     assert sigma_mm[0] == 0.0
     assert 0.5 < sigma_mm[1] <= sigma_mm[-1] < 14.0

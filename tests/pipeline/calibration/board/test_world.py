@@ -36,10 +36,12 @@ def test_boards_without_errors_give_the_world_exactly(num_places: int) -> None:
 
 
 def test_the_stated_tilt_is_that_of_repeats_and_places_far_apart_lower_it() -> None:
-    rng, spread = np.random.default_rng(2), {}
+    rng, spread, stated = np.random.default_rng(2), {}, {}
     for num_places in (1, 3):
         worlds = [world_of(num_places, rng, 1.0) for _ in range(300)]
         tilts = np.array([(one.world_from_root @ ROOT_FROM_WORLD).rotation[:2, 2] for one in worlds])
         spread[num_places] = float(np.sqrt(np.linalg.eigvalsh(tilts.T @ tilts / len(tilts)).max()))
-        assert 0.85 < spread[num_places] / np.mean([one.tilt_sigma_rad for one in worlds]) < 1.15
-    assert spread[3] < 0.5 * spread[1]
+        stated[num_places] = float(np.mean([world.tilt_sigma_rad for world in worlds]))
+        assert 0.85 < spread[num_places] / stated[num_places] < 1.15
+    # 0.38: three normals have 0.58 of one's, and heights 2 m apart the rest. The spread of 300 repeats is 7 % off.
+    assert stated[3] < 0.4 * stated[1]
