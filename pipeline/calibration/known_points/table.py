@@ -8,6 +8,7 @@ from pathlib import Path
 from pipeline.errors import InputError, Problem
 from pipeline.job_choices import MAX_KNOWN_POINTS, MAX_POINT_M, KnownPoint
 from pipeline.problem_codes.sessions import KNOWN_POINTS_INVALID
+from pipeline.tables import open_table
 
 COLUMNS = ("name", "x_m", "y_m", "z_m", "camera", "x_px", "y_px")
 _MAX_BYTES = 4 << 20
@@ -25,11 +26,11 @@ def read_known_points(path: Path) -> tuple[KnownPoint, ...]:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise InputError([Problem(KNOWN_POINTS_INVALID, "The table is too large.", file=path.name)])
-        rows = csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True)
-        if missing := [name for name in COLUMNS if name not in (rows.fieldnames or ())]:
-            invalid(f"The table lacks the columns {', '.join(missing)}.")
-        for row in () if missing else rows:
-            _add(points, row, rows.line_num, invalid)
+        with open_table(path) as table:
+            if missing := table.missing(COLUMNS):
+                invalid(f"The table lacks the columns {', '.join(missing)}.")
+            for line, row in () if missing else table.rows:
+                _add(points, row, line, invalid)
     except (OSError, ValueError, csv.Error):
         invalid("The table can't be read.")
     if len(points) > MAX_KNOWN_POINTS:
@@ -39,10 +40,10 @@ def read_known_points(path: Path) -> tuple[KnownPoint, ...]:
     return tuple(points.values())
 
 
-def _add(points: dict[str, KnownPoint], row: Mapping[str, str | None], line: int, invalid: Callable[..., None]) -> None:
-    name, camera = (row["name"] or "").strip(), (row["camera"] or "").strip()
+def _add(points: dict[str, KnownPoint], row: Mapping[str, str], line: int, invalid: Callable[..., None]) -> None:
+    name, camera = row["name"], row["camera"]
     try:
-        x_m, y_m, z_m, x_px, y_px = (float(row[column] or "") for column in COLUMNS if column not in {"name", "camera"})
+        x_m, y_m, z_m, x_px, y_px = (float(row[column]) for column in COLUMNS if column not in {"name", "camera"})
     except ValueError:
         invalid(f"Line {line} has something else than a number in its columns of coordinates.")
         return

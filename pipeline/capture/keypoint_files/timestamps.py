@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoint_files.people import People
+from pipeline.capture.names import nfc
 from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.errors import Problem
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
@@ -20,8 +21,10 @@ from pipeline.problem_codes.sessions import (
     TIMESTAMPS_ORDER,
     TIMESTAMPS_START,
 )
+from pipeline.tables import Table, open_table
 from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 
+_COLUMNS = ("camera", "frame", "time_s")
 _MAX_START_S = 3600.0
 _START_HINT = "Subtract the time at which the capture started."
 
@@ -125,11 +128,12 @@ def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]
     Returns ``None`` and adds a problem if a row is invalid.
     """
     times_s: dict[str, dict[int, float]] = {camera: {} for camera in cameras}
+    name_of = {nfc(camera): camera for camera in times_s}
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.DictReader(file)
-            for row in rows:
-                _add_row(row, rows.line_num, times_s)
+        with open_table(path) as table:
+            _require_columns(table)
+            for line, row in table.rows:
+                _add_row(row, line, times_s, name_of)
     except _LateError as error:
         problems.append(Problem(TIMESTAMPS_START, str(error), file=path.name, hint=_START_HINT))
     except _InvalidError as error:
@@ -143,19 +147,26 @@ def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]
     return None
 
 
-def _add_row(row: Mapping[str, str], line: int, times_s: Mapping[str, dict[int, float]]) -> None:
-    if not {"camera", "frame", "time_s"} <= row.keys():
-        raise _InvalidError("The file needs the columns camera, frame and time_s.")
-    if row["camera"] not in times_s:
+def _require_columns(table: Table) -> None:
+    if missing := table.missing(_COLUMNS):
+        message = f"The file lacks {', '.join(missing)}: its first line must name the columns camera, frame and time_s."
+        raise _InvalidError(message)
+
+
+def _add_row(
+    row: Mapping[str, str], line: int, times_s: Mapping[str, dict[int, float]], name_of: Mapping[str, str]
+) -> None:
+    camera = name_of.get(nfc(row["camera"]))
+    if camera is None:
         return
     try:
         frame, time_s = int(row["frame"]), float(row["time_s"])
-    except (TypeError, ValueError):
+    except ValueError:
         raise _InvalidError(f"Line {line} has no valid frame number and time.") from None
     if TIME_S.high < time_s < math.inf:  # usually seconds since 1970
         raise _LateError(f"Times must count from 0; the time in line {line} is not {TIME_S}.")
     if not TIME_S.holds(time_s):
         raise _InvalidError(f"The time in line {line} is not {TIME_S}.")
-    if frame in times_s[row["camera"]]:
-        raise _InvalidError(f"Line {line} gives frame {frame} of {row['camera']} a second time.")
-    times_s[row["camera"]][frame] = time_s
+    if frame in times_s[camera]:
+        raise _InvalidError(f"Line {line} gives frame {frame} of {camera} a second time.")
+    times_s[camera][frame] = time_s
