@@ -25,7 +25,7 @@ from pipeline.joints import LIMBS, JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.fitting.rays import Rays
 from pipeline.skeleton.fitting.windows import Blend, windows
-from pipeline.skeleton.gaps import filled_linearly
+from pipeline.skeleton.gaps import filled_linearly, filled_with_body
 from pipeline.skeleton.landmarks import lengths_of_sides_m
 
 # Scales c of the rays, in order of the steps; the last scale is kept.
@@ -49,6 +49,8 @@ _INERTIA = 1e-2
 # Coefficients of the second difference.
 _DIFFERENCE = np.array([1.0, -2.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
+# Rate from which on a body is near its place in the frames before and behind; below it somebody walks 15 cm in a frame.
+_FOLLOWED_HZ = 9.3
 
 
 def usual_step_m(joints: JointSet, timebase: Timebase) -> Float[np.ndarray, " joints"]:
@@ -79,11 +81,12 @@ def fit_positions(
     """
     limbs = limb_lengths(track, track.source == Source.MEASURED, joints)
     usual_m = usual_step_m(joints, timebase)
+    may_follow = timebase.frame_rate_hz >= _FOLLOWED_HZ
     fitted_m = np.empty(track.xyz_m.shape)
     fitted = Blend(fitted_m)
     for rows in windows(track.num_frames, on_share=on_share):
         rays = Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
-        fitted.add(rows, _fit_window(track.xyz_m[rows], rays, limbs, usual_m))
+        fitted.add(rows, _fit_window(track.xyz_m[rows], rays, limbs, usual_m, may_follow))
     return fitted_m
 
 
@@ -113,8 +116,13 @@ def _fit_window(
     rays: Rays,
     limbs: Sequence[Sequence[tuple[int, float]]],
     usual_m: Float[np.ndarray, " joints"],
+    may_follow: bool,
 ) -> Float[np.ndarray, "frames joints 3"]:
-    xyz_m = np.stack([filled_linearly(start_m[:, joint], _UNKNOWN) for joint in range(start_m.shape[1])], axis=1)
+    if may_follow:
+        xyz_m = np.stack([filled_linearly(start_m[:, joint], _UNKNOWN) for joint in range(start_m.shape[1])], axis=1)
+    else:
+        xyz_m = filled_with_body(start_m)
+    is_known = np.isfinite(start_m[..., 0])
     # Joints that were never located can't be fitted.
     located = np.flatnonzero(np.isfinite(xyz_m[0, :, 0]))
     for step in range(_NUM_STEPS):
@@ -124,7 +132,9 @@ def _fit_window(
         for joint in located.tolist():
             normal, right = rays.normal_equations(joint, xyz_m[:, joint], scale_m)
             for other, length_m in limbs[joint] if step > 0 else ():
-                _add_bone(normal, right, xyz_m[:, joint], xyz_m[:, other], length_m)
+                # Where frames are far apart, a joint that nobody saw is anywhere, and pulls none that was seen.
+                pulls = may_follow | is_known[:, other] | ~is_known[:, joint]
+                _add_bone(normal, right, xyz_m[:, joint], xyz_m[:, other], length_m, pulls)
             step_m = _solve(normal, right, xyz_m[:, joint], usual_m[joint]) - xyz_m[:, joint]
             length_m = np.linalg.norm(step_m, axis=-1, keepdims=True)
             xyz_m[:, joint] += step_m * np.minimum(1.0, _LONGEST_STEP_M / np.maximum(length_m, 1e-9))
@@ -137,14 +147,17 @@ def _add_bone(
     here_m: Float[np.ndarray, "frames 3"],
     other_m: Float[np.ndarray, "frames 3"],
     length_m: float,
+    pulls: Bool[np.ndarray, " frames"],
 ) -> None:
-    """Add the Newton terms of a limb's length, in place; none where the other end is unknown or at the same position.
+    """Add the Newton terms of a limb's length, in place, in the frames in which it pulls.
+
+    There are none where the other end is unknown or at the same position.
 
     Positive curvature across the limb is kept. Without it, a joint with few other constraints would diverge.
     """
     along_m = here_m - other_m
     distance_m = np.linalg.norm(along_m, axis=-1)
-    usable = distance_m > 1e-3
+    usable = pulls & (distance_m > 1e-3)
     distance_m = np.where(usable, distance_m, 1.0)
     unit = np.where(usable[:, None], along_m / distance_m[:, None], 0.0)
     across = np.where(usable, np.maximum(1.0 - length_m / distance_m, 0.0), 0.0)
