@@ -1,5 +1,6 @@
 """`multicap batch`: many takes of one rig, one after the other; a run that was ended goes on where it was."""
 
+import contextlib
 import csv
 import io
 import json
@@ -120,11 +121,12 @@ def _row(take: TakeSource, choices: _Choices, folder: Path, *, show_bars: bool) 
             written = reconstruct_to_files(
                 session, folder, choices.config, bars.update, choices.cache, take.name, sources
             )
-    except InputError as error:
-        advice = [error.advice] if isinstance(error, SessionRefused) else []
-        return _failed(take, "; ".join([*map(str, error.problems), *advice]))
     except PipelineError as error:
-        return _failed(take, str(error))
+        with contextlib.suppress(OSError):  # files of an earlier run are in it
+            folder.rmdir()
+        advice = [error.advice] if isinstance(error, SessionRefused) else []
+        told = error.problems if isinstance(error, InputError) else [error]
+        return _failed(take, "; ".join([*map(str, told), *advice]))
     metrics = written.metrics
     row = {
         "take": take.name,

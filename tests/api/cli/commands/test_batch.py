@@ -89,6 +89,7 @@ def test_a_failure_does_not_stop_the_rest(takes: Path, tmp_path: Path) -> None:
     }
     assert "timestamps.csv" in by_name["take2"]["message"]
     assert "neither videos nor keypoints" in by_name["take3"]["message"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"batch.csv", "take10"}
 
 
 def test_an_equals_sign_in_a_path_is_no_camera(takes: Path, tmp_path: Path) -> None:
