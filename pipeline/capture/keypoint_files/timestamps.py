@@ -92,14 +92,14 @@ def times_from_file(
             problems.append(Problem(TIMESTAMPS_ORDER, message, file=timestamps.name, camera=camera))
             continue
         times[camera] = FrameTimes(time_s)
-    if problems or not times:
+    # A camera that saw nobody may have no frames: some programs list none without people.
+    with_frames = [camera_times.time_s for camera_times in times.values() if len(camera_times.time_s)]
+    if problems or not with_frames:
         return times, None
-    if min(camera_times.time_s[0] for camera_times in times.values() if len(camera_times.time_s)) > _MAX_START_S:
+    if min(float(time_s[0]) for time_s in with_frames) > _MAX_START_S:
         problems.append(Problem(TIMESTAMPS_START, "Times must count from 0.", file=timestamps.name, hint=_START_HINT))
         return times, None
-    rates_hz = [
-        measured_rate_hz(camera_times.time_s) for camera_times in times.values() if len(camera_times.time_s) > 1
-    ]
+    rates_hz = [measured_rate_hz(time_s) for time_s in with_frames if len(time_s) > 1]
     rate_hz = max(rates_hz, default=float(DEFAULT_RATE))
     if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE):
         message = f"By the times the fastest camera has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are allowed."
@@ -118,7 +118,7 @@ def times_from_file(
         problems += clock_problems(times, 0.0, rate_hz, source)
     if problems:
         return times, None
-    end_s = max(float(camera_times.time_s[-1]) for camera_times in times.values())
+    end_s = max(float(time_s[-1]) for time_s in with_frames)
     return times, Timebase(0.0, rate_hz, round(end_s * rate_hz) + 1)
 
 

@@ -84,6 +84,18 @@ def test_a_session_of_the_service(checking: Live, simulation: Simulation, progra
     assert {camera["name"] for camera in preflight["cameras"]} == {camera.name for camera in simulation.cameras}
 
 
+@pytest.mark.parametrize("is_timed", [True, False])
+def test_a_camera_whose_program_lists_nobody(checking: Live, simulation: Simulation, is_timed: bool) -> None:
+    files = keypoint_files(simulation, "AlphaPose")
+    first, second = (camera.name for camera in simulation.cameras)
+    files[first] = {"alphapose-results.json": b"[]"}
+    sent = [part for part in parts(simulation, files) if is_timed or part[0] != "timestamps"]
+    manifest = ("manifest", (None, json.dumps({} if is_timed else {"frame_rate_hz": 25.0})))
+    preflight = checking.client.post("/v1/sessions", files=[*sent, manifest]).raise_for_status().json()["preflight"]
+    assert {camera["name"]: camera["num_frames"] > 0 for camera in preflight["cameras"]} == {first: False, second: True}
+    assert ("camera_saw_nobody", first) in {(one["code"], one["camera"]) for one in preflight["findings"]}
+
+
 def test_the_axis_of_a_session_that_points_up(checking: Live, simulation: Simulation) -> None:
     """The calibration's y points up; all else is as if it were z."""
     from_upright = turn_upright(AXES["y"]).T
