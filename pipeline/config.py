@@ -337,12 +337,14 @@ class Networks:
     hand: str | None = None  # Network that reads fingers in the crop of each hand; ``None`` without fingers
     # Whether ``near`` refines the joints of the body; otherwise it adds heels and toes alone
     refines_body: bool = False
+    # Network that reads the joints of leaning bodies again, in crops that 3D places; ``None``: nobody is detected again
+    again: str | None = None
     is_sized: bool = False  # Whether the size of the images for ``body`` follows the size of the people in them
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all networks, which have to be installed."""
-        return tuple(name for name in (self.body, self.near, self.hand) if name is not None)
+        return tuple(name for name in dict.fromkeys((self.body, self.near, self.hand, self.again)) if name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,6 +374,7 @@ def networks_of(choices: MotionChoices) -> Networks:
         near=profile.near if profile.refines_body or has_feet else None,
         hand=_HAND if joints == "whole" else None,
         refines_body=profile.refines_body,
+        again=profile.near,
         is_sized=True,
     )
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from api.contract.examples import JOB_ID, SESSION_ID
 from pipeline.stages.plan import STAGE_BY_NAME
-from pipeline.stages.stage import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK
+from pipeline.stages.stage import ASSOCIATE, DETECT, EXPECT, EXPORT, FIT, IDENTIFY, LOOK, REDETECT
 
 SPEC: dict[str, Any] = {
     "method": "tracking",
@@ -59,6 +59,8 @@ JOB: dict[str, Any] = {
         stage(LOOK, "done", 24, 24),
         stage(DETECT, "running", 150, 600),
         stage(ASSOCIATE, "waiting", 0, 1),
+        stage(EXPECT, "waiting", 0, 1),
+        stage(REDETECT, "waiting", 0, 60),
         stage(IDENTIFY, "waiting", 0, 1),
         stage(FIT, "waiting", 0, 1),
         stage(EXPORT, "waiting", 0, 1),

@@ -19,8 +19,7 @@ from pipeline.geometry.tracks import reproject, triangulate_frames
 from pipeline.geometry.undistortion import undistort_views
 from pipeline.hands.agreement_kernels import Agreement, choose_hands
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, without_hands
-from pipeline.tracking.kernels.observation_kernels import sample
-from pipeline.tracking.observations import NOBODY, Detections2D, rows_by_person, sampling_of
+from pipeline.tracking.observations import NOBODY, Detections2D, observed_by, rows_by_person
 
 # Knuckles whose positions in the palm hardly change: the roots of the five fingers.
 _KNUCKLES = ("thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
@@ -97,7 +96,7 @@ def attach_hands(
     observations: list[Observations] = []
     for number, (track, seen) in enumerate(zip(people.tracks, people.observations, strict=True)):
         rows = rows_of.get(number, np.empty(0, np.int64))
-        points_px, score = _sampled(track, fingers, rows, len(cameras), timebase, lambda_t_hz)
+        points_px, score = observed_by(track, fingers, rows, len(cameras), timebase, lambda_t_hz)
         ideal_px = undistort_views(cameras, points_px)
         wrist_m = track.xyz_m[:, wrists]
         chosen = _agreed_hands(ideal_px, score, wrist_m, cameras, min_score)
@@ -121,27 +120,6 @@ def _only(bodies: Detections2D, columns: Int[np.ndarray, " columns"]) -> Detecti
     return bodies._replace(
         seen_px=np.ascontiguousarray(bodies.seen_px[:, columns]), score=np.ascontiguousarray(bodies.score[:, columns])
     )
-
-
-def _sampled(
-    track: Track3D,
-    fingers: Detections2D,
-    rows: Int[np.ndarray, " rows"],
-    num_cameras: int,
-    timebase: Timebase,
-    lambda_t_hz: float,
-) -> tuple[Float[np.ndarray, "frames cameras fingers 2"], Float[np.ndarray, "frames cameras fingers"]]:
-    """Sample a person's fingers at the frames of the track, as joints of bodies are; NaN and 0 without any."""
-    num_joints = len(_FINGERS)
-    shape = track.num_frames, num_cameras, num_joints
-    points_px, score = np.full((*shape, 2), np.nan), np.zeros(shape)
-    if len(rows):
-        times_s = timebase.start_time_s + (track.start_frame + np.arange(track.num_frames)) / timebase.frame_rate_hz
-        sampling = sampling_of(timebase, fingers, rows, num_cameras, lambda_t_hz)
-        sampling = sampling._replace(start_frame=track.start_frame, instants_s=times_s)
-        flat_px = fingers.seen_px.reshape(len(fingers.seen_px), 2 * num_joints)
-        sample(sampling, fingers, flat_px, points_px.reshape(*shape[:2], 2 * num_joints), score)
-    return points_px, score
 
 
 def _agreed_hands(

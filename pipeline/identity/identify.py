@@ -1,7 +1,7 @@
 """The global pass over a finished session: who is who.
 
 Tracks are cut wherever they may have gone over to another person, and the pieces are joined to people by all that the
-session tells: motion on both sides of each gap, and body proportions. At last left and right limbs get one side each.
+session tells: motion on both sides of each gap, and body proportions.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,6 @@ from pipeline.identity.links import first_ends, last_ends, viewed_area_m2
 from pipeline.identity.merging import cut, merge
 from pipeline.identity.proportions import LimbProportions, changes, limb_lengths_m, measure, spread_of_a_second_m
 from pipeline.identity.recover_detections import recover_detections
-from pipeline.identity.sides.decide import decide_sides
 from pipeline.identity.spurious_tracks import is_spurious, mean_bodies
 from pipeline.identity.tracklets import DoubtfulMoment, Tracklet, cut_at_gaps, cut_at_moments, encounters, path_of
 from pipeline.joints import JointSet
@@ -81,7 +80,6 @@ def identify(
     persons = [(track, replace(seen, detection=no_detections())) for (track, seen), _ in kept]
     if people.leftovers is not None:
         persons = recover_detections(persons, people.leftovers, cameras, timebase, min_score)
-    persons = [decide_sides(person, cameras, timebase, joints, min_score) for person in persons]
     numbers = {number: k for k, (_, number) in enumerate(kept, start=1)}
     of_chains = doubts_of(session, chains)
     doubts = [

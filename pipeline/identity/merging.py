@@ -73,7 +73,8 @@ def relocate(
     track, seen = person
     xyz_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
     _locate(xyz_m, seen.points_px, seen.score, changed, cameras, min_score)
-    located = record_life(cameras, timebase, track.start_frame, xyz_m, seen.points_px, seen.score, min_score)
+    detection = seen.detection if len(seen.detection) else None
+    located = record_life(cameras, timebase, track.start_frame, xyz_m, seen.points_px, seen.score, min_score, detection)
     return person if located is None else located
 
 

@@ -11,8 +11,9 @@ from pipeline.skeleton.model import SKELETON, TRUNK
 
 # Stature of a person without a measured bone.
 _ADULT_STATURE_M = 1.70
-# Difference of a person's limbs on both sides, as a share, that bodies and detectors have: legs differ by 1 to 3 %.
-_MAX_ASYMMETRY = 0.1
+# Difference of a person's limbs on both sides, as a share, that bodies and detectors have: legs differ by 1 to 3 %, and
+# marks of one side may be off by a sixth of a limb for a whole take.
+_MAX_ASYMMETRY = 0.25
 # Standard errors by which both sides must differ; error of a median from the median deviation of normal errors.
 _SIGNIFICANT, _ERROR_OF_MEDIAN = 3.0, 1.4826 * 1.2533
 _MIN_LENGTHS = 3

@@ -24,12 +24,15 @@ from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig, networks_of
 from pipeline.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
 from pipeline.data.people import People, Poses3D
+from pipeline.detect.chunk import concatenate
 from pipeline.detect.entries import entry_of
 from pipeline.hands.attach import attach_hands
 from pipeline.identity.identify import identify
+from pipeline.identity.sides.decide import decide_sides
 from pipeline.joints import JointSet
 from pipeline.parameters import change_parameters
 from pipeline.progress import OnShare, ignore
+from pipeline.redetection.accept import accept
 from pipeline.tracking.associate import track_bodies
 from pipeline.tracking.observations import Detections2D
 from pipeline.tracking.parameters import TrackingParameters
@@ -146,9 +149,34 @@ def assign_identities(
     colour: UInt8[np.ndarray, "detections parts bins"] | None = None,
 ) -> People:
     """Find out who is who among the tracks of either method; see ``pipeline.identity.identify``."""
-    min_score = 0.0 if config.method == "clustering" else tracking_parameters(session, config.tracking).min_score
+    min_score = _min_score(session, config)
     recorded = num_recorded(session.timebase, (times.time_s for times in session.times.values()))
     return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people, colour, recorded)
+
+
+def accept_redetected(
+    session: Session, people: People, found: Iterable[Detections], joints: JointSet, config: ReconstructionConfig
+) -> People:
+    """Give people the bodies that were detected again; see ``pipeline.redetection.accept``.
+
+    ``found`` are those of ranges and cameras, those of a camera in order of time.
+    """
+    bodies = concatenate(found, [camera.name for camera in session.cameras], len(joints.names))
+    lambda_t_hz = tracking_parameters(session, config.tracking).lambda_t_hz
+    cameras = session.cameras, session.times, session.timebase
+    return accept(people, bodies, *cameras, joints, _min_score(session, config), lambda_t_hz)
+
+
+def assign_sides(session: Session, people: People, joints: JointSet, config: ReconstructionConfig) -> People:
+    """Give left and right limbs of people one side each; see ``pipeline.identity.sides``."""
+    min_score = _min_score(session, config)
+    persons = list(zip(people.tracks, people.observations, strict=True))
+    sided = [decide_sides(person, session.cameras, session.timebase, joints, min_score) for person in persons]
+    numbers = [track.track_id for track in people.tracks]
+    return people._replace(
+        tracks=tuple(replace(track, track_id=k) for (track, _), k in zip(sided, numbers, strict=True)),
+        observations=tuple(replace(seen, track_id=k) for (_, seen), k in zip(sided, numbers, strict=True)),
+    )
 
 
 def attach(
@@ -158,9 +186,13 @@ def attach(
 
     People have the joints of ``without_hands(joints)``, bodies of all cameras all joints, as of ``gather``.
     """
-    parameters = tracking_parameters(session, config.tracking)
-    min_score = 0.0 if config.method == "clustering" else parameters.min_score
+    parameters, min_score = tracking_parameters(session, config.tracking), _min_score(session, config)
     return attach_hands(people, bodies, session.cameras, joints, session.timebase, min_score, parameters.lambda_t_hz)
+
+
+def _min_score(session: Session, config: ReconstructionConfig) -> float:
+    """Least score of observations that are used: clustering uses all of its own."""
+    return 0.0 if config.method == "clustering" else tracking_parameters(session, config.tracking).min_score
 
 
 def _evidence(

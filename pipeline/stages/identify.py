@@ -1,20 +1,37 @@
 """Tell people apart: who is who, from the tracks of the whole session. The output is stored people."""
 
-from pipeline.stages.stage import ASSOCIATE, DETECT, IDENTIFY, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
+from pipeline.stages.redetect import is_redetecting
+from pipeline.stages.stage import (
+    ASSOCIATE,
+    DETECT,
+    IDENTIFY,
+    REDETECT,
+    REFINE,
+    SYNCHRONIZE,
+    Context,
+    Output,
+    Stage,
+    Task,
+)
 
 
 def identify(task: Task, context: Context) -> Output:
-    """Find out who is who, and then attach people's hands."""
+    """Find out who is who, give people the bodies that were detected again, one side to each limb, and their hands."""
+    from pipeline.data.detections import Detections
     from pipeline.hands.attach import has_hands
     from pipeline.joints import without_hands
-    from pipeline.stages.association import assign_identities, attach
+    from pipeline.stages.association import accept_redetected, assign_identities, assign_sides, attach
     from pipeline.stages.people import write_people
 
     session = context.wanted(context.outline())
     joints, tracked = context.detections.joints(session), context.people(ASSOCIATE)
+    body = without_hands(joints)
     colour = context.gathered_bodies()[0].colour if context.detections.measures_colours else None
-    people = assign_identities(session, tracked.people, without_hands(joints), context.config, colour)
+    people = assign_identities(session, tracked.people, body, context.config, colour)
     del colour
+    if is_redetecting(context.facts, context.config):
+        people = accept_redetected(session, people, context.records(REDETECT, Detections), body, context.config)
+    people = assign_sides(session, people, body, context.config)
     if has_hands(joints):
         people = attach(session, people, context.gathered_bodies()[0], joints, context.config)
     path = context.scratch / "people.npz"
@@ -29,6 +46,6 @@ STAGE = Stage(
     "Tell people apart",
     identify,
     cut="whole",
-    follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE),
+    follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE, REDETECT),
     choices=("people",),
 )

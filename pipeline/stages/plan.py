@@ -36,6 +36,8 @@ _MODULES = (
     "lengths",
     "poses",
     "associate",
+    "expect_bodies",
+    "redetect",
     "identify",
     "fit",
     "edit",
@@ -193,7 +195,7 @@ def _tasks(
         own_cut = replace(cut, frames=wanted)
         return _Derived(partial(_whole_camera_tasks, stage.name, stage_key, facts, own_cut, cameras, stage.max_frames))
     if stage.cut == "camera ranges":
-        return _Derived(partial(_camera_tasks, stage.name, stage_key, facts, cut))
+        return _Derived(partial(_camera_tasks, stage.name, stage_key, facts, cut, stage.frames_a_unit))
     if stage.cut == "ranges":
         return _Derived(partial(_range_tasks, stage.name, stage_key, cut))
     num_units = -(-cut.num_frames // _FRAMES_A_UNIT)
@@ -229,12 +231,13 @@ def _whole_camera_tasks(
         yield Task(stage, index, camera, frames, cut.chunk_frames, num_units, _hash([stage_key, camera]))
 
 
-def _camera_tasks(stage: str, stage_key: str, facts: SessionFacts, cut: FrameCut) -> Iterator[Task]:
+def _camera_tasks(stage: str, stage_key: str, facts: SessionFacts, cut: FrameCut, frames_a_unit: int) -> Iterator[Task]:
     """Tasks of a range of output frames and a camera each."""
     pieces = ((camera, frames) for frames in cut for camera in facts.camera_rates_hz)
     for index, (camera, frames) in enumerate(pieces):
         # About as many frames as the camera took meanwhile.
-        num_units = max(1, round(len(frames) * facts.camera_rates_hz[camera] / facts.frame_rate_hz))
+        num_frames = len(frames) * facts.camera_rates_hz[camera] / facts.frame_rate_hz
+        num_units = max(1, round(num_frames / frames_a_unit))
         key = _hash([stage_key, camera, frames.start, frames.stop])
         yield Task(stage, index, camera, frames, cut.chunk_frames, num_units, key)
 

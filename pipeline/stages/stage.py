@@ -22,6 +22,7 @@ else:
 
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
+EXPECT, REDETECT = "expect_bodies", "redetect"
 IDENTIFY, FIT, EDIT, REFIT = "identify", "fit", "edit", "refit"
 WRITE, EXPORT = "write_people", "export"
 OVERLAY, REPORT = "draw_overlay", "write_report"
@@ -175,6 +176,7 @@ class Stage:
     # Whether a job has this stage
     is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.is_of_people
     unit: Literal["frames", "steps"] = "steps"  # What its progress counts
+    frames_a_unit: int = 1  # Frames of a camera that a unit of a stage on ranges of cameras stands for
     max_frames: int | None = None  # Largest number of frames of a camera that it looks at; ``None``: all
     # Rate of the frames that a stage on all cameras looks at; ``None``: it works a tenth as long as detection would
     looked_at_hz: float | None = None

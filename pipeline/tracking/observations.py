@@ -9,8 +9,9 @@ from jaxtyping import Float, Int, UInt8
 
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
+from pipeline.data.people import Track3D
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.tracking.kernels.observation_kernels import Sampling, clear_unfound
+from pipeline.tracking.kernels.observation_kernels import Sampling, clear_unfound, sample
 
 NOBODY = -1
 """Identity of a detection that belongs to no person."""
@@ -123,6 +124,30 @@ def sampling_of(
     instants_s = timebase.start_time_s + np.arange(start, min(stop, timebase.num_frames)) / timebase.frame_rate_hz
     first = np.searchsorted(bodies.camera[rows], np.arange(num_cameras + 1))
     return Sampling(start, rows, seen_s, bodies.frame[rows], first, first[:-1].copy(), instants_s, half_s, lambda_t_hz)
+
+
+def observed_by(
+    track: Track3D,
+    bodies: Detections2D,
+    rows: Int[np.ndarray, " rows"],
+    num_cameras: int,
+    timebase: Timebase,
+    lambda_t_hz: float,
+) -> tuple[Float[np.ndarray, "frames cameras joints 2"], Float[np.ndarray, "frames cameras joints"]]:
+    """Sample a person's detections at the frames of a track, as those of tracking are; NaN and 0 without any.
+
+    ``rows`` are those of the person's detections, ascending, at most one a camera and frame.
+    """
+    num_joints = bodies.score.shape[1]
+    shape = track.num_frames, num_cameras, num_joints
+    points_px, score = np.full((*shape, 2), np.nan), np.zeros(shape)
+    if len(rows):
+        times_s = timebase.start_time_s + (track.start_frame + np.arange(track.num_frames)) / timebase.frame_rate_hz
+        sampling = sampling_of(timebase, bodies, rows, num_cameras, lambda_t_hz)
+        sampling = sampling._replace(start_frame=track.start_frame, instants_s=times_s)
+        flat_px = bodies.seen_px.reshape(len(bodies.seen_px), 2 * num_joints)
+        sample(sampling, bodies, flat_px, points_px.reshape(*shape[:2], 2 * num_joints), score)
+    return points_px, score
 
 
 def sampled_in(life: slice, sampling: Sampling) -> Sampling:

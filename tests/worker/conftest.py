@@ -18,11 +18,13 @@ from pipeline.stages.stage import (
     CHECK,
     DETECT,
     EDIT,
+    EXPECT,
     EXPORT,
     FIT,
     IDENTIFY,
     LOOK,
     OVERLAY,
+    REDETECT,
     REFIT,
     REPORT,
     WRITE,
@@ -65,6 +67,14 @@ def check(work: Work) -> Output:
 
 def associate(work: Work) -> Output:
     return Output(b",".join(work.outputs(DETECT)))
+
+
+def expect_bodies(work: Work) -> Output:
+    return Output(b"nobody")
+
+
+def redetect(work: Work) -> Output:
+    return Output(work.outputs(EXPECT)[0])
 
 
 def identify(work: Work) -> Output:
@@ -110,6 +120,8 @@ LIGHT_STAGES: dict[str, Callable[[Work], Output]] = {
     DETECT: detect,
     CHECK: check,
     ASSOCIATE: associate,
+    EXPECT: expect_bodies,
+    REDETECT: redetect,
     IDENTIFY: identify,
     FIT: fit,
     EDIT: edit,

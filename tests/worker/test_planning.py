@@ -21,6 +21,7 @@ from pipeline.stages.stage import (
     ASSOCIATE,
     CHECK,
     DETECT,
+    EXPECT,
     EXPORT,
     FIT,
     IDENTIFY,
@@ -29,6 +30,7 @@ from pipeline.stages.stage import (
     OVERLAY,
     POSES,
     PROXY,
+    REDETECT,
     REFINE,
     REPORT,
     FrameCut,
@@ -95,12 +97,15 @@ def test_the_stages_and_their_sizes() -> None:
         (DETECT, 6),
         (CHECK, 1),
         (ASSOCIATE, 1),
+        (EXPECT, 1),
+        (REDETECT, 6),
         (IDENTIFY, 1),
         (FIT, 1),
         (EXPORT, 1),
     ]
     assert [chunk.unit_count for chunk in stages[0].chunks] == [LOOKED_AT_FRAMES] * 2
     assert [chunk.unit_count for chunk in stages[1].chunks] == [25, 25, 25, 25, 10, 10]
+    assert [chunk.unit_count for chunk in stages[5].chunks] == [2, 2, 2, 2, 1, 1]  # people lean in few frames
 
 
 def test_a_cutoff_counts_where_it_is_used() -> None:
@@ -110,7 +115,8 @@ def test_a_cutoff_counts_where_it_is_used() -> None:
     assert {name for name in low if low[name] != high[name]} == {FIT, EXPORT}
 
 
-VIDEO_STAGES = (LOOK, DETECT, CHECK, ASSOCIATE, IDENTIFY, FIT, EXPORT)
+FROM_PLACES = {EXPECT, REDETECT, IDENTIFY, FIT, EXPORT}
+VIDEO_STAGES = (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT, EXPORT)
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
@@ -128,7 +134,7 @@ def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
 def test_refinement_is_a_stage_before_association_and_is_reused() -> None:
     session = make_session(60)
     refined = keys(session, JobSpec(refine_calibration="auto"))
-    assert list(refined) == [LOOK, DETECT, CHECK, REFINE, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    assert list(refined) == [*VIDEO_STAGES[:3], REFINE, *VIDEO_STAGES[3:]]
     assert len(refined[REFINE]) == 1
     smoothed = keys(session, JobSpec(refine_calibration="auto", smoothing="none", appearance="off"))
     assert smoothed[REFINE] == refined[REFINE]
@@ -187,12 +193,12 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
 @pytest.mark.parametrize(
     ("choice", "changed"),
     [
-        ({"detector": "openpose-mobilenet-thin"}, {LOOK, DETECT, CHECK, ASSOCIATE, IDENTIFY, FIT, EXPORT}),
-        ({"method": "clustering"}, {ASSOCIATE, IDENTIFY, FIT, EXPORT}),
+        ({"detector": "openpose-mobilenet-thin"}, set(VIDEO_STAGES)),
+        ({"method": "clustering"}, {ASSOCIATE} | FROM_PLACES),
         ({"smoothing": "none"}, {FIT, EXPORT}),
         ({"feet": "off"}, {FIT, EXPORT}),
         ({"joint_centers": "off"}, {FIT, EXPORT}),
-        ({"refine_calibration": "auto"}, {ASSOCIATE, IDENTIFY, FIT, EXPORT}),
+        ({"refine_calibration": "auto"}, {ASSOCIATE} | FROM_PLACES),
         ({"exports": ("glb",)}, {EXPORT}),
     ],
 )
@@ -294,7 +300,7 @@ def test_a_part_of_a_session_takes_what_was_found_in_all_of_it() -> None:
 
 def test_how_many_people_are_wanted_counts_from_the_global_pass_on() -> None:
     everybody, two = keys(make_session()), keys(make_session(), JobSpec(people=2))
-    assert {name for name in two if two[name] != everybody[name]} == {IDENTIFY, FIT, EXPORT}
+    assert {name for name in two if two[name] != everybody[name]} == FROM_PLACES
 
 
 def paused(num_frames: int, stretches: list[list[int]], **changes: Any) -> Session:

@@ -23,7 +23,8 @@ _MAX_ANKLE_DISTANCE = 0.06
 
 _LANDMARK_NAMES = {"heel": "heel", "big_toe": "foot_index"}
 _SIDE_AND_PART = tuple(name.split("_", 1) for name in FOOT_JOINTS)
-_LANDMARKS = [LANDMARK[f"{side}_{_LANDMARK_NAMES[part]}"] for side, part in _SIDE_AND_PART]
+FOOT_LANDMARKS = [LANDMARK[f"{side}_{_LANDMARK_NAMES[part]}"] for side, part in _SIDE_AND_PART]
+"""BlazePose's landmarks of ``FOOT_JOINTS``."""
 _SIDE = [SIDES.index(side) for side, _ in _SIDE_AND_PART]
 _ANKLE_LANDMARKS = [LANDMARK[f"{side}_ankle"] for side in SIDES]
 
@@ -124,8 +125,8 @@ def read_feet(
     points_px, peak = pose.refined()
     distance_px = np.linalg.norm(points_px[_ANKLE_LANDMARKS] - ankles_px, axis=-1)
     is_own = (distance_px <= _MAX_ANKLE_DISTANCE * size_px)[_SIDE]
-    is_found = is_own & (peak[_LANDMARKS] >= SURE_PEAK)
+    is_found = is_own & (peak[FOOT_LANDMARKS] >= SURE_PEAK)
     return (
-        np.where(is_found[:, None], points_px[_LANDMARKS], np.nan),
-        np.where(is_found, score_of_peak(peak[_LANDMARKS]), 0.0),
+        np.where(is_found[:, None], points_px[FOOT_LANDMARKS], np.nan),
+        np.where(is_found, score_of_peak(peak[FOOT_LANDMARKS]), 0.0),
     )

@@ -27,7 +27,7 @@ from pipeline.identity.sides.positions import locate_limbs
 from pipeline.joints import JointSet
 
 # Agreement that another labelling must gain, in observations with score 1, to be a doubt.
-_CLEARLY = 0.3
+_CLEARLY = 0.6
 # Frames without two views are looked at near doubts only.
 _NEAR_S = 0.25
 # Limbs jump to the other side if that explains their way so much better: squared distances in units of a usual way.

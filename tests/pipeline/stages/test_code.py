@@ -17,6 +17,7 @@ from pipeline.stages.stage import (
     CHECK,
     DETECT,
     EDIT,
+    EXPECT,
     EXPORT,
     FIT,
     IDENTIFY,
@@ -166,7 +167,7 @@ def test_the_form_of_stored_people_counts_for_those_who_write_or_read_them(sourc
         "    spans: tuple[PersonSpan, ...]\n",
         "    frames: tuple[PersonSpan, ...]\n",
     )
-    assert changed(sources) == {ASSOCIATE, IDENTIFY, EDIT, FIT, REFIT, OVERLAY, REPORT, WRITE, EXPORT}
+    assert changed(sources) == {ASSOCIATE, EXPECT, IDENTIFY, EDIT, FIT, REFIT, OVERLAY, REPORT, WRITE, EXPORT}
 
 
 def write(root: Path, **modules: str) -> None:

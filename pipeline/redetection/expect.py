@@ -1,0 +1,161 @@
+"""Places at which tracks expect leaning bodies in the pictures of each camera.
+
+Detectors learnt from upright people: of bodies that are upside down they miss a quarter to a third, and call left right
+in a fifth (docs/detectors.md). A body leans if its trunk is far from upright in the world and in the picture.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import median_filter
+
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import Source, Track3D
+from pipeline.detect.chunk import concatenate
+from pipeline.geometry.camera import project
+from pipeline.joints import COCO_17, JointSet
+from pipeline.video.timeline import frames_in
+
+LEAN_IN_WORLD_DEG, LEAN_IN_PICTURE_DEG = 30.0, 40.0
+"""Angles of a leaning trunk from the vertical of the world, and from the upright direction of the picture."""
+# Half of the time over which the median of a joint's places is taken: single frames of hard motion are wrong.
+_STEADY_S = 0.1
+# Longest time without a joint over which its place is expected between its neighbours in time.
+_LONGEST_GAP_S = 1.0
+# Joints of the body that a picture must show.
+_LEAST_INSIDE = 4
+
+_SHOULDERS, _HIPS = (COCO_17.indices((f"left_{part}", f"right_{part}")) for part in ("shoulder", "hip"))
+BODY = slice(COCO_17.index("left_shoulder"), None)
+"""Joints of ``COCO_17`` below the head."""
+
+
+def expected_body_m(track: Track3D, joints: JointSet, frame_rate_hz: float) -> Float[np.ndarray, "frames 17 3"]:
+    """Expected places of a person's joints ``COCO_17`` in the world in metres.
+
+    They are medians over time; NaN where a joint is far from any measurement in time.
+    """
+    columns = joints.indices(COCO_17.names)
+    measured = (track.source[:, columns] == Source.MEASURED) & np.isfinite(track.xyz_m[:, columns]).all(-1)
+    rows = np.arange(track.num_frames)
+    expected_m = np.full((track.num_frames, len(columns), 3), np.nan)
+    for joint, column in enumerate(columns):
+        known = np.flatnonzero(measured[:, joint])
+        if len(known):
+            for axis in range(3):
+                expected_m[:, joint, axis] = np.interp(rows, known, track.xyz_m[known, column, axis])
+    size = 2 * round(_STEADY_S * frame_rate_hz) + 1
+    steady_m = median_filter(np.nan_to_num(expected_m), size=(size, 1, 1), mode="nearest")
+    return np.where(_near_in_time(measured, _LONGEST_GAP_S * frame_rate_hz)[..., None], steady_m, np.nan)
+
+
+def expect_leaning(
+    tracks: Iterable[Track3D],
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    timebase: Timebase,
+    joints: JointSet,
+    turns_deg: Mapping[str, float],
+) -> tuple[Detections, ...]:
+    """Expect the leaning bodies of all tracks in the frames of each camera that show them.
+
+    Parameters
+    ----------
+    tracks
+        Tracks with at least the joints ``COCO_17``, read one at a time.
+    times
+        Times of each camera's frames, by name.
+    turns_deg
+        Counterclockwise turns that bring the pictures upright, by name of the camera.
+
+    Returns
+    -------
+        Expected joints ``COCO_17`` of each camera, with the score 1 where they are known; as many as cameras, in their
+        order.
+    """
+    found: list[Detections] = []
+    for track in tracks:
+        expected_m = expected_body_m(track, joints, timebase.frame_rate_hz)
+        leans = _leans_in_world(expected_m)
+        if not leans.any():
+            continue
+        found += [
+            _in_pictures(track, expected_m, leans, camera, times[camera.name], timebase, turns_deg[camera.name])
+            for camera in cameras
+        ]
+    joined = concatenate(found, [camera.name for camera in cameras], len(COCO_17.names))
+    return tuple(_by_frame(joined[camera.name]) for camera in cameras)
+
+
+def _near_in_time(measured: Bool[np.ndarray, "frames joints"], longest_gap: float) -> Bool[np.ndarray, "frames joints"]:
+    """Frames with a measurement of a joint at most half a gap away on one side."""
+    rows = np.arange(len(measured))[:, None]
+    before = np.maximum.accumulate(np.where(measured, rows, -np.inf), axis=0)
+    after = np.minimum.accumulate(np.where(measured, rows, np.inf)[::-1], axis=0)[::-1]
+    return np.asarray(np.minimum(rows - before, after - rows) <= longest_gap / 2)
+
+
+def _trunk(body: Float[np.ndarray, "*batch 17 axes"]) -> Float[np.ndarray, "*batch axes"]:
+    """Vector from the middle of the hips to the middle of the shoulders."""
+    return np.asarray(body[..., _SHOULDERS, :].mean(-2) - body[..., _HIPS, :].mean(-2))
+
+
+def _leans_in_world(expected_m: Float[np.ndarray, "frames 17 3"]) -> Bool[np.ndarray, " frames"]:
+    trunk_m = _trunk(expected_m)
+    upright = trunk_m[:, 2] > np.cos(np.radians(LEAN_IN_WORLD_DEG)) * np.linalg.norm(trunk_m, axis=-1)
+    return np.asarray(np.isfinite(trunk_m).all(-1) & ~upright)
+
+
+def _in_pictures(
+    track: Track3D,
+    expected_m: Float[np.ndarray, "frames 17 3"],
+    leans: Bool[np.ndarray, " frames"],
+    camera: Camera,
+    times: FrameTimes,
+    timebase: Timebase,
+    turn_deg: float,
+) -> Detections:
+    """Joints of a leaning person in the frames of a camera, between the output instants around each frame."""
+    first, last = track.start_frame - 0.5, track.start_frame + track.num_frames - 0.5
+    within = frames_in(times, timebase.time_s(first), timebase.time_s(last))
+    frames = np.arange(within.start, within.stop)
+    row = (times.time_s[frames] - timebase.start_time_s) * timebase.frame_rate_hz - track.start_frame
+    row = np.clip(row, 0, track.num_frames - 1)
+    is_leaning = leans[np.rint(row).astype(np.int64)]
+    frames, row = frames[is_leaning], row[is_leaning]
+    before = np.floor(row).astype(np.int64)
+    after = np.minimum(before + 1, track.num_frames - 1)
+    share = (row - before)[:, None, None]
+    body_m = expected_m[before] if not share.any() else (1 - share) * expected_m[before] + share * expected_m[after]
+    points_px = project(camera, body_m)
+    shown = _leans_in_picture(points_px, camera, turn_deg)
+    points_px = points_px[shown]
+    known = np.isfinite(points_px).all(-1)
+    return Detections(camera.name, frames[shown], points_px, known.astype(float), np.full((len(points_px), 4), np.nan))
+
+
+def _leans_in_picture(
+    points_px: Float[np.ndarray, "n 17 2"], camera: Camera, turn_deg: float
+) -> Bool[np.ndarray, " n"]:
+    """Bodies that lean in the upright picture, and of which it shows enough."""
+    trunk_px = _trunk(points_px)
+    direction_rad = np.arctan2(trunk_px[:, 0], -trunk_px[:, 1]) - np.radians(turn_deg)
+    leans = np.cos(direction_rad) < np.cos(np.radians(LEAN_IN_PICTURE_DEG))
+    body_px = points_px[:, BODY]
+    inside = ((body_px >= -0.5) & (body_px < np.array(camera.size_px) - 0.5)).all(-1)
+    return np.asarray(leans & (inside.sum(-1) >= _LEAST_INSIDE))
+
+
+def _by_frame(bodies: Detections) -> Detections:
+    """Bodies sorted by frame."""
+    order = np.argsort(bodies.frame, kind="stable")
+    return replace(
+        bodies,
+        frame=bodies.frame[order],
+        keypoints_px=bodies.keypoints_px[order],
+        score=bodies.score[order],
+        box_px=bodies.box_px[order],
+    )

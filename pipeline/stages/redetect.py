@@ -1,0 +1,53 @@
+"""Detect leaning bodies again, where they are expected in a range of a camera's frames.
+
+The output is a ``Detections``.
+"""
+
+from pipeline.config import ReconstructionConfig, networks_of
+from pipeline.stages.stage import EXPECT, LOOK, REDETECT, Context, Output, SessionFacts, Stage, Task
+
+
+def redetect(task: Task, context: Context) -> Output:
+    """Read the joints of expected bodies in crops; nothing is decoded where nobody leans."""
+    from pipeline.data.detections import Detections
+    from pipeline.detect.profiles.detection import load_landmarks
+    from pipeline.joints import without_hands
+    from pipeline.redetection.crops import detect_expected
+    from pipeline.stages.codec import decode, encode
+    from pipeline.video.timeline import frames_in, span_s
+
+    session, camera, networks = context.videos(), task.one_camera, networks_of(context.config)
+    (expected,) = context.outputs(EXPECT)
+    number = list(context.facts.camera_rates_hz).index(camera)
+    span = span_s(session.timebase, task.frames.start, task.frames.stop)
+    bodies = decode(tuple[Detections, ...], expected)[number].within(frames_in(session.times[camera], *span))
+    on_share = context.on_share(task)
+    with context.video(camera):
+        found = detect_expected(
+            session,
+            bodies,
+            load_landmarks(networks.again),
+            without_hands(context.detections.joints(session)),
+            networks.refines_body,
+            context.detections.turns_deg[camera],
+            on_share,
+        )
+    on_share(1.0)
+    return Output(encode(found))
+
+
+def is_redetecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+    """Whether a job has leaning bodies detected again: with the networks of the profiles, which mark joints alike."""
+    return facts.has_videos and config.is_of_people and networks_of(config).again is not None
+
+
+STAGE = Stage(
+    REDETECT,
+    "Detect leaning bodies again",
+    redetect,
+    cut="camera ranges",
+    follows=(LOOK, EXPECT),
+    choices=("profile", "joints", "detector", "output"),
+    is_planned=is_redetecting,
+    frames_a_unit=10,
+)

@@ -1,0 +1,84 @@
+"""Expected places of people who lie, stand, and are out of sight for a while."""
+
+import numpy as np
+import pytest
+
+from pipeline.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.data.detections import Detections
+from pipeline.data.people import Source, Track3D
+from pipeline.geometry.camera import project
+from pipeline.joints import BODY_FEET, COCO_17
+from pipeline.redetection.expect import expect_leaning, expected_body_m
+from tests.pipeline.identity.people import RATE_HZ, person, walker
+
+NUM_FRAMES = 50
+TIMEBASE = Timebase(10.0, RATE_HZ, NUM_FRAMES)
+
+
+def lying_m() -> np.ndarray:
+    """Somebody who lies on the floor, with the head towards X."""
+    x, y, z = np.moveaxis(walker((0.0, 0.0), (0.0, 0.0), NUM_FRAMES, 1), -1, 0)
+    return np.stack([z - 1.0, y, 0.3 - x], axis=-1)
+
+
+def expected(
+    track: Track3D, ring: tuple[Camera, ...], rate_hz: float = RATE_HZ, **turns_deg: float
+) -> list[Detections]:
+    """Expected bodies of a track, in cameras that take pictures at a rate."""
+    time_s = 10.0 + np.arange(round(NUM_FRAMES * rate_hz / RATE_HZ)) / rate_hz
+    times = {camera.name: FrameTimes(time_s) for camera in ring}
+    turns = {camera.name: turns_deg.get(camera.name, 0.0) for camera in ring}
+    return list(expect_leaning([track], ring, times, TIMEBASE, COCO_17, turns))
+
+
+def test_who_stands_is_not_expected(ring: tuple[Camera, ...]) -> None:
+    track, _ = person(walker((-1.0, 0.0), (1.0, 0.0), NUM_FRAMES, 1), ring)
+    assert [len(bodies.frame) for bodies in expected(track, ring)] == [0] * len(ring)
+
+
+def test_who_lies_is_expected_in_place(ring: tuple[Camera, ...]) -> None:
+    xyz_m = lying_m()
+    track, _ = person(xyz_m, ring)
+    found = expected(track, ring)
+    assert [bodies.camera for bodies in found] == [camera.name for camera in ring]
+    # The camera behind the feet sees the body upright.
+    assert sorted(len(bodies.frame) for bodies in found)[1:] == [NUM_FRAMES] * (len(ring) - 1)
+    for camera, bodies in zip(ring, found, strict=True):
+        places_px = project(camera, xyz_m)[bodies.frame]
+        assert np.linalg.norm(bodies.keypoints_px - places_px, axis=-1).max(initial=0.0) < 5.0
+        assert (bodies.score == 1).all()
+
+
+def test_a_picture_that_is_turned_upright_shows_another_lean(ring: tuple[Camera, ...]) -> None:
+    track, _ = person(lying_m(), ring)
+    upright = next(camera for camera, bodies in zip(ring, expected(track, ring), strict=True) if not len(bodies.frame))
+    turned = dict(zip((camera.name for camera in ring), expected(track, ring, **{upright.name: 180.0}), strict=True))
+    assert len(turned[upright.name].frame) == NUM_FRAMES
+
+
+def test_pictures_between_the_output_frames_have_places_between(ring: tuple[Camera, ...]) -> None:
+    xyz_m = lying_m() + np.linspace(0.0, 0.5, NUM_FRAMES)[:, None, None] * (0.0, 1.0, 0.0)
+    track, _ = person(xyz_m, ring)
+    for camera, bodies in zip(ring, expected(track, ring, 2 * RATE_HZ), strict=True):
+        rows = np.flatnonzero((bodies.frame % 2 == 1) & (bodies.frame > 10) & (bodies.frame < 90))
+        between_m = (xyz_m[bodies.frame[rows] // 2] + xyz_m[bodies.frame[rows] // 2 + 1]) / 2
+        apart_px = np.linalg.norm(bodies.keypoints_px[rows] - project(camera, between_m), axis=-1)
+        assert apart_px.max(initial=0.0) < 5.0
+
+
+@pytest.mark.parametrize(("gap", "is_expected"), [(20, True), (34, False)])
+def test_a_joint_is_expected_between_its_neighbours_in_time(
+    ring: tuple[Camera, ...], gap: int, is_expected: bool
+) -> None:
+    track, _ = person(lying_m(), ring)
+    gone = slice(8, 8 + gap)
+    track.source[gone], track.xyz_m[gone] = Source.ABSENT, np.nan
+    body_m = expected_body_m(track, COCO_17, RATE_HZ)
+    assert np.isfinite(body_m[8 + gap // 2]).all() == is_expected
+    assert np.isfinite(body_m[[7, 8 + gap]]).all()
+
+
+def test_feet_are_no_part_of_the_expected_body(ring: tuple[Camera, ...]) -> None:
+    xyz_m = lying_m()
+    track, _ = person(np.concatenate([xyz_m, xyz_m[:, -4:] + 9.0], axis=1), ring)
+    assert expected_body_m(track, BODY_FEET, RATE_HZ).shape == (NUM_FRAMES, 17, 3)
