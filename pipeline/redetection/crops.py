@@ -3,7 +3,7 @@
 from contextlib import closing
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import UInt8
 
 from pipeline.capture.session import CaptureSession
 from pipeline.data.detections import Detections
@@ -12,7 +12,7 @@ from pipeline.detect.chunk import camera_images, stack_bodies
 from pipeline.detect.session import Network
 from pipeline.detect.topdown import blazepose
 from pipeline.detect.topdown.alone import read_body
-from pipeline.detect.topdown.regions import crop
+from pipeline.detect.topdown.regions import Region, crop
 from pipeline.joints import COCO_17, JointSet
 from pipeline.progress import OnShare, ignore
 
@@ -49,23 +49,32 @@ def detect_expected(
     -------
         The bodies that were found, with the joints of ``joints``.
     """
+    if not len(expected.frame):
+        return stack_bodies(expected.camera, [], len(joints.names))
     found: list[tuple[int, ImageBodies]] = []
     numbers = np.unique(expected.frame)
-    if len(numbers):
-        span = range(int(numbers[0]), int(numbers[-1]) + 1)
-        with closing(camera_images(session, expected.camera, span, only=set(numbers.tolist()))) as images:
-            for frame, image_rgb in images:
-                for row in range(*np.searchsorted(expected.frame, [frame, frame + 1]).tolist()):
-                    region = blazepose.body_region(expected.keypoints_px[row], expected.score[row], turn_deg)
-                    if region is not None:
-                        outputs = network(crop(image_rgb, region, blazepose.CROP_PX))
-                        points_px, score = read_body(blazepose.decode_pose(outputs, region), joints, at_common_marks)
-                        is_present = float(outputs["presence"].reshape(())) >= _LEAST_PRESENCE
-                        if is_present and np.count_nonzero(score[_HEAD:]) >= _LEAST_JOINTS:
-                            found.append((frame, _one_body(points_px, score)))
-                    on_share((row + 1) / len(expected.frame))
+    span = range(int(numbers[0]), int(numbers[-1]) + 1)
+    with closing(camera_images(session, expected.camera, span, only=set(numbers.tolist()))) as images:
+        for frame, image_rgb in images:
+            for row in range(*np.searchsorted(expected.frame, [frame, frame + 1]).tolist()):
+                region = blazepose.body_region(expected.keypoints_px[row], expected.score[row], turn_deg)
+                body = None if region is None else _read(image_rgb, region, network, joints, at_common_marks)
+                if body is not None:
+                    found.append((frame, body))
+                on_share((row + 1) / len(expected.frame))
     return stack_bodies(expected.camera, found, len(joints.names))
 
 
-def _one_body(points_px: Float[np.ndarray, "joints 2"], score: Float[np.ndarray, " joints"]) -> ImageBodies:
+def _read(
+    image_rgb: UInt8[np.ndarray, "height width 3"],
+    region: Region,
+    network: Network,
+    joints: JointSet,
+    at_common_marks: bool,
+) -> ImageBodies | None:
+    """Read the body in a region; ``None`` if it shows none, or too little of it."""
+    outputs = network(crop(image_rgb, region, blazepose.CROP_PX))
+    points_px, score = read_body(blazepose.decode_pose(outputs, region), joints, at_common_marks)
+    if float(outputs["presence"].reshape(())) < _LEAST_PRESENCE or np.count_nonzero(score[_HEAD:]) < _LEAST_JOINTS:
+        return None
     return ImageBodies(points_px[None], score[None], boxes_around(points_px[None]), np.array([score.mean()]))

@@ -34,6 +34,15 @@ _MEMORY_S = 0.5
 _SPREAD_M_S = 1.5
 
 
+def cost_of_way(
+    moved_m: Float[np.ndarray, "*batch joints 3"], step_s: float | Float[np.ndarray, "*batch 1"]
+) -> Float[np.ndarray, "*batch joints"]:
+    """Cost of each joint's way in a time, up to a limit; 0 for a joint that is not known at both ends."""
+    usual_m = _ERROR_M + _SPEED_M_S * step_s
+    ratio = (moved_m**2).sum(-1) / (2 * usual_m**2)
+    return np.asarray(np.nan_to_num(np.minimum(ratio, _MOST_OF_JOINT), nan=0.0))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LimbStates:
     """States of a limb pair at some moments: frames, or stretches of frames whose sides are alike."""
@@ -137,9 +146,7 @@ class _Limbs:
         here_m = self._states.first_m[moment]
         moved = np.zeros((NUM_STATES, NUM_STATES))
         if np.isfinite(self._seen_s):
-            usual_m = _ERROR_M + _SPEED_M_S * since_s
-            ratio = ((here_m[None] - self.place_m[:, None]) ** 2).sum(-1) / (2 * usual_m**2)
-            moved = np.nan_to_num(np.minimum(ratio, _MOST_OF_JOINT), nan=0.0).sum((-1, -2))
+            moved = cost_of_way(here_m[None] - self.place_m[:, None], since_s).sum((-1, -2))
         self.place_m = here_m
         return moved, self._states.cost[moment]
 

@@ -21,7 +21,7 @@ from pipeline.geometry.track_assembly import Person
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.identity.merging import relocate
 from pipeline.identity.sides.candidates import SeenRays, SideCandidates, find_candidates
-from pipeline.identity.sides.chain import LimbStates, most_likely, states_of
+from pipeline.identity.sides.chain import LimbStates, cost_of_way, most_likely, states_of
 from pipeline.identity.sides.limbs import LimbPair, arms_and_legs
 from pipeline.identity.sides.positions import locate_limbs
 from pipeline.joints import JointSet
@@ -30,9 +30,8 @@ from pipeline.joints import JointSet
 _CLEARLY = 0.6
 # Frames without two views are looked at near doubts only.
 _NEAR_S = 0.25
-# Limbs jump to the other side if that explains their way so much better: squared distances in units of a usual way.
+# Limbs jump to the other side if their ways from there cost so much less.
 _JUMP = 1.5
-_ERROR_M, _SPEED_M_S, _MOST_OF_JOINT = 0.04, 2.5, 3.0
 _LONGEST_STEP_S = 0.2
 # Frames that are worked on at once, to bound the memory.
 _BLOCK = 512
@@ -117,12 +116,11 @@ def _jumps(track: Track3D, limbs: LimbPair, timebase: Timebase) -> Bool[np.ndarr
         return jumps
     before, after = rows[:-1], rows[1:]
     step_s = (after - before) / timebase.frame_rate_hz
-    usual_m = (_ERROR_M + _SPEED_M_S * step_s)[:, None]
     start_m = track.xyz_m[before]
 
     def way(from_joints: list[int]) -> Float[np.ndarray, " steps"]:
-        moved_m2 = ((track.xyz_m[after][:, limbs.both] - start_m[:, from_joints]) ** 2).sum(-1)
-        return np.asarray(np.nan_to_num(np.minimum(moved_m2 / (2 * usual_m**2), _MOST_OF_JOINT), nan=0.0).sum(-1))
+        moved_m = track.xyz_m[after][:, limbs.both] - start_m[:, from_joints]
+        return np.asarray(cost_of_way(moved_m, step_s[:, None]).sum(-1))
 
     jumps[after] = (way(limbs.both) - way(limbs.exchanged) > _JUMP) & (step_s <= _LONGEST_STEP_S)
     return jumps
