@@ -4,7 +4,7 @@ The output is a ``Detections``.
 """
 
 from pipeline.config import ReconstructionConfig, networks_of
-from pipeline.stages.stage import EXPECT, LOOK, REDETECT, Context, Output, SessionFacts, Stage, Task
+from pipeline.stages.stage import EXPECT, LOOK, REDETECT, SYNCHRONIZE, Context, Output, SessionFacts, Stage, Task
 
 
 def redetect(task: Task, context: Context) -> Output:
@@ -46,7 +46,7 @@ STAGE = Stage(
     "Detect leaning bodies again",
     redetect,
     cut="camera ranges",
-    follows=(LOOK, EXPECT),
+    follows=(LOOK, SYNCHRONIZE, EXPECT),
     choices=("profile", "joints", "detector", "output"),
     is_planned=is_redetecting,
     frames_a_unit=10,
