@@ -81,6 +81,15 @@ COCO_17 = JointSet(
 )
 
 SIDES = ("left", "right")
+_OTHER = {"left": "right", "right": "left"}
+
+
+def other_side(name: str) -> str:
+    """Name of the joint on the other side of the body; the name itself of a joint without a side."""
+    side, _, part = name.partition("_")
+    return f"{_OTHER[side]}_{part}" if side in _OTHER else name
+
+
 _HEELS_AND_TOES = tuple((f"{side}_ankle", f"{side}_{part}") for part in ("heel", "big_toe") for side in SIDES)
 BODY_FEET = JointSet(
     names=(*COCO_17.names, *(name for _, name in _HEELS_AND_TOES)),

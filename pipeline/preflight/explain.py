@@ -17,7 +17,7 @@ from pipeline.capture.names import natural_key
 from pipeline.data.cameras import Camera
 from pipeline.findings import Severity
 from pipeline.geometry.epipolar import fundamental_matrices
-from pipeline.joints import JointSet
+from pipeline.joints import JointSet, other_side
 from pipeline.preflight.agreement import FAR, SURE, PeopleAgreement, compare
 from pipeline.preflight.sightings import Points, SimultaneousPeople, ideal_px
 
@@ -35,7 +35,6 @@ calibrations have 0.6 to 1.
 _LEFT = 0.7
 # Up to so many cameras all orders are tried (720), beyond it exchanges of two and orders of names.
 _MAX_ORDERED = 6
-_OTHER = {"left": "right", "right": "left"}
 # Share of the pairs of bodies that agree exactly from which on the people may differ, and not the cameras. Cameras of
 # right calibrations that see different people have at least 0.37; cameras that were turned by 3 degrees have 0.03 in
 # the median, and 0.25 with nine tenths of the others.
@@ -155,12 +154,7 @@ def move_points(points_px: Points, move: Move, size_px: tuple[int, int], joints:
     x, y = np.moveaxis(points_px - middle_px, -1, 0)
     moved = {"as is": (x, y), "90": (-y, x), "180": (-x, -y), "270": (y, -x), "mirrored": (-x, y)}[move]
     points_px = np.stack(moved, axis=-1) + middle_px
-    return points_px[:, joints.indices(tuple(map(_other_side, joints.names)))] if move == "mirrored" else points_px
-
-
-def _other_side(name: str) -> str:
-    side, _, rest = name.partition("_")
-    return f"{_OTHER[side]}_{rest}" if side in _OTHER else name
+    return points_px[:, joints.indices(tuple(map(other_side, joints.names)))] if move == "mirrored" else points_px
 
 
 def explain(evidence: PairDisagreement) -> Hypothesis:

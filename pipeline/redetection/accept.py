@@ -12,7 +12,7 @@ from pipeline.data.detections import Detections
 from pipeline.data.people import People, Track3D
 from pipeline.geometry.camera import project
 from pipeline.identity.merging import relocate
-from pipeline.joints import COCO_17, JointSet
+from pipeline.joints import COCO_17, JointSet, other_side
 from pipeline.redetection.expect import BODY, expected_body_m
 from pipeline.tracking.observations import NOBODY, Detections2D, gather, observed_by, rows_by_person
 
@@ -20,9 +20,7 @@ from pipeline.tracking.observations import NOBODY, Detections2D, gather, observe
 _REACH_M = 0.35
 # Distance of two marks of one joint, as a share of the diagonal of the box around the body.
 _ALIKE_SHARE = 0.06
-_OTHER = {"left": "right", "right": "left"}
-_PARTS = [name.partition("_") for name in COCO_17.names]
-_OTHER_SIDE = COCO_17.indices(tuple(f"{_OTHER.get(side, side)}{dash}{part}" for side, dash, part in _PARTS))
+_OTHER_SIDE = COCO_17.indices(tuple(map(other_side, COCO_17.names)))
 
 
 def accept(

@@ -13,7 +13,7 @@ def expect_bodies(task: Task, context: Context) -> Output:
 
     session, detections = context.wanted(context.outline()), context.detections
     joints = without_hands(detections.joints(session))
-    # Who is who by clothes makes no difference to places.
+    # Places of people do not depend on the colours of their clothes, by which `identify` tells them apart, too.
     people = assign_identities(session, context.people(ASSOCIATE).people, joints, context.config)
     cameras = session.cameras, session.times, session.timebase
     return Output(encode(expect_leaning(people.tracks, *cameras, joints, detections.turns_deg)))

@@ -37,7 +37,7 @@ def redetect(task: Task, context: Context) -> Output:
 
 
 def is_redetecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
-    """Whether a job has leaning bodies detected again: with the networks of the profiles, which mark joints alike."""
+    """Return whether leaning bodies are detected again: with the networks of the profiles, which mark joints alike."""
     return facts.has_videos and config.is_of_people and networks_of(config).again is not None
 
 

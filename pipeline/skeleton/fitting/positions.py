@@ -132,7 +132,7 @@ def _fit_window(
         for joint in located.tolist():
             normal, right = rays.normal_equations(joint, xyz_m[:, joint], scale_m)
             for other, length_m in limbs[joint] if step > 0 else ():
-                # Where frames are far apart, a joint that nobody saw is anywhere, and pulls none that was seen.
+                # In frames that are far apart, a joint that nobody saw is anywhere, and pulls none that was seen.
                 pulls = may_follow | is_known[:, other] | ~is_known[:, joint]
                 _add_bone(normal, right, xyz_m[:, joint], xyz_m[:, other], length_m, pulls)
             step_m = _solve(normal, right, xyz_m[:, joint], usual_m[joint]) - xyz_m[:, joint]

@@ -93,7 +93,7 @@ def test_a_camera_whose_program_lists_nobody(checking: Live, simulation: Simulat
     manifest = ("manifest", (None, json.dumps({} if is_timed else {"frame_rate_hz": 25.0})))
     preflight = checking.client.post("/v1/sessions", files=[*sent, manifest]).raise_for_status().json()["preflight"]
     assert {camera["name"]: camera["num_frames"] > 0 for camera in preflight["cameras"]} == {first: False, second: True}
-    assert ("camera_saw_nobody", first) in {(one["code"], one["camera"]) for one in preflight["findings"]}
+    assert ("camera_saw_nobody", first) in {(finding["code"], finding["camera"]) for finding in preflight["findings"]}
 
 
 def test_the_axis_of_a_session_that_points_up(checking: Live, simulation: Simulation) -> None:
@@ -220,7 +220,7 @@ def test_archives_are_those_of_the_cameras_for_which_the_manifest_states_them(
         camera: f"{name}.zip" for camera, name in names.items()
     }
     by_name = checking.client.post("/v1/sessions", files=parts(simulation, files)).raise_for_status().json()
-    num_frames = [[camera["num_frames"] for camera in one["preflight"]["cameras"]] for one in (session, by_name)]
+    num_frames = [[camera["num_frames"] for camera in sent["preflight"]["cameras"]] for sent in (session, by_name)]
     assert num_frames[0] == num_frames[1]
     body = {"session_id": session["id"], "calibration_id": stored_rig(checking, sent)}
     again = checking.client.post("/v1/sessions", json=body).raise_for_status().json()

@@ -57,7 +57,7 @@ def seen_by(
     noise_px: float = 2.0,
     step_s: float = 0.5,
 ) -> SimultaneousPeople:
-    """What cameras see of people, those of each camera, with noise, at instants that are a step apart."""
+    """Sightings of people, those of each camera, with noise, at instants that are a step apart."""
     rng = np.random.default_rng(11)
     return SimultaneousPeople(
         tuple(

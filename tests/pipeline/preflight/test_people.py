@@ -297,7 +297,7 @@ def test_few_bodies_are_no_error() -> None:
     ids=["exchanged", "mirrored", "turned", "another rig", "bumped", "unit", "upside down"],
 )
 def test_instants_that_follow_each_other_at_once_are_no_error(cameras: Sequence[Camera], move: Move | None) -> None:
-    """What a detector gets wrong in one frame it gets wrong in the next, too."""
+    """Errors of a detector in one frame are those of the next frame, too."""
     seen = (
         SEEN
         if move is None

@@ -9,7 +9,7 @@ from pipeline.data.detections import Detections
 from pipeline.data.people import People
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
-from pipeline.joints import COCO_17
+from pipeline.joints import COCO_17, other_side
 from pipeline.redetection.accept import accept
 from tests.pipeline.identity.people import RATE_HZ, person, walker
 
@@ -61,10 +61,8 @@ def test_a_body_where_it_is_expected_is_the_persons(ring: tuple[Camera, ...]) ->
 
 def test_the_sides_of_a_body_do_not_matter(ring: tuple[Camera, ...]) -> None:
     xyz_m = walker((-0.5, 0.0), (0.5, 0.0), NUM_FRAMES, 1)
-    other = {"left": "right", "right": "left"}
-    sides = [name.partition("_") for name in COCO_17.names]
-    other_side = COCO_17.indices(tuple(f"{other.get(side, side)}{dash}{part}" for side, dash, part in sides))
-    people = accepted([unseen(person(xyz_m, ring), 2)], found_in(ring, 2, xyz_m[:, other_side]), ring)
+    exchanged = COCO_17.indices(tuple(map(other_side, COCO_17.names)))
+    people = accepted([unseen(person(xyz_m, ring), 2)], found_in(ring, 2, xyz_m[:, exchanged]), ring)
     assert (people.observations[0].score[GONE, 2] > 0).all()
 
 
