@@ -24,6 +24,12 @@ _ITERATIONS, _LEAN_RAD = 10, np.radians(4.0)
 _MIN_MEAN_UP = 0.6
 # Most that cameras look up, and that an edge of a picture slopes, as sines; and the share of cameras that must fit.
 _MAX_RISE, _MAX_SLOPE, _MIN_SHARE = np.sin(np.radians(30.0)), np.sin(np.radians(20.0)), 0.8
+# Evidence of a camera for a vertical, in nats. Standard deviations of its roll, and of the angle by which it looks up
+# beyond a limit; each counts up to three of them. A camera that hangs on its side or upside down is unlikely.
+_ROLL_RAD, _RISE_RAD, _LEVEL_RAD = np.radians(2.5), np.radians(15.0), np.radians(10.0)
+_MOST, _HANGS_TURNED = 4.5, 1.0
+# Evidence against a turn that refuses it; beyond this angle, a turn needs as much evidence for it.
+_MIN_EVIDENCE, _LARGE_TURN_RAD = 2.0, np.radians(45.0)
 
 
 def upright_direction(
@@ -105,6 +111,29 @@ def possible_up_axes(cameras: Sequence[Camera]) -> tuple[str, ...]:
     }
     in_order = sorted(AXES, key=lambda name: round(float(rising[name].mean()), 3))
     return tuple(name for name in in_order if fits[name].mean() >= _MIN_SHARE) or tuple(AXES)
+
+
+def cameras_allow(cameras: Sequence[Camera], up: Float[np.ndarray, " 3"]) -> bool:
+    """Whether cameras agree that another direction than Z is up.
+
+    The rolls of cameras determine the vertical to a degree or two, because operators level them. People outweigh
+    cameras that say little about a small turn, but a large one needs cameras that are wrong in the given world: people
+    also lie and crawl.
+    """
+    against = _cost(cameras, up / np.linalg.norm(up)) - _cost(cameras, AXES["z"])
+    is_large = up[2] < np.cos(_LARGE_TURN_RAD) * np.linalg.norm(up)
+    return bool(against <= (-_MIN_EVIDENCE if is_large else _MIN_EVIDENCE))
+
+
+def _cost(cameras: Sequence[Camera], up: Float[np.ndarray, " 3"]) -> float:
+    """Negative log-likelihood of a vertical by how cameras stand, up to a constant."""
+    rotations = np.array([camera.cam_from_world.rotation for camera in cameras])
+    along = np.arcsin(np.clip(rotations @ up, -1.0, 1.0))  # Angles of right, down and forward above the horizon
+    right, down, forward = along.T
+    roll = np.minimum(np.abs(right), np.abs(down)) / _ROLL_RAD
+    rise = np.maximum(forward - _LEVEL_RAD, 0.0) / _RISE_RAD
+    is_turned = (np.abs(right) > np.abs(down)) | (down > 0.0)
+    return float((np.minimum(roll**2 / 2, _MOST) + np.minimum(rise**2 / 2, _MOST) + _HANGS_TURNED * is_turned).sum())
 
 
 def nearest_axis(direction: Float[np.ndarray, " 3"]) -> str:

@@ -1,17 +1,17 @@
 """Levelling of the world: the floor under the feet of the people becomes z = 0, as far as they determine it.
 
-Two witnesses tell what is level: the ground that feet stand on, and the direction in which people stand upright. The
-floor turns the world only if feet reach far enough to determine its slope, and if upright people agree: people stand
-upright on a ramp, too.
+Three witnesses tell what is level: the ground that feet stand on, the direction in which people stand upright, and how
+the cameras stand. The floor turns the world only if feet reach far enough to determine its slope, and if upright people
+agree: people stand upright on a ramp, too. Cameras that stand upright in the given world outweigh people who lie.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from pipeline.calibration.vertical import turn_upright, upright_direction
+from pipeline.calibration.vertical import cameras_allow, turn_upright, upright_direction
 from pipeline.data.animation import Floor
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera
@@ -32,6 +32,8 @@ _CELL_M, _CELL_SIGMA_M = 0.5, 0.015
 _MAX_SLOPE_SIGMA = np.radians(0.75)
 # Largest angle between the floor's normal and upright people, and the angle from Z beyond which these alone are enough.
 _AGREE_DEG, _CLEAR_DEG = 5.0, 10.0
+# Largest lean of a body that its feet carry, and height of hands above the shoulders by which a body may hang.
+_MAX_LEAN_RAD, _OVERHEAD_M = np.radians(45.0), 0.2
 # The last digits depend on the number of threads of the linear algebra.
 _DECIMALS = 7
 
@@ -63,13 +65,19 @@ def find_level(cameras: Sequence[Camera], poses: Sequence[Poses3D], joints: Join
     needed = ("left_ankle", "right_ankle", "left_shoulder", "right_shoulder")
     if not set(needed) <= set(joints.names) or sum(len(some.frame) for some in poses) < _MIN_POSES:
         return None
-    xyz_m = _located_m(cameras, poses, joints.indices(needed))
-    ankles_m, shoulders_m = xyz_m[:, :2], xyz_m[:, 2:]
-    ankles_m = ankles_m[np.isfinite(ankles_m).all((-1, -2))]
-    up = upright_direction(shoulders_m, xyz_m[:, :2])
-    if up is None or len(ankles_m) < _MIN_POSES:
+    wrists = tuple(name for name in ("left_wrist", "right_wrist") if name in joints.names)
+    xyz_m = _located_m(cameras, poses, joints.indices((*needed, *wrists)))
+    ankles_m, shoulders_m, wrists_m = xyz_m[:, :2], xyz_m[:, 2:4], xyz_m[:, 4:]
+    up = upright_direction(shoulders_m, ankles_m)
+    if up is None:
         return None
-    rotation = np.round(_rotation(up, ankles_m), _DECIMALS)
+    rotation = _rotation(up, ankles_m[np.isfinite(ankles_m).all((-1, -2))])
+    if not cameras_allow(cameras, rotation[2]):
+        rotation = np.eye(3)
+    rotation = np.round(rotation, _DECIMALS)
+    ankles_m = ankles_m[_stands(ankles_m, shoulders_m, wrists_m, rotation[2])]
+    if len(ankles_m) < _MIN_POSES:
+        return None
     turned_m = ankles_m @ rotation.T
     feet_m = _lower(turned_m)
     floor = fit_floor(feet_m)
@@ -85,6 +93,20 @@ def find_level(cameras: Sequence[Camera], poses: Sequence[Poses3D], joints: Join
     place_m = rotation.T @ np.array([x_m, y_m, height_m])
     shift_m = np.array([place_m[0], place_m[1], 0.0]) - rotation @ place_m
     return Level(_rigid(rotation, shift_m), tilt_deg, float(place_m[2]))
+
+
+def _stands(
+    ankles_m: Float[np.ndarray, "poses 2 3"],
+    shoulders_m: Float[np.ndarray, "poses 2 3"],
+    wrists_m: Float[np.ndarray, "poses wrists 3"],
+    up: Float[np.ndarray, " 3"],
+) -> Bool[np.ndarray, " poses"]:
+    """Poses in which the feet may carry the body: it is upright, and does not hang by its hands."""
+    body_m = shoulders_m.mean(1) - ankles_m.mean(1)
+    reach_m = (wrists_m - shoulders_m.mean(1)[:, None]) @ up
+    hangs = (reach_m > _OVERHEAD_M).all(-1) & (reach_m.shape[1] > 0)
+    # Comparisons with NaN are false.
+    return np.asarray((body_m @ up > np.cos(_MAX_LEAN_RAD) * np.linalg.norm(body_m, axis=-1)) & ~hangs)
 
 
 def _rigid(rotation: Float[np.ndarray, "3 3"], shift_m: Float[np.ndarray, " 3"]) -> Rigid3:

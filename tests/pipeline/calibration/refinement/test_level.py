@@ -122,3 +122,69 @@ def test_joints_without_ankles_determine_nothing() -> None:
     poses = seen(CAMERAS, walkers())
     assert find_level(CAMERAS, poses, JointSet(("a", "b", "c", "d"), ())) is None
     assert find_level(CAMERAS, [], JOINTS) is None
+
+
+UNMOVED = Rigid3(np.eye(3), np.zeros(3))
+
+
+def lying(heading_deg: float) -> Bodies:
+    """Somebody who lies on the back, and lifts a foot now and then."""
+    return turned_over(walkers(reach_m=0.05), 88.0, heading_deg)
+
+
+def turned_over(points_m: Bodies, lean_deg: float, heading_deg: float) -> Bodies:
+    """People who lean about their ankles from the vertical, towards a heading."""
+    turn = Rotation.from_euler("zx", [-heading_deg, lean_deg], degrees=True)
+    feet_m = points_m[:, 2:].mean(1, keepdims=True)
+    return feet_m + (points_m - feet_m) @ turn.as_matrix()
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 45.0, 90.0, 200.0])
+@pytest.mark.parametrize(
+    "cameras",
+    [ring(5), ring(4), ring(4)[:3], ring(16)[:3]],
+    ids=["five", "four", "three sides", "one side"],
+)
+def test_people_who_lie_turn_no_world_whose_cameras_are_upright(
+    cameras: tuple[Camera, ...], heading_deg: float
+) -> None:
+    points_m = lying(heading_deg)
+    poses = seen(cameras, points_m)
+    assert find_level(cameras, poses, JOINTS) is None
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 90.0])
+def test_a_lean_that_cameras_deny_turns_no_world(heading_deg: float) -> None:
+    """People of one build who all lean by 12 degrees, in front of level cameras."""
+    level = found(UNMOVED, turned_over(walkers(reach_m=0.2), 12.0, heading_deg))
+    assert level is None or level.tilt_deg == 0.0
+
+
+def test_rolls_of_some_degrees_leave_the_decision_to_people() -> None:
+    """Handheld cameras, and a world that is tilted by 6 degrees."""
+    rng = np.random.default_rng(3)
+    rolls = Rotation.from_euler("z", rng.normal(0.0, 5.0, (len(CAMERAS), 1)), degrees=True).as_matrix()
+    cameras = tuple(
+        replace(camera, cam_from_world=Rigid3(roll, np.zeros(3)) @ camera.cam_from_world)
+        for camera, roll in zip(CAMERAS, rolls, strict=True)
+    )
+    given = tuple(replace(camera, cam_from_world=camera.cam_from_world @ TILTED.inverse()) for camera in cameras)
+    level = find_level(given, seen(cameras, walkers()), JOINTS)
+    assert level is not None
+    assert level.tilt_deg == pytest.approx(np.hypot(5.0, 3.0), abs=0.2)
+
+
+def test_feet_of_people_who_stand_on_their_hands_are_no_floor() -> None:
+    inverted_m = walkers() * [1.0, 1.0, -1.0] + [0.0, 0.0, 1.7]
+    assert found(UNMOVED, inverted_m) is None
+
+
+def test_feet_of_people_who_hang_by_their_hands_are_no_floor() -> None:
+    joints = JointSet((*JOINTS.names, "left_wrist", "right_wrist"), ())
+    half_m = np.array([0.0, 0.0, 0.5])
+    hanging_m = half_m + np.concatenate([walkers(), walkers()[:, :2] + half_m], axis=1)
+    assert find_level(CAMERAS, seen(CAMERAS, hanging_m), joints) is None
+    standing_m = half_m + np.concatenate([walkers(), walkers()[:, :2] - half_m], axis=1)
+    level = find_level(CAMERAS, seen(CAMERAS, standing_m), joints)
+    assert level is not None
+    assert level.height_m == pytest.approx(0.5, abs=0.02)
