@@ -1,7 +1,8 @@
 """Named scenes of simulated people and cameras, and their simulation with exact ground truth."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal, cast, get_args
 
 import numpy as np
@@ -13,6 +14,8 @@ from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.problem_codes.commands import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
+from pipeline.simulation.acrobatics.motions import ACROBATICS, ActingPart
+from pipeline.simulation.acrobatics.performance import Acrobat, acrobat_joints_at, perform_acrobatics
 from pipeline.simulation.motion.director import Cast, improvise
 from pipeline.simulation.motion.exchange import PlaceExchange, exchange
 from pipeline.simulation.motion.performance import joints_at, perform
@@ -20,14 +23,25 @@ from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Clock, Layout, Rig, build_cameras, choose_views, frame_times
 from pipeline.simulation.views.detector import DetectorAccuracy, detect
 from pipeline.simulation.views.extremities import detect_extremities
-from pipeline.simulation.views.faults import Faults
+from pipeline.simulation.views.faults import NO_FAULTS, Faults
 from pipeline.simulation.views.fields import Sketch, sketch
 from pipeline.simulation.views.occlusion import Box
+
+_JointsAt = Callable[[Float[np.ndarray, " times"]], Float[np.ndarray, "times joints 3"]]
 
 Joints = Literal["body", "feet", "whole"]
 """Joints that are simulated: those of the body, with heels and big toes, or with fingers too."""
 JOINT_SETS: Mapping[Joints, JointSet] = {"body": COCO_17, "feet": BODY_FEET, "whole": WHOLE_BODY}
 """Joints of the detections and of the truth by choice."""
+
+
+@dataclass(frozen=True, slots=True)
+class Acrobatics:
+    """People who perform an acrobatic motion once, and stay in its last pose."""
+
+    motion: str  # Name in ``ACROBATICS``
+    center_m: tuple[float, float] = (0.0, 0.0)  # Middle of the motion on the floor
+    facing_rad: float = 0.0  # Heading of the motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +53,7 @@ class Scene:
     rig, clock, detector
         Cameras, their frame times and their 2D detector.
     cast
-        People who improvise or exchange places, or the roles of people with scripts.
+        People who improvise, exchange places or do acrobatics, or the roles of people with scripts.
     boxes
         Furniture that hides people and that they walk around.
     duration_s
@@ -47,7 +61,7 @@ class Scene:
     """
 
     rig: Rig
-    cast: Cast | PlaceExchange | tuple[Role, ...]
+    cast: Cast | PlaceExchange | Acrobatics | tuple[Role, ...]
     clock: Clock = field(default_factory=Clock)
     detector: DetectorAccuracy = field(default_factory=DetectorAccuracy)
     boxes: tuple[Box, ...] = ()
@@ -135,6 +149,18 @@ def _crowd(num_people: int) -> Scene:
     return Scene(_DOME_RIG, Cast(num_people, (1.8, 1.8), gap_m=0.4, walking=0.25, gestures=gestures), duration_s=6.0)
 
 
+def _acrobatics(motion: str) -> Scene:
+    last_s = max(part.keys[-1].time_s for part in ACROBATICS[motion])
+    return Scene(
+        Rig(Layout.RING, 6, (4.0, 4.0), 2.2, focal_px=760.0, target_height_m=0.9),
+        Acrobatics(motion),
+        Clock(30.0),
+        DetectorAccuracy(noise_m=0.0, noise_px=2.5, faults=NO_FAULTS),
+        # At the slowest tempo.
+        duration_s=round(1.2 * last_s, 1),
+    )
+
+
 SCENES: Mapping[str, Scene] = {
     "room": Scene(_ROOM_RIG, Cast(3, (3.0, 3.0), gestures=_ACTIVE)),
     "store": Scene(
@@ -218,6 +244,7 @@ SCENES: Mapping[str, Scene] = {
         Cast(6, (5.0, 4.0), walking=0.7, doors_m=((-4.5, -3.0), (4.5, 3.0), (0.0, 4.2))),
         duration_s=60.0,
     ),
+    **{motion: _acrobatics(motion) for motion in ACROBATICS},
 }
 """Scenes of ``simulate`` by name."""
 
@@ -266,14 +293,40 @@ def simulate(scene_name: str, seed: int, num_views: int | None = None, joints: J
     return record(find_scene(scene_name), seed, num_views, joints)
 
 
-def _roles(scene: Scene, rng: np.random.Generator) -> tuple[Role, ...]:
-    match scene.cast:
+def _act(
+    scene: Scene, cast_seed: np.random.SeedSequence, people_seed: np.random.SeedSequence, joints: JointSet
+) -> list[_JointsAt]:
+    """Positions of each person's joints as a function of time."""
+    if isinstance(scene.cast, Acrobatics):
+        parts = ACROBATICS[scene.cast.motion]
+        return [
+            partial(acrobat_joints_at, acrobat, joints=joints)
+            for part, person_seed in zip(parts, people_seed.spawn(len(parts)), strict=True)
+            for acrobat in [_acrobat(scene.cast, part, scene.duration_s, np.random.default_rng(person_seed))]
+        ]
+    roles = _roles(scene.cast, scene, np.random.default_rng(cast_seed))
+    return [
+        partial(joints_at, perform(role, scene.duration_s, np.random.default_rng(person_seed), joints))
+        for role, person_seed in zip(roles, people_seed.spawn(len(roles)), strict=True)
+    ]
+
+
+def _acrobat(cast: Acrobatics, part: ActingPart, duration_s: float, rng: np.random.Generator) -> Acrobat:
+    cos, sin = np.cos(cast.facing_rad), np.sin(cast.facing_rad)
+    x, y = part.center_m
+    center_m = cast.center_m[0] + cos * x - sin * y, cast.center_m[1] + sin * x + cos * y
+    facing_rad = cast.facing_rad + float(np.radians(part.facing_deg))
+    return perform_acrobatics(part.keys, center_m, facing_rad, duration_s, rng)
+
+
+def _roles(cast: Cast | PlaceExchange | tuple[Role, ...], scene: Scene, rng: np.random.Generator) -> tuple[Role, ...]:
+    match cast:
         case Cast():
-            return improvise(scene.cast, scene.boxes, scene.duration_s, rng)
+            return improvise(cast, scene.boxes, scene.duration_s, rng)
         case PlaceExchange():
-            return exchange(scene.cast, scene.duration_s, rng)
+            return exchange(cast, scene.duration_s, rng)
         case _:
-            return scene.cast
+            return cast
 
 
 def record(scene: Scene, seed: int, num_views: int | None = None, joints: Joints = "body") -> Simulation:
@@ -291,15 +344,11 @@ def record(scene: Scene, seed: int, num_views: int | None = None, joints: Joints
 
     # Separate random streams for the cast, each person, the rig and each camera: none depends on draws of another.
     cast_seed, people_seed, rig_seed, cameras_seed = np.random.SeedSequence(seed).spawn(4)
-    roles = _roles(scene, np.random.default_rng(cast_seed))
     joint_set = JOINT_SETS[joints]
-    people = [
-        perform(role, scene.duration_s, np.random.default_rng(person_seed), joint_set)
-        for role, person_seed in zip(roles, people_seed.spawn(len(roles)), strict=True)
-    ]
+    people = _act(scene, cast_seed, people_seed, joint_set)
 
     def truth_at(time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "people times joints 3"]:
-        return np.stack([joints_at(person, time_s) for person in people])
+        return np.stack([joints_of_person_at(time_s) for joints_of_person_at in people])
 
     cameras = build_cameras(scene.rig, np.random.default_rng(rig_seed))
     streams = [np.random.default_rng(camera_seed) for camera_seed in cameras_seed.spawn(num_cameras)]

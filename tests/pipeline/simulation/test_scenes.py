@@ -8,6 +8,7 @@ import pytest
 
 from pipeline.errors import InputError
 from pipeline.geometry.camera import project
+from pipeline.simulation.acrobatics.motions import ACROBATICS
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Clock, frame_times
 from pipeline.simulation.scenes import JOINT_SETS, SCENES, Joints, Simulation, known_joints, record, simulate
@@ -16,6 +17,7 @@ from pipeline.simulation.views.detector import NOBODY, PERFECT
 NAMES = (
     "room", "store", "store-large", "outdoor", "unsynchronised", "crowd", "handshake", "noisy", "comings-and-goings",
     "contact", "crowd-2", "crowd-3", "crowd-5", "walk", "sports", "exchange", "hands",
+    *ACROBATICS,
 )  # fmt: skip
 HIPS = (11, 12)
 
@@ -62,7 +64,7 @@ def test_records_fit_together(name: str) -> None:
         np.testing.assert_array_equal(np.isnan(detections.keypoints_px).any(-1), detections.score == 0)
 
 
-@pytest.mark.parametrize("name", ["handshake", "noisy", "unsynchronised"])
+@pytest.mark.parametrize("name", ["handshake", "noisy", "unsynchronised", "roll"])
 def test_a_seed_gives_the_same_bytes(name: str) -> None:
     assert everything(short(name, 7)) == everything(short(name, 7))
     assert everything(short(name, 7)) != everything(short(name, 8))
@@ -90,6 +92,14 @@ def test_bodies_of_seeds_are_those_of_version_0_1(name: str, expected: str) -> N
     for array in arrays:
         digest.update(np.round(np.asarray(array, float), 3).tobytes())
     assert digest.hexdigest()[:16] == expected
+
+
+@pytest.mark.parametrize("joints", ["feet", "whole"])
+def test_acrobats_move_the_same_whatever_joints_are_asked_for(joints: Joints) -> None:
+    scene = replace(SCENES["kneel"], duration_s=0.6)
+    body, more = record(scene, 3), record(scene, 3, joints=joints)
+    assert more.truth_m.shape[2] == len(more.joints.names)
+    np.testing.assert_array_equal(more.truth_m[:, :, :17], body.truth_m)
 
 
 @pytest.mark.parametrize("joints", ["feet", "whole"])
