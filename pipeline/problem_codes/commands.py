@@ -57,7 +57,7 @@ DATASET_INCOMPLETE = COMMANDS.code(
     "dataset_incomplete", _COMMAND, "Files of the dataset are missing.", "Get the whole dataset."
 )
 BENCHMARK_UNREADABLE = COMMANDS.code(
-    "benchmark_unreadable", _COMMAND, "A file of Shelf can't be read.", "Give the folder of Shelf."
+    "benchmark_unreadable", _COMMAND, "A file of a benchmark can't be read.", "Follow the message: get the file again."
 )
 TRUTH_UNREADABLE = COMMANDS.code(
     "truth_unreadable", _COMMAND, "The rendered capture's truth can't be read.", "Get it again."

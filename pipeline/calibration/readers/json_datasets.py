@@ -1,7 +1,8 @@
-"""Calibrations of data sets in JSON: CMU Panoptic, and VoxelPose's files of Shelf and Campus.
+"""Calibrations of data sets in JSON: CMU Panoptic, VoxelPose's files of Shelf and Campus, and CAMMA's MVOR.
 
 Panoptic: ``x = K (R X + t)``, centimetres, the world's y axis points down. VoxelPose: ``x = K R (X - T)``, so T is the
-camera's centre, millimetres, no picture sizes; Faster-VoxelPose has a list of cameras a sequence.
+camera's centre, millimetres, no picture sizes; Faster-VoxelPose has a list of cameras a sequence. MVOR's annotations
+hold the cameras: transforms by rows from each camera to the first one, and from that one to the room, millimetres.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,7 @@ from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.parsing import UnreadableError, read_numbers
+from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
 
 _PANOPTIC = frozenset({"K", "R", "t", "distCoef", "resolution"})
 _VOXELPOSE = frozenset({"R", "T", "fx", "fy", "cx", "cy", "k", "p"})
@@ -40,6 +42,9 @@ def read_document(document: Mapping[str, Any], file: str) -> CameraFile | None:
         # One camera above the limit suffices to report that there are too many.
         raw = [_raw_voxelpose(name, camera) for name, camera in islice(cameras.items(), MAX_CAMERAS + 1)]
         return Reading(file).contents("VoxelPose JSON", raw, "mm")
+    information = document.get("cameras_info")
+    if isinstance(information, dict) and isinstance(parameters := information.get("camParams"), dict):
+        return _read_mvor(parameters, file)
     return None
 
 
@@ -91,6 +96,69 @@ def _raw_voxelpose(name: str, camera: Mapping[str, Any]) -> RawCamera:
         translation_m=_from_centre(camera["R"], camera["T"]),
         section=f"Camera{name}",
     )
+
+
+def _read_mvor(parameters: Mapping[str, Any], file: str) -> CameraFile:
+    """Read MVOR's cameras, which the folders of its pictures call ``cam1``, ``cam2``, ...
+
+    Its annotations in 3D fit its annotations in 2D without the file's distortion, and the data set's own programs apply
+    none: the pictures are undistorted.
+    """
+    reading = Reading(file)
+    intrinsics, extrinsics = (_listed(parameters.get(key)) for key in ("intrinsics", "extrinsics"))
+    if len(intrinsics) != len(extrinsics):
+        message = f"There are {len(intrinsics)} intrinsics and {len(extrinsics)} extrinsics."
+        reading.complain(CALIBRATION_UNREADABLE, message, field="cameras_info", hint="Get the file again.")
+    room_from_first = _transform(parameters.get("firstCamToRoomRef"))
+    if room_from_first is None:
+        message = "A rigid transform has 16 numbers, by rows."
+        reading.complain(CALIBRATION_UNREADABLE, message, field="firstCamToRoomRef", hint="Get the file again.")
+        room_from_first = np.eye(4)
+    reading.notes.append(f"{file}: the pictures of MVOR are undistorted; the distortion in the file is not applied.")
+    raw = [
+        _raw_mvor(number, camera, room_from_first, first_from_camera)
+        for number, (camera, first_from_camera) in enumerate(zip(intrinsics, extrinsics, strict=False), 1)
+    ]
+    return reading.contents("CAMMA MVOR JSON", raw[: MAX_CAMERAS + 1], "mm", axes="of the room, Z up")
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _raw_mvor(number: int, camera: Any, room_from_first: np.ndarray, first_from_camera: Any) -> RawCamera:
+    fields = camera if isinstance(camera, dict) else {}
+    matrix: Any = None
+    try:
+        (fx, fy), (cx, cy) = (_row(fields.get(key)) for key in ("focallength", "principalpoint"))
+        matrix = [[fx, fields.get("skew_value", 0.0), cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+    except (UnreadableError, ValueError):
+        matrix = "unreadable"
+    pose = _transform(first_from_camera)
+    camera_from_room = None if pose is None else np.linalg.inv(room_from_first @ pose)
+    return RawCamera(
+        name=f"cam{number}",
+        size_px=fields.get("imagesize"),
+        matrix=matrix,
+        distortion=[0.0] * 5,
+        rotation="unreadable" if camera_from_room is None else camera_from_room[:3, :3],
+        translation_m=[0.0] * 3 if camera_from_room is None else camera_from_room[:3, 3].tolist(),
+    )
+
+
+def _transform(value: Any) -> np.ndarray | None:
+    """Rigid transform of 16 numbers by rows; ``None`` for what is none."""
+    try:
+        matrix = np.reshape(_row(value), (4, 4))
+    except (UnreadableError, ValueError):
+        return None
+    is_rigid = (
+        (np.abs(matrix[:3, :3]) < _MAX_ENTRY).all()
+        and (np.abs(matrix[:3, 3]) < _MAX_LENGTH).all()
+        and np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-2)
+        and np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0])
+    )
+    return matrix if is_rigid else None
 
 
 def _row(value: Any) -> list[float]:

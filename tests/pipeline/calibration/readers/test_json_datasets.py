@@ -1,4 +1,4 @@
-"""CMU Panoptic and VoxelPose, in the form of the data sets' own files."""
+"""CMU Panoptic, VoxelPose and MVOR, in the form of the data sets' own files."""
 
 import json
 from dataclasses import replace
@@ -13,6 +13,7 @@ from pipeline.calibration.registry import read_contents
 from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
+from tests.pipeline.evaluation.datasets.mvor_files import cameras_info
 
 # Panoptic's world: y = -z, z = y.
 PANOPTIC_FROM_UPRIGHT = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -118,3 +119,43 @@ def test_faults_of_panoptic(tmp_path: Path, changes: dict[str, Any], code: str) 
 def test_faults_of_voxelpose(tmp_path: Path, changes: dict[str, Any], code: str) -> None:
     document = {"0": voxelpose(RIG[0]), "1": voxelpose(RIG[1]) | changes}
     assert problems_of(write(tmp_path / "rig.json", document)) == [(code, "1")]
+
+
+def test_mvor_has_transforms_from_the_cameras_in_millimetres(tmp_path: Path) -> None:
+    path = write(tmp_path / "camma_mvor_2018.json", {"images": [], "cameras_info": cameras_info(RIG)})
+    contents = read_contents(path)
+    assert (contents.format, contents.unit) == ("CAMMA MVOR JSON", "mm")
+    rig = [replace(one, name=f"cam{k}", distortion=np.zeros(5)) for k, one in enumerate(RIG, 1)]
+    assert_rig(contents, tuple(rig))
+    (note,) = contents.notes
+    assert "the distortion in the file is not applied" in note
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"focallength": [500.0]}, "invalid_matrix"),
+        ({"principalpoint": "none"}, "invalid_matrix"),
+        ({"skew_value": "none"}, "invalid_matrix"),
+        ({"imagesize": [640]}, "invalid_size"),
+    ],
+)
+def test_faults_of_mvor(tmp_path: Path, changes: dict[str, Any], code: str) -> None:
+    information = cameras_info(RIG)
+    information["camParams"]["intrinsics"][1] |= changes
+    assert problems_of(write(tmp_path / "rig.json", {"cameras_info": information})) == [(code, "cam2")]
+
+
+@pytest.mark.parametrize("transform", [[1.0] * 16, [1.0] * 12, "none", [1e300] * 16, None])
+def test_transforms_of_mvor_that_are_none(tmp_path: Path, transform: Any) -> None:
+    information = cameras_info(RIG)
+    information["camParams"]["firstCamToRoomRef"] = transform
+    assert problems_of(write(tmp_path / "rig.json", {"cameras_info": information})) == [
+        ("calibration_unreadable", None)
+    ]
+    information = cameras_info(RIG)
+    information["camParams"]["extrinsics"][1] = transform
+    assert problems_of(write(tmp_path / "rig.json", {"cameras_info": information})) == [("invalid_rotation", "cam2")]
+    information["camParams"]["extrinsics"] = transform
+    (problem, *_) = problems_of(write(tmp_path / "rig.json", {"cameras_info": information}))
+    assert problem[0] in {"calibration_unreadable", "invalid_rotation"}

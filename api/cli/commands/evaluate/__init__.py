@@ -1,0 +1,19 @@
+"""`multicap evaluate`: accuracy of reconstructions against a known truth."""
+
+import typer
+
+from api.cli.commands.evaluate import mvor, panoptic, rendered, shelf, simulated
+
+app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Accuracy against a known truth."""
+
+
+app.command("rendered")(rendered.command)
+app.command("shelf")(shelf.command)
+app.command("mvor")(mvor.command)
+app.command("panoptic")(panoptic.command)
+app.command("simulated")(simulated.command)

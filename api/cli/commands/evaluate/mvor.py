@@ -1,0 +1,97 @@
+"""`multicap evaluate mvor`: accuracy on the MVOR benchmark."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from api.cli.commands.evaluate.shared import shown
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
+from api.cli.options import checked, with_choices
+from pipeline.capture.session import open_session
+from pipeline.config import ReconstructionConfig
+from pipeline.data.detections import Detections
+from pipeline.detect.chunk import concatenate
+from pipeline.detect.profiles.detection import detection_joints
+from pipeline.evaluation.average_precision import InstantPoses, poses_at
+from pipeline.evaluation.datasets.mvor import (
+    MvorBenchmark,
+    at_instants,
+    keypoint_session,
+    load_days,
+    load_mvor,
+    read_keypoints,
+)
+from pipeline.evaluation.datasets.mvor_scores import SCORED_JOINTS, score_joints_2d, score_mvor
+from pipeline.joints import COCO_17
+from pipeline.progress import OnProgress
+from pipeline.stages.local import detect_people, reconstruct
+
+_RATE_HZ = 1.0
+
+
+@with_choices("profile", "detector", "method", "smoothing", "joint_centers")
+def command(
+    *,
+    data: Annotated[
+        Path, typer.Option(help="A folder with camma_mvor_2018.json, and the pictures in day1 to day4 as unpacked.")
+    ],
+    detections: Annotated[
+        Path | None,
+        typer.Option(help="2D keypoints in place of the pictures: COCO's results, JSON."),
+    ] = None,
+    chosen: Mapping[str, Any],
+    as_json: JsonOption = False,
+) -> None:
+    """The MVOR benchmark: operating room, three cameras, instants apart; errors of eight joints, recall, AP and PCK."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        config = replace(checked(chosen), force=True)
+        benchmark = load_mvor(data)
+        if detections is not None:
+            bodies, body_scores = read_keypoints(detections, benchmark)
+            take = reconstruct(keypoint_session(benchmark, bodies), config, bars.update)
+            poses = poses_at(take.tracks, take.joints, SCORED_JOINTS, np.arange(len(benchmark.instants)))
+        else:
+            poses, bodies = _from_pictures(data, benchmark, config, bars.update)
+            body_scores = {name: each.score.mean(1) for name, each in bodies.items()}
+        scores = score_mvor(poses, benchmark, bodies)
+        scores["pck_2d"] = score_joints_2d(bodies, body_scores, benchmark)
+    if as_json:
+        emit(scores)
+        return
+    _print(scores)
+
+
+def _from_pictures(
+    data: Path, benchmark: MvorBenchmark, config: ReconstructionConfig, on_progress: OnProgress
+) -> tuple[list[InstantPoses], Mapping[str, Detections]]:
+    """Poses at all instants, and detections with the numbers of the instants as frames. A day is a session."""
+    poses: list[InstantPoses] = []
+    bodies: list[Detections] = []
+    joints = detection_joints(replace(config, method="tracking"))
+    for day in load_days(data, benchmark):
+        session = open_session(day.folders, benchmark.annotations, images_rate_hz=_RATE_HZ)
+        take = reconstruct(session, config, on_progress)
+        poses += poses_at(take.tracks, take.joints, SCORED_JOINTS, day.frames)
+        detections = detect_people(session, config, on_progress)
+        bodies += [at_instants(of_camera, joints, day) for of_camera in detections.values()]
+    return poses, concatenate(bodies, [camera.name for camera in benchmark.cameras], len(COCO_17.names))
+
+
+def _print(scores: Mapping[str, Any]) -> None:
+    tables = {name: scores[name] for name in ("mpjpe_by_joint_mm", "ap", "pck_2d")}
+    rows = [(name, shown(value)) for name, value in scores.items() if not isinstance(value, dict)]
+    for name, values in tables.items():
+        rows += [(f"{name.removesuffix('_by_joint_mm')} {key}", shown(value)) for key, value in values.items()]
+    print_table(("measure", "value"), rows)
+    print_table(
+        ("cameras", "people", "recall", *(f"{kind}, mm" for kind in scores["mpjpe_by_joint_mm"])),
+        (
+            (str(count), str(row["people"]), *map(shown, (row["recall"], *row["mpjpe_by_joint_mm"].values())))
+            for count, row in scores["by_cameras"].items()
+        ),
+        "Errors by the number of cameras that detected the person",
+    )

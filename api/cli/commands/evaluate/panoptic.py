@@ -1,0 +1,58 @@
+"""`multicap evaluate panoptic`: accuracy on a sequence of CMU Panoptic."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api.cli.commands.evaluate.shared import shown
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
+from api.cli.options import KeypointsOption, checked, with_choices
+from api.cli.sources import open_source
+from pipeline.evaluation.datasets.panoptic import (
+    CAMERAS,
+    EVERY,
+    FRAME_RATE_HZ,
+    frame_times,
+    load_panoptic,
+    score_panoptic,
+)
+from pipeline.stages.local import reconstruct
+
+
+@with_choices("frame_range", "profile", "detector", "method", "smoothing", "joint_centers", "refine_calibration")
+def command(
+    *,
+    data: Annotated[Path, typer.Option(help="The folder of a sequence as the data set's toolbox makes it.")],
+    cameras: Annotated[
+        str, typer.Option(metavar="LIST", help="HD cameras, such as 00_03,00_06. Default: the five of VoxelPose.")
+    ] = ",".join(CAMERAS),
+    every: Annotated[
+        int, typer.Option(min=1, max=10_000, help="Compare with every n-th file of poses. Default: as VoxelPose.")
+    ] = EVERY,
+    keypoints: KeypointsOption = None,
+    chosen: Mapping[str, Any],
+    as_json: JsonOption = False,
+) -> None:
+    """A sequence of CMU Panoptic: errors of 15 joints, AP at 25 to 150 mm and recall by VoxelPose's protocol."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        config = replace(checked(chosen), force=True)
+        names = tuple(name.strip() for name in cameras.split(",") if name.strip())
+        sequence = load_panoptic(data, names, every, has_footage=keypoints is None)
+        session = open_source(
+            sequence.footage,
+            keypoints,
+            sequence.calibration,
+            None,
+            frame_rate=FRAME_RATE_HZ if keypoints or sequence.has_images else None,
+        )
+        take = reconstruct(session, config, bars.update)
+        scores = score_panoptic(take.tracks, take.joints, take.timebase, sequence, frame_times(session, sequence))
+    if as_json:
+        emit(scores)
+        return
+    rows = [(name, shown(value)) for name, value in scores.items() if name != "ap"]
+    rows += [(f"ap {threshold} mm", shown(value)) for threshold, value in scores["ap"].items()]
+    print_table(("measure", "value"), rows)

@@ -1,0 +1,147 @@
+"""`multicap evaluate shelf`: accuracy on the Shelf benchmark."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api.cli.commands.evaluate.shared import StatureOption, identified, refined, refinement_scores
+from api.cli.console import JsonOption, emit, print_table, reporting
+from api.cli.options import checked, with_choices
+from pipeline.clustering.associate import reconstruct_by_clustering
+from pipeline.clustering.parameters import derive_parameters as clustering_parameters
+from pipeline.config import Method
+from pipeline.data.people import People
+from pipeline.errors import InputError, Problem
+from pipeline.evaluation.camera_errors import without_extrinsics
+from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
+from pipeline.evaluation.datasets.shelf_ablation import ablate
+from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
+from pipeline.joints import COCO_17
+from pipeline.problem_codes.commands import NO_ABLATION
+from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
+from pipeline.skeleton.animate import animate
+from pipeline.tracking.associate import associate, locate_people
+from pipeline.tracking.parameters import derive_parameters
+from pipeline.warm_up import warm_up
+
+
+@with_choices("method", "smoothing", "refine_calibration")
+def command(
+    *,
+    data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
+    chosen: Mapping[str, Any],
+    stature_m: StatureOption = None,
+    detections: Annotated[Path | None, typer.Option(help="File of other 2D keypoints of the same images.")] = None,
+    every: Annotated[
+        int, typer.Option(min=1, max=10, help="Keep every n-th image, at a different phase for each camera.")
+    ] = 1,
+    ablation: Annotated[
+        bool, typer.Option(help="Also measure the contribution of each part of the method (half a minute).")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
+    with reporting(as_json):
+        config = checked(chosen)
+        whole = load_shelf(data, detections)
+        _refuse_ablation(config.method, ablation)
+        benchmark, kept = thin(whole, every)
+        warm_up()
+        started_s = time.perf_counter()
+        errors: dict[str, float] = {}
+        if stature_m:
+            cameras, errors = without_extrinsics(
+                benchmark.cameras, benchmark.times, benchmark.detections, COCO_17, stature_m
+            )
+            benchmark = replace(benchmark, cameras=cameras)
+        cameras, refinement = refined(
+            benchmark.cameras, benchmark.times, benchmark.detections, benchmark.timebase, COCO_17, config
+        )
+        benchmark = replace(benchmark, cameras=cameras)
+        views = (benchmark.cameras, benchmark.times, benchmark.detections)
+        identities = None
+        if config.method == "clustering":
+            parameters = clustering_parameters(benchmark.cameras)
+            people = People(*reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters))
+        else:
+            limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
+            identities = associate(*views, limits)
+            people = locate_people(*views, identities, benchmark.timebase, limits)
+        people = identified(people, benchmark.cameras, benchmark.timebase, COCO_17, config.method)
+        tracks = animate(
+            people.tracks, people.observations, benchmark.cameras, benchmark.timebase, COCO_17, config
+        ).tracks
+        elapsed_s = time.perf_counter() - started_s
+        result = {
+            "method": config.method,
+            **score_shelf(tracks, benchmark),
+            # Clustering assigns joints to people, not whole detections.
+            "association_accuracy": None if identities is None else association_accuracy(identities, kept)["all"],
+            **score_tracking(tracks, benchmark),
+            "bone_std_cm": bone_length_std_cm(tracks, COCO_17),
+            "jitter_m_s2": mean_jitter_m_s2(tracks, benchmark.timebase.frame_rate_hz),
+            "fps": benchmark.timebase.num_frames / elapsed_s,
+            **refinement_scores(refinement),
+            **errors,
+        }
+        if ablation:
+            result["ablation"] = ablate(whole)
+    if as_json:
+        emit(result)
+        return
+    _print_shelf(result)
+    if ablation:
+        _print_ablation(result["ablation"])
+
+
+def _print_shelf(result: dict[str, Any]) -> None:
+    pcp = result["pcp"]
+    parts = [*pcp["parts"].items(), ("all", pcp["actors"])]
+    columns = ["part", *(f"actor {k + 1}" for k in range(NUM_SCORED_ACTORS))]
+    print_table(columns, ([name, *(f"{value:.2f}" for value in values)] for name, values in parts))
+    rules = ", ".join(f"{rule} {value:.2f}" for rule, value in pcp["by_head_rule"].items())
+    typer.echo(f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})")
+    if result["association_accuracy"] is not None:
+        typer.echo(f"Association accuracy {result['association_accuracy']:.4f}")
+    typer.echo(
+        f"Identity switches {result['switches']}, ghost tracks {result['ghost_tracks']}, standard deviation of bone "
+        f"lengths {result['bone_std_cm']:.2f} cm, {result['fps']:.0f} frames a second"
+    )
+    print_table(
+        ("camera", "MOTA", "IDF1", "false positives", "missed"),
+        (
+            [
+                name,
+                *(f"{result[metric][name]:.4f}" for metric in ("mota", "idf1")),
+                *(str(result[metric][name]) for metric in ("false_positives", "missed")),
+            ]
+            for name in result["mota"]
+        ),
+    )
+    typer.echo("Actors are annotated in some images only: unmatched tracks count as false near an annotated actor.")
+
+
+def _print_ablation(ablation: dict[str, Any]) -> None:
+    for title, first, rows in (
+        ("Association accuracy, frame by frame", "matched by", ablation["association"]),
+        ("PCP by triangulation", "triangulation", ablation["triangulation"]),
+        ("A tracker that sees one camera", "measure", ablation["single_view"]),
+    ):
+        columns = list(next(iter(rows.values())))
+        cells = ([name, *(f"{values[column]:.4g}" for column in columns)] for name, values in rows.items())
+        print_table([first, *columns], cells, title)
+    for title, rows in (
+        ("Weights of correspondence", ablation["weights"]),
+        ("PCP, every n-th image", ablation["every"]),
+    ):
+        print_table(list(rows[0]), ([f"{value:.4g}" for value in row.values()] for row in rows), title)
+
+
+def _refuse_ablation(method: Method, ablation: bool) -> None:
+    if ablation and method != "tracking":
+        problem = Problem(NO_ABLATION, f"There is no ablation of the method '{method}' here.", hint="Omit --ablation.")
+        raise InputError([problem])
