@@ -9,6 +9,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from api.cli.main import app
@@ -49,7 +50,11 @@ def scores_of(*command: str) -> dict[str, Any]:
 def write_pictures(folder: Path, camera: str, place: int) -> None:
     """Write the frames of a camera as MVOR's pictures of two days."""
     with av.open(str(RENDERED / "videos" / f"{camera}.mp4")) as video:
-        pictures = {k: frame.to_image() for k, frame in enumerate(video.decode(video=0)) if k in FRAMES}
+        pictures = {
+            k: Image.fromarray(frame.to_ndarray(format="rgb24"))
+            for k, frame in enumerate(video.decode(video=0))
+            if k in FRAMES
+        }
     for number, frame in enumerate(FRAMES):
         path = folder / f"day{1 + number // 2}" / f"cam{place}" / "color" / f"{number % 2:06}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -126,7 +131,9 @@ def test_a_sequence_of_panoptic(tmp_path: Path, kind: str) -> None:
             with av.open(str(video)) as opened:
                 for number, picture in enumerate(opened.decode(video=0)):
                     if 20 <= number < 40:
-                        picture.to_image().save(folder / "hdImgs" / name / f"{name}_{number:08}.jpg", quality=95)
+                        Image.fromarray(picture.to_ndarray(format="rgb24")).save(
+                            folder / "hdImgs" / name / f"{name}_{number:08}.jpg", quality=95
+                        )
     frames = "--frames=20:40" if kind == "videos" else "--frames=0:20"
     scores = scores_of("panoptic", f"--data={folder}", f"--cameras={','.join(names.values())}", "--every=4", frames)
     assert (scores["instants"], scores["people"]) == (5, 15)

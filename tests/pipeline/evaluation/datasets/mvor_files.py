@@ -79,7 +79,10 @@ def mvor_document(simulation: Simulation, frames: Sequence[int]) -> dict[str, An
     xyz_m = annotated_m(simulation, frames)
     first = simulation.cameras[0].cam_from_world
     days = [(1, k) if k < len(frames) // 2 else (2, k - len(frames) // 2) for k in range(len(frames))]
-    images, instants, annotations, people = [], [], [], []
+    images: list[dict[str, Any]] = []
+    instants: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    people: list[dict[str, Any]] = []
     for column, (day, number) in enumerate(days):
         of_instant = []
         for place, camera in enumerate(simulation.cameras, 1):

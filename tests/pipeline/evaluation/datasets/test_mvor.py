@@ -13,7 +13,7 @@ from api.cli.main import app
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.evaluation.average_precision import InstantPoses
-from pipeline.evaluation.datasets.mvor import MvorBenchmark, at_instants, load_days, load_mvor, read_keypoints
+from pipeline.evaluation.datasets.mvor import JOINTS, MvorBenchmark, at_instants, load_days, load_mvor, read_keypoints
 from pipeline.evaluation.datasets.mvor_scores import score_joints_2d, score_mvor
 from pipeline.geometry.camera import project
 from pipeline.joints import COCO_17
@@ -162,8 +162,7 @@ def test_joints_that_are_not_annotated_count_as_wrong(document: dict[str, Any], 
 
 def _exact(benchmark: MvorBenchmark) -> dict[str, Detections]:
     """Detections at the annotated joints in 2D; ears are where the head is."""
-    names = ("left_ear", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
-    names += ("left_elbow", "right_elbow", "left_wrist", "right_wrist")
+    names = ("left_ear", *JOINTS[2:])
     bodies = {}
     for place, camera in enumerate(benchmark.cameras):
         listed = [
@@ -304,7 +303,7 @@ def test_faults_of_keypoints(simulation: Simulation, document: dict[str, Any], f
     people[1]["image_id"] = image_id(9, 1, 0)
     people[2]["coco_keypoints"] = [0.0] * 50
     people[4]["score"] = "high"
-    people[5] = []
+    people[5] = {}
     problems = problems_of(folder, write_json(folder / "keypoints.json", people))
     assert [problem["field"] for problem in problems] == ["[1]", "[2]", "[4]", "[5]"]
     assert "is missing or unknown" in problems[0]["message"]
