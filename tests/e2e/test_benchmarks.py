@@ -47,6 +47,10 @@ def scores_of(*command: str) -> dict[str, Any]:
     return scores
 
 
+def picture_of(frame: av.VideoFrame) -> Image.Image:
+    return Image.fromarray(frame.to_ndarray(format="rgb24"))
+
+
 def write_pictures(folder: Path, camera: str, place: int) -> None:
     """Write the frames of a camera as MVOR's pictures of two days."""
     with av.open(str(RENDERED / "videos" / f"{camera}.mp4")) as video:
@@ -131,9 +135,7 @@ def test_a_sequence_of_panoptic(tmp_path: Path, kind: str) -> None:
             with av.open(str(video)) as opened:
                 for number, picture in enumerate(opened.decode(video=0)):
                     if 20 <= number < 40:
-                        Image.fromarray(picture.to_ndarray(format="rgb24")).save(
-                            folder / "hdImgs" / name / f"{name}_{number:08}.jpg", quality=95
-                        )
+                        picture_of(picture).save(folder / "hdImgs" / name / f"{name}_{number:08}.jpg", quality=95)
     frames = "--frames=20:40" if kind == "videos" else "--frames=0:20"
     scores = scores_of("panoptic", f"--data={folder}", f"--cameras={','.join(names.values())}", "--every=4", frames)
     assert (scores["instants"], scores["people"]) == (5, 15)

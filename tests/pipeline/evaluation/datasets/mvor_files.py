@@ -26,11 +26,11 @@ def simulate_room(num_views: int = 3) -> Simulation:
 
 def annotated_m(simulation: Simulation, frames: Sequence[int]) -> np.ndarray:
     """MVOR's ten joints, people x frames x 10 x 3: head and neck are the middles of ears and of shoulders."""
-    xyz_m = simulation.truth_m[:, frames]
+    xyz_m = simulation.truth_m[:, np.array(frames)]
     of = simulation.joints
 
     def middle(name: str) -> np.ndarray:
-        return xyz_m[:, :, of.indices([f"left_{name}", f"right_{name}"])].mean(2, keepdims=True)
+        return xyz_m[:, :, of.indices((f"left_{name}", f"right_{name}"))].mean(2, keepdims=True)
 
     return np.concatenate([middle("eye"), middle("shoulder"), xyz_m[:, :, of.indices(JOINTS[2:])]], axis=2)
 
