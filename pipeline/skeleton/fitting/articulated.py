@@ -27,7 +27,7 @@ from pipeline.skeleton.model import INDEX, SKELETON
 from pipeline.skeleton.rotations import continuous_quat_xyzw
 
 # Twist: standard deviations from the rest pose, of the speed, and beyond the limits.
-_TWIST_RAD, _TWIST_RAD_S, _TWIST_LIMIT_RAD = 1.5, 4.0, 0.05
+_TWIST_RAD, _TWIST_RAD_S, _TWIST_LIMIT_RAD = 1.5, 4.0, 0.3
 # Longest step of a rotation: beyond it, the quadratic approximation of the energy is poor. And the weight that keeps a
 # rotation in place if no other term does.
 _LONGEST_STEP_RAD = 0.3

@@ -46,15 +46,23 @@ def _ball(*joints: str, usual_rad: float = np.inf) -> tuple[Freedom, ...]:
     return tuple(Freedom(joints, axis, usual_rad) for axis in _AXES)
 
 
+# Extremes of people: elbows and knees of flexible people go 12 degrees beyond straight; knees of people who sit on
+# their heels bend to 165 degrees (Mulholland and Wyss 2001), elbows to the range of the American Academy of Orthopaedic
+# Surgeons, rounded up.
+_BEYOND_STRAIGHT_DEG, _ELBOW_DEG, _KNEE_DEG = -12.0, 155.0, 165.0
+
+
+def _hinge(joint: str, axis: tuple[float, float, float], highest_deg: float) -> Freedom:
+    return Freedom((joint,), axis, limits_rad=(np.radians(_BEYOND_STRAIGHT_DEG), np.radians(highest_deg)))
+
+
 def _side(side: str) -> tuple[Freedom, ...]:
-    # Ranges of the American Academy of Orthopaedic Surgeons, rounded up; without hyperextension, which can't be
-    # distinguished from the noise of detectors.
     return (
         *(Freedom((f"{side}Shoulder",), axis, 0.12) for axis in _AXES[1:]),
         *_ball(f"{side}Arm"),
-        Freedom((f"{side}ForeArm",), ARM_HINGES[side], limits_rad=(0.0, np.radians(155.0))),
+        _hinge(f"{side}ForeArm", ARM_HINGES[side], _ELBOW_DEG),
         *_ball(f"{side}UpLeg"),
-        Freedom((f"{side}Leg",), KNEE_HINGE, limits_rad=(0.0, np.radians(155.0))),
+        _hinge(f"{side}Leg", KNEE_HINGE, _KNEE_DEG),
     )
 
 
@@ -73,7 +81,9 @@ FEET = (*_ball("LeftFoot", usual_rad=0.5), *_ball("RightFoot", usual_rad=0.5))
 TWISTS = tuple(
     Twist(f"{side}{joint}", f"{side}{child}", (-np.radians(limit_deg), np.radians(limit_deg)))
     for side in ("Left", "Right")
-    for joint, child, limit_deg in (("Arm", "ForeArm", 110.0), ("UpLeg", "Leg", 55.0))
+    # An arm that is raised ahead and one that is raised aside meet overhead with half a turn between their twists: the
+    # twist of an arm has nearly no limits of its own.
+    for joint, child, limit_deg in (("Arm", "ForeArm", 150.0), ("UpLeg", "Leg", 55.0))
 )
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
