@@ -121,8 +121,9 @@ test-data: setup
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
 
-# More processes than processors: many tests wait. A test that hangs fails after a quarter of an hour.
-PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --timeout 900 --durations 40 --durations-min 5
+# More processes than processors: many tests wait. Threads of linear algebra would only wait for each other there. A test
+# that hangs fails after a quarter of an hour.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -n 3 --dist loadgroup --timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile
 
 test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (a quarter of an hour)

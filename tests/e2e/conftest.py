@@ -16,6 +16,9 @@ from pipeline.stages.local import reconstruct
 from tests.e2e.serving import NUM_PROCESSES, Served, serving
 from tests.waiting import is_alive
 
+# Frames of the sample of which the quick tests need the detections.
+NUM_FIRST = 20
+
 
 @pytest.fixture(scope="session")
 def sample() -> Sample:
@@ -35,6 +38,20 @@ def reconstruction(sample: Sample, task_cache: Path) -> Reconstruction:
 def results(reconstruction: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
     write_results(reconstruction, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def beginning(sample: Sample) -> Reconstruction:
+    """Reconstruction of the sample's first frames, from one chunk of each camera."""
+    session = open_session(list(sample.videos.values()), sample.calibration)
+    return reconstruct(session, ReconstructionConfig(frame_range=(0, NUM_FIRST)))
+
+
+@pytest.fixture(scope="session")
+def first_results(beginning: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("beginning")
+    write_results(beginning, folder)
     return folder
 
 
