@@ -24,6 +24,7 @@ from pipeline.identity.recover_detections import recover_detections
 from pipeline.identity.spurious_tracks import is_spurious, mean_bodies
 from pipeline.identity.tracklets import DoubtfulMoment, Tracklet, cut_at_gaps, cut_at_moments, encounters, path_of
 from pipeline.joints import JointSet
+from pipeline.likenesses.find import find_likenesses, seen_in
 
 
 def identify(
@@ -45,7 +46,8 @@ def identify(
     min_score
         Observations with a lower score are not used.
     most
-        Number of people to keep, those with the most observations; ``None``: all.
+        Number of people to keep, those with the most observations, those who never move and mirror images last;
+        ``None``: all.
     colour
         Colours of all detections, in the order of ``Observations.detection``; ``None`` if they were not measured.
     num_recorded
@@ -74,7 +76,8 @@ def identify(
         if person is not None and not is_spurious(person, cameras, timebase, num_bodies, recorded)
     ]
     if most is not None:
-        kept = sorted(kept, key=lambda entry: int(entry[0][0].views.sum()), reverse=True)[:most]
+        first = _most_seen([person for person, _ in kept], cameras, joints, timebase)[:most]
+        kept = [kept[place] for place in first]
     kept.sort(key=lambda entry: entry[0][0].start_frame)
     # Rows of detections serve the comparison of clothes only.
     persons = [(track, replace(seen, detection=no_detections())) for (track, seen), _ in kept]
@@ -87,6 +90,16 @@ def identify(
         for number in numbers
     ]
     return People(*number_people(persons), people.num_approximate_frames, doubts)
+
+
+def _most_seen(
+    persons: Sequence[Person], cameras: Sequence[Camera], joints: JointSet, timebase: Timebase
+) -> Sequence[int]:
+    """Places of people by their observations, those with the most first; likenesses of people come last."""
+    tracks, observations = [track for track, _ in persons], [seen for _, seen in persons]
+    likenesses = find_likenesses(tracks, seen_in(observations), cameras, joints, timebase.frame_rate_hz)
+    num_views = [int(track.views.sum()) for track in tracks]
+    return sorted(range(len(persons)), key=lambda place: (place in likenesses.numbers, -num_views[place]))
 
 
 def _session(pieces: Sequence[Person], joints: JointSet, frame_rate_hz: float) -> TrackletLinks:

@@ -19,7 +19,7 @@ from pipeline.preflight.explain import (
     move_points,
 )
 from pipeline.preflight.sightings import SimultaneousPeople
-from pipeline.preflight.world import check_world, locate
+from pipeline.preflight.world import check_world, locate, of_movers
 from pipeline.problem_codes.findings import (
     CALIBRATION_OF_ANOTHER_RIG,
     CAMERA_SEES_NOBODY,
@@ -66,7 +66,7 @@ def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Pe
     rig = [cameras[place] for place in best.places]
     instants, poses_m = locate(rig, mended, agreeing)
     is_certain = sightings.num_independent(set(instants)) >= MIN_INSTANTS
-    of_world = check_world(rig, poses_m, sightings.joints, is_certain)
+    of_world = check_world(rig, of_movers(instants, poses_m), sightings.joints, is_certain)
     return PeopleCheck((*seen, *explained, *disagreeing, *of_world), len(poses_m))
 
 

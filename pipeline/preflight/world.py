@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from pipeline.data.cameras import Camera
 from pipeline.data.people import Source, Track3D
@@ -38,6 +39,8 @@ _MIN_POSES, _MIN_FACES = 6, 20
 _POSSIBLE_M = (0.4, 3.0)
 # Heights are less exact than those of a reconstruction, which has its own check.
 _MAX_FLOOR_M = 0.3
+# Bodies at one place, and the least number of instants at which a body that never moves is there.
+_SAME_PLACE_M, _MIN_INSTANTS_AT_PLACE = 0.04, 4
 _ANKLES = ("left_ankle", "right_ankle")
 
 
@@ -79,6 +82,23 @@ def check_world(
         wrong = [replace(finding, severity="warning") for finding in wrong]
     # Heights mean nothing in another unit, or along another axis.
     return wrong or list(_check_heights(cameras, poses_m, joints))
+
+
+def of_movers(
+    instants: Sequence[int], poses_m: Float[np.ndarray, "poses joints 3"]
+) -> Float[np.ndarray, "poses joints 3"]:
+    """Poses of people who are not at one place at half of the instants, as pictures on walls are; all without any.
+
+    ``instants`` and ``poses_m`` are those of ``locate``.
+    """
+    is_located = np.isfinite(poses_m[..., 0]).any(-1)
+    number, poses_m = np.asarray(instants, int)[is_located], poses_m[is_located]
+    is_known = np.isfinite(poses_m[..., 0])
+    middle_m = np.array([np.median(pose_m[known], axis=0) for pose_m, known in zip(poses_m, is_known, strict=True)])
+    usual = max(_MIN_INSTANTS_AT_PLACE, len(np.unique(number)) / 2)
+    near = cKDTree(middle_m).query_ball_point(middle_m, _SAME_PLACE_M) if len(middle_m) else []
+    moves = np.array([len(np.unique(number[rows])) < usual for rows in near], bool)
+    return poses_m[moves] if np.count_nonzero(moves) >= _MIN_POSES else poses_m
 
 
 def _as_track(poses_m: Float[np.ndarray, "poses joints 3"]) -> Track3D:

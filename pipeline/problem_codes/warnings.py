@@ -61,6 +61,18 @@ UNCERTAIN_IDENTITY = WARNINGS.code(
     "Two people may have been taken for each other at some moment.",
     "Look at the moments under `identity.doubts` in metrics.json; see [who is who](identity.md#doubts).",
 )
+PERSON_NEVER_MOVES = WARNINGS.code(
+    "person_never_moves",
+    _WARNING,
+    "A person never moves: a poster, a mannequin, or somebody who sleeps.",
+    "Remove the picture if it is one (`PATCH /v1/jobs/{id}/people`); see [likenesses](identity.md#likenesses).",
+)
+MIRROR_IMAGE = WARNINGS.code(
+    "mirror_image",
+    _WARNING,
+    "A person is the mirror image of another one.",
+    "Remove the image (`PATCH /v1/jobs/{id}/people`), or cover the mirror; see [likenesses](identity.md#likenesses).",
+)
 CALIBRATION_REFINED = WARNINGS.code(
     "calibration_refined",
     _WARNING,

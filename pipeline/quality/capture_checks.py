@@ -4,7 +4,7 @@ Usual causes of a failed check are too few cameras, cameras with other fields of
 set-up, with which no two cameras agree on a person.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from pipeline.data.cameras import Refinement, Synchronization
 from pipeline.data.detections import DamagedVideo
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.findings import Finding, SessionCheck
+from pipeline.likenesses.find import Likenesses
+from pipeline.likenesses.mirrored import MirrorImage
 from pipeline.problem_codes.warnings import (
     APPROXIMATE_ASSOCIATION,
     CALIBRATION_REFINED,
@@ -23,7 +25,9 @@ from pipeline.problem_codes.warnings import (
     EVERYBODY_REMOVED,
     FEW_VIEWS,
     FRAMES_DOUBLED,
+    MIRROR_IMAGE,
     NOBODY_FOUND,
+    PERSON_NEVER_MOVES,
     SYNC_UNCERTAIN,
     TOO_FEW_CAMERAS,
     UNCERTAIN_IDENTITY,
@@ -38,7 +42,6 @@ _UNCERTAIN = 0.9
 _SHOWN_TIMES = 5
 # A single doubled picture does no harm.
 _MAX_DOUBLED = 0.01
-_NOBODY = "nobody_found"
 # Findings that explain an empty result, and are no errors: places may be empty.
 _OF_NOBODY = frozenset({"nobody_detected", "no_common_people"})
 # Findings that a message quotes.
@@ -46,9 +49,9 @@ _MAX_REASONS = 3
 
 
 def capture_checks(
-    reconstruction: Reconstruction, seen: Mapping[int, Bool[np.ndarray, "frames cameras"]]
+    reconstruction: Reconstruction, seen: Mapping[int, Bool[np.ndarray, "frames cameras"]], likenesses: Likenesses
 ) -> list[dict[str, Any]]:
-    """List the failed checks of the capture, each with ``code`` and ``message``, and ``evidence`` if nobody was found.
+    """List the failed checks of the capture, each with ``code`` and ``message``, some with ``evidence``.
 
     ``seen`` is whether a camera saw any joint of the person in a frame, by track.
     """
@@ -62,13 +65,20 @@ def capture_checks(
         _check_views(names, seen),
         _check_association(reconstruction),
         _check_identity(reconstruction),
+        _check_still(reconstruction, likenesses),
+        _check_images(reconstruction, likenesses),
         _check_refinement(reconstruction.refinement),
         _check_synchronization(reconstruction.synchronization),
     )
     findings: list[dict[str, Any]] = [{"code": code, "message": message} for check in checks for code, message in check]
+    measured: Mapping[str, Callable[[], dict[str, Any]]] = {
+        NOBODY_FOUND: lambda: _why_nobody(reconstruction.check),
+        PERSON_NEVER_MOVES: lambda: _measured_still(reconstruction, likenesses),
+        MIRROR_IMAGE: lambda: _measured_images(reconstruction, likenesses),
+    }
     for finding in findings:
-        if finding["code"] == _NOBODY:
-            finding["evidence"] = _why_nobody(reconstruction.check)
+        if finding["code"] in measured:
+            finding["evidence"] = measured[finding["code"]]()
     return findings
 
 
@@ -208,6 +218,69 @@ def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]
             f"It is uncertain who is who: {first_names(described)}. Look at these moments; `identity.doubts` in "
             "metrics.json lists all of them.",
         )
+
+
+def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[str, str]]:
+    people = [
+        f"person-{take.tracks[person.number].track_id} (by {100 * person.moved_m:.1f} cm at most in "
+        f"{person.num_frames} frames)"
+        for person in likenesses.still
+    ]
+    if people:
+        subject = "A person never moves" if len(people) == 1 else f"{len(people)} people never move"
+        yield (
+            PERSON_NEVER_MOVES,
+            f"{subject}: {first_names(people)}. It is a picture, a figure, or somebody who sleeps, and counts neither "
+            "for the floor nor for the refinement of the calibration. Of a number of people to keep it is the last.",
+        )
+
+
+def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[str, str]]:
+    images = [
+        f"person-{take.tracks[image.number].track_id} mirrors person-{take.tracks[image.original].track_id} to "
+        f"{100 * image.error_m:.1f} cm in {image.num_frames} frames, in the plane {_plane(image)}"
+        for image in likenesses.images
+    ]
+    if images:
+        subject = "A person is the mirror image of another one" if len(images) == 1 else "People are mirror images"
+        yield (
+            MIRROR_IMAGE,
+            f"{subject}: {first_names(images)}. Images count neither for the floor nor for the refinement of the "
+            "calibration. Of a number of people to keep they are the last.",
+        )
+
+
+def _plane(image: MirrorImage) -> str:
+    """Equation of a mirror's plane, such as ``1.00 x + 0.00 y + 0.00 z = 2.60 m``."""
+    x, y, z = (float(value) + 0.0 for value in np.round(image.normal, 2))
+    return f"{x:.2f} x {y:+.2f} y {z:+.2f} z = {image.offset_m:.2f} m"
+
+
+def _measured_still(take: Reconstruction, likenesses: Likenesses) -> dict[str, Any]:
+    people = [
+        {
+            "id": take.tracks[person.number].track_id,
+            "moved_m": round(person.moved_m, 4),
+            "num_frames": person.num_frames,
+        }
+        for person in likenesses.still
+    ]
+    return {"people": people}
+
+
+def _measured_images(take: Reconstruction, likenesses: Likenesses) -> dict[str, Any]:
+    people = [
+        {
+            "id": take.tracks[image.number].track_id,
+            "mirrors": take.tracks[image.original].track_id,
+            "normal": [round(float(value), 4) + 0.0 for value in image.normal],
+            "offset_m": round(image.offset_m, 4),
+            "error_m": round(image.error_m, 4),
+            "num_frames": image.num_frames,
+        }
+        for image in likenesses.images
+    ]
+    return {"people": people}
 
 
 def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]]:

@@ -38,6 +38,7 @@ from pipeline.data.people import Doubt, Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.findings import Finding, Severity
 from pipeline.joints import LIMBS, SIDES, JointSet, finger_joints
+from pipeline.likenesses.find import find_likenesses
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.epipolar_distances import median_distances_m
 from pipeline.quality.views import PersonViews, body_joints, has_position, views_of, without_fingers
@@ -71,6 +72,9 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
     all_doubts = reconstruction.doubts or [()] * len(tracks)
     seen = {track.track_id: figures.sees for track, figures in zip(tracks, views, strict=True)}
+    likenesses = find_likenesses(
+        reconstruction.located, lambda number: views[number].sees, cameras, joints, frame_rate_hz
+    )
     return {
         "schema_version": SCHEMA_VERSION,
         "num_frames": reconstruction.timebase.num_frames,
@@ -114,7 +118,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
         "sync": None if reconstruction.synchronization is None else sync_document(reconstruction.synchronization),
         "session_checks": [finding.to_json() for finding in reconstruction.check.findings],
         **({"forced": list(reconstruction.check.forced)} if reconstruction.check.forced else {}),
-        "capture_checks": capture_checks(reconstruction, seen),
+        "capture_checks": capture_checks(reconstruction, seen, likenesses),
         "world_checks": world_checks(
             reconstruction, statures_m, median_distances_m(of_person.pair_distances_m for of_person in views)
         ),

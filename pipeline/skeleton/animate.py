@@ -39,6 +39,7 @@ def animate(
     on_share: OnShare = ignore,
     offsets: JointOffsets = MARKED_AT_CENTERS,
     floor: Floor | Literal["estimated"] | None = "estimated",
+    on_floor: Sequence[int] | None = None,
 ) -> Animation:
     """Compute the skeleton motion and the final joint positions of all people.
 
@@ -55,6 +56,8 @@ def animate(
         Offsets of the detector's marks from the joints' centres. Only the fit can move joints to their centres.
     floor
         Floor under the people; ``None``: there is none; ``estimated``: it is estimated from their feet.
+    on_floor
+        Positions of the people from whose feet the floor is estimated; ``None``: all.
 
     Raises
     ------
@@ -74,8 +77,9 @@ def animate(
         motions.append(fits[-1].motion(next(parts)))
     points = [foot_points(fitted, motion, body) for fitted, motion in zip(fits, motions, strict=True)]
     if floor == "estimated":
+        judged = points if on_floor is None else [points[number] for number in on_floor]
         floor = estimate_floor(
-            [person.ankles_m for person in points], [person.ankles_known for person in points], timebase.frame_rate_hz
+            [person.ankles_m for person in judged], [person.ankles_known for person in judged], timebase.frame_rate_hz
         )
     finals: list[Track3D] = []
     for number, (track, seen) in enumerate(zip(tracks, observations, strict=True)):

@@ -8,6 +8,7 @@ CHOICES = ("smoothing", "cutoff_hz", "feet", "joint_centers")
 
 def fit(task: Task, context: Context) -> Output:
     """Animate everybody, on the floor that their feet find."""
+    from pipeline.likenesses.find import find_likenesses, seen_in
     from pipeline.skeleton.animate import animate
     from pipeline.stages.codec import encode
 
@@ -15,15 +16,20 @@ def fit(task: Task, context: Context) -> Output:
     people = context.people(IDENTIFY).people
     # Windows of all observations are asked for again and again, a track but once.
     in_memory = tuple(people.observations)
+    joints = context.detections.joints(session)
+    likenesses = find_likenesses(
+        people.tracks, seen_in(in_memory), session.cameras, joints, session.timebase.frame_rate_hz
+    )
     animation = animate(
         people.tracks,
         in_memory,
         session.cameras,
         session.timebase,
-        context.detections.joints(session),
+        joints,
         context.config,
         context.on_share(task),
         context.offsets(),
+        on_floor=likenesses.others(len(in_memory)),
     )
     return Output(encode(animation))
 

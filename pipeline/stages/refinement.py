@@ -21,6 +21,7 @@ from pipeline.data.detections import Detections, DetectionsByCamera
 from pipeline.data.people import Poses3D
 from pipeline.hands.attach import without_fingers
 from pipeline.joints import JointSet, without_hands
+from pipeline.likenesses.of_poses import without_likenesses
 from pipeline.progress import OnShare, ignore, split
 from pipeline.stages.association import locate_people, track
 from pipeline.tracking.observations import gather
@@ -83,7 +84,13 @@ def _refine(session: Session, associate: _Associate, joints: JointSet, on_share:
     given = session.cameras
 
     def refine_from(start: tuple[Camera, ...], on_round: OnShare) -> tuple[RefinedCameras, list[Poses3D]]:
-        poses = list(associate(replace(session, cameras=start), on_round))
+        poses = without_likenesses(
+            list(associate(replace(session, cameras=start), on_round)),
+            start,
+            joints,
+            session.timebase,
+            sampled_frames(session.timebase).step,
+        )
         return refine(given, start, choose_sightings(poses, joints, session.timebase)), poses
 
     on_first, on_second = split(on_share, (1, 1))

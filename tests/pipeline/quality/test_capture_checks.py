@@ -6,6 +6,7 @@ from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, Wo
 from pipeline.data.detections import DamagedVideo
 from pipeline.data.people import Doubt, Observations
 from pipeline.findings import Finding, SessionCheck
+from pipeline.likenesses.find import Likenesses
 from pipeline.problem_codes.findings import NOBODY_DETECTED
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report
@@ -84,7 +85,7 @@ def test_somebody_whom_two_cameras_see_in_most_frames_is_named() -> None:
 def test_many_people_whom_two_cameras_see_are_one_check() -> None:
     doubtful = np.tile([True, True, False], (10, 1))
     seen = dict.fromkeys(range(1, 13), doubtful) | {20: np.ones((10, 3), bool)}
-    (check,) = capture_checks(reconstruction(), seen)
+    (check,) = capture_checks(reconstruction(), seen, Likenesses())
     assert check == {
         "code": "few_views",
         "message": "12 people were seen by fewer than 3 cameras in most frames: person-1, person-2, person-3, "
