@@ -9,22 +9,18 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import median_filter
 
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
 from pipeline.data.people import Source, Track3D
 from pipeline.detect.chunk import concatenate
 from pipeline.geometry.camera import project
+from pipeline.identity.steady import steady_places
 from pipeline.joints import COCO_17, JointSet
 from pipeline.video.timeline import frames_in
 
 LEAN_IN_WORLD_DEG, LEAN_IN_PICTURE_DEG = 30.0, 40.0
 """Angles of a leaning trunk from the vertical of the world, and from the upright direction of the picture."""
-# Half of the time over which the median of a joint's places is taken: single frames of hard motion are wrong.
-_STEADY_S = 0.1
-# Longest time without a joint over which its place is expected between its neighbours in time.
-_LONGEST_GAP_S = 1.0
 # Joints of the body that a picture must show.
 _LEAST_INSIDE = 4
 
@@ -40,16 +36,7 @@ def expected_body_m(track: Track3D, joints: JointSet, frame_rate_hz: float) -> F
     """
     columns = joints.indices(COCO_17.names)
     measured = (track.source[:, columns] == Source.MEASURED) & np.isfinite(track.xyz_m[:, columns]).all(-1)
-    rows = np.arange(track.num_frames)
-    expected_m = np.full((track.num_frames, len(columns), 3), np.nan)
-    for joint, column in enumerate(columns):
-        known = np.flatnonzero(measured[:, joint])
-        if len(known):
-            for axis in range(3):
-                expected_m[:, joint, axis] = np.interp(rows, known, track.xyz_m[known, column, axis])
-    size = 2 * round(_STEADY_S * frame_rate_hz) + 1
-    steady_m = median_filter(np.nan_to_num(expected_m), size=(size, 1, 1), mode="nearest")
-    return np.where(_near_in_time(measured, _LONGEST_GAP_S * frame_rate_hz)[..., None], steady_m, np.nan)
+    return steady_places(track.xyz_m[:, columns], measured, frame_rate_hz)
 
 
 def expect_leaning(
@@ -88,14 +75,6 @@ def expect_leaning(
         ]
     joined = concatenate(found, [camera.name for camera in cameras], len(COCO_17.names))
     return tuple(_by_frame(joined[camera.name]) for camera in cameras)
-
-
-def _near_in_time(measured: Bool[np.ndarray, "frames joints"], longest_gap: float) -> Bool[np.ndarray, "frames joints"]:
-    """Frames with a measurement of a joint at most half a gap away on one side."""
-    rows = np.arange(len(measured))[:, None]
-    before = np.maximum.accumulate(np.where(measured, rows, -np.inf), axis=0)
-    after = np.minimum.accumulate(np.where(measured, rows, np.inf)[::-1], axis=0)[::-1]
-    return np.asarray(np.minimum(rows - before, after - rows) <= longest_gap / 2)
 
 
 def _trunk(body: Float[np.ndarray, "*batch 17 axes"]) -> Float[np.ndarray, "*batch axes"]:

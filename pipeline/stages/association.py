@@ -28,6 +28,7 @@ from pipeline.detect.chunk import concatenate
 from pipeline.detect.entries import entry_of
 from pipeline.hands.attach import attach_hands
 from pipeline.identity.identify import identify
+from pipeline.identity.neighbours.decide import return_limbs
 from pipeline.identity.sides.decide import decide_sides
 from pipeline.joints import JointSet
 from pipeline.parameters import change_parameters
@@ -167,11 +168,11 @@ def accept_redetected(
     return accept(people, bodies, *cameras, joints, _min_score(session, config), lambda_t_hz)
 
 
-def assign_sides(session: Session, people: People, joints: JointSet, config: ReconstructionConfig) -> People:
-    """Give left and right limbs of people one side each; see ``pipeline.identity.sides``."""
-    min_score = _min_score(session, config)
-    persons = list(zip(people.tracks, people.observations, strict=True))
-    sided = [decide_sides(person, session.cameras, session.timebase, joints, min_score) for person in persons]
+def assign_limbs(session: Session, people: People, joints: JointSet, config: ReconstructionConfig) -> People:
+    """Give each limb one person and one side; see ``pipeline.identity.neighbours`` and ``pipeline.identity.sides``."""
+    setting = session.cameras, session.timebase, joints, _min_score(session, config)
+    persons = return_limbs(list(zip(people.tracks, people.observations, strict=True)), *setting)
+    sided = [decide_sides(person, *setting) for person in persons]
     numbers = [track.track_id for track in people.tracks]
     return people._replace(
         tracks=tuple(replace(track, track_id=k) for (track, _), k in zip(sided, numbers, strict=True)),

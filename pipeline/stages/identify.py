@@ -16,11 +16,11 @@ from pipeline.stages.stage import (
 
 
 def identify(task: Task, context: Context) -> Output:
-    """Find out who is who, give people the bodies that were detected again, one side to each limb, and their hands."""
+    """Find out who is who, give people the bodies that were detected again, and each limb one person and one side."""
     from pipeline.data.detections import Detections
     from pipeline.hands.attach import has_hands
     from pipeline.joints import without_hands
-    from pipeline.stages.association import accept_redetected, assign_identities, assign_sides, attach
+    from pipeline.stages.association import accept_redetected, assign_identities, assign_limbs, attach
     from pipeline.stages.people import write_people
 
     session = context.wanted(context.outline())
@@ -31,7 +31,7 @@ def identify(task: Task, context: Context) -> Output:
     del colour
     if is_redetecting(context.facts, context.config):
         people = accept_redetected(session, people, context.records(REDETECT, Detections), body, context.config)
-    people = assign_sides(session, people, body, context.config)
+    people = assign_limbs(session, people, body, context.config)
     if has_hands(joints):
         people = attach(session, people, context.gathered_bodies()[0], joints, context.config)
     path = context.scratch / "people.npz"

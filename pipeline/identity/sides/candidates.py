@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.identity.sides.limbs import LimbPair
+from pipeline.identity.limbs import LimbPair
 
 NUM_CANDIDATES = 4
 """Labels of the views that are kept in each frame."""

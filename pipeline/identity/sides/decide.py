@@ -19,10 +19,10 @@ from pipeline.data.people import Source, Track3D
 from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.geometry.track_assembly import Person
 from pipeline.geometry.undistortion import undistort_px
+from pipeline.identity.limbs import LimbPair, arms_and_legs
 from pipeline.identity.merging import relocate
 from pipeline.identity.sides.candidates import SeenRays, SideCandidates, find_candidates
 from pipeline.identity.sides.chain import LimbStates, cost_of_way, most_likely, states_of
-from pipeline.identity.sides.limbs import LimbPair, arms_and_legs
 from pipeline.identity.sides.positions import locate_limbs
 from pipeline.joints import JointSet
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pipeline.identity.limbs import LimbPair
 from pipeline.identity.sides.candidates import SCALE_M, SeenRays
-from pipeline.identity.sides.limbs import LimbPair
 
 # Scales of the function of Geman and McClure, one a step.
 _SCALES_M = (0.3, 0.2, SCALE_M, SCALE_M)

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.cameras import Camera, Timebase
 from pipeline.geometry.track_assembly import Person
+from pipeline.identity.limbs import LimbPair, arms_and_legs
 from pipeline.identity.merging import relocate
 from pipeline.identity.sides.decide import decide_sides
-from pipeline.identity.sides.limbs import LimbPair, arms_and_legs
 from pipeline.joints import COCO_17
 from tests.pipeline.identity.people import RATE_HZ, person, walker
 

@@ -1,0 +1,191 @@
+"""One person for one limb: arms, legs and heads that a body took from its neighbour go to the neighbour.
+
+Detectors make one body of two people's limbs where these overlap in the picture. A limb of an observation is the
+neighbour's if the places at which all other views expect the neighbour's limb explain it clearly better than those of
+the person's own. It is taken from the person's observation, and given to the neighbour's where that lacks the joint.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pipeline.data.arrays import read_only
+from pipeline.data.cameras import Camera, Timebase
+from pipeline.geometry.camera import project
+from pipeline.geometry.track_assembly import Person
+from pipeline.identity.limbs import arms_and_legs
+from pipeline.identity.merging import relocate
+from pipeline.identity.neighbours.places import (
+    Window,
+    expected_without,
+    near_neighbours,
+    scale_px_per_m,
+    window_of,
+)
+from pipeline.identity.sides.candidates import SCALE_M
+from pipeline.identity.steady import REACH_S
+from pipeline.joints import COCO_17, JointSet, other_side
+
+# Gain of an explanation, in observations that nothing explains, that decides for the neighbour.
+_CLEARLY = 0.6
+# Expected places get better when limbs have gone to their owners.
+_NUM_ROUNDS = 2
+# Frames that are worked on at once, to bound the memory.
+_BLOCK = 512
+_FACE = COCO_17.names[: COCO_17.index("left_shoulder")]
+
+
+class TakenJoint(NamedTuple):
+    """Observation of a joint that shows the owner, not the person who has it: positions in the order of all people."""
+
+    frame: int
+    camera: int
+    person: int
+    joint: int
+    owner: int
+    owners_joint: int
+
+
+def return_limbs(
+    persons: Sequence[Person], cameras: Sequence[Camera], timebase: Timebase, joints: JointSet, min_score: float
+) -> list[Person]:
+    """Give limbs that bodies took from neighbours to these, and locate the joints again there.
+
+    Observations with a score below ``min_score`` are not used. Without neighbours in a picture, people are returned as
+    they are; so they are if the joints have no trunk.
+    """
+    returned = list(persons)
+    pairs = arms_and_legs(joints)
+    if pairs is None:
+        return returned
+    limbs = [list(joints.indices(tuple(name for name in _FACE if name in joints.names)))]
+    limbs += [list(part) for pair in pairs for limb in (pair.left, pair.right) for part in (limb[:1], limb[1:])]
+    limbs = [limb for limb in limbs if limb]
+    for _ in range(_NUM_ROUNDS):
+        taken = _taken(returned, limbs, cameras, timebase, joints, min_score)
+        if not taken:
+            break
+        returned = _give_back(returned, taken, cameras, timebase, min_score)
+    return returned
+
+
+def _taken(
+    persons: Sequence[Person],
+    limbs: Sequence[list[int]],
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    min_score: float,
+) -> list[TakenJoint]:
+    """Find the joints of all observations that show a neighbour."""
+    if len(persons) < 2:
+        return []
+    sides = np.array([range(len(joints.names)), joints.indices(tuple(map(other_side, joints.names)))])
+    first = min(track.start_frame for track, _ in persons)
+    stop = max(track.start_frame + track.num_frames for track, _ in persons)
+    margin = int(np.ceil(REACH_S * timebase.frame_rate_hz)) + 2
+    taken: list[TakenJoint] = []
+    for start in range(first, stop, _BLOCK):
+        block = range(start, min(start + _BLOCK, stop))
+        frames = range(max(first, block.start - margin), min(stop, block.stop + margin))
+        window = window_of(persons, frames)
+        near = near_neighbours(window, cameras)
+        near[..., : block.start - frames.start] = False
+        near[..., block.stop - frames.start :] = False
+        for number in np.flatnonzero(near.any((0, 1, 3))).tolist():
+            taken += _taken_in(
+                window, near[:, :, number], number, limbs, sides, cameras, min_score, timebase.frame_rate_hz, frames
+            )
+    return taken
+
+
+def _taken_in(
+    window: Window,
+    near: Bool[np.ndarray, "people people frames"],
+    number: int,
+    limbs: Sequence[list[int]],
+    sides: Int[np.ndarray, "2 joints"],
+    cameras: Sequence[Camera],
+    min_score: float,
+    frame_rate_hz: float,
+    frames: range,
+) -> list[TakenJoint]:
+    """Find the joints of a camera's observations that show a neighbour."""
+    camera = cameras[number]
+    involved = np.flatnonzero(near.any((1, 2))).tolist()
+    expected_m = np.full(window.xyz_m.shape, np.nan)
+    for row in involved:
+        expected_m[row] = expected_without(window, row, number, cameras, min_score, frame_rate_hz)
+    places_px, px_per_m = project(camera, expected_m), scale_px_per_m(camera, expected_m)
+    taken: list[TakenJoint] = []
+    for row in involved:
+        others = np.flatnonzero(near[row].any(-1))
+        score = window.score[row][:, number]
+        unexplained = _unexplained(
+            window.points_px[row][:, number], places_px[[row, *others]], px_per_m[[row, *others]], sides
+        )
+        is_expected = np.isfinite(places_px[row]).all(-1)
+        is_seen = (score > 0) & (score >= min_score)
+        own, of_others = unexplained[0].min(0), np.where(near[row][others][:, None, :, None], unexplained[1:], 1.0)
+        for limb in limbs:
+            weight = (is_seen & is_expected)[:, limb]
+            count = np.maximum(weight.sum(-1), 1)
+            cost = (weight * of_others[..., limb]).sum(-1) / count
+            gain = (weight * own[:, limb]).sum(-1) / count - cost.min((0, 1))
+            best = cost.reshape(-1, len(frames)).argmin(0)
+            for frame in np.flatnonzero(gain > _CLEARLY):
+                other, side = np.unravel_index(best[frame], cost.shape[:2])
+                owner = window.person[others[other]]
+                taken += [
+                    TakenJoint(frames[frame], number, window.person[row], joint, owner, int(sides[side, joint]))
+                    for joint in limb
+                    if is_seen[frame, joint] and own[frame, joint] - of_others[other, side, frame, joint] > _CLEARLY / 2
+                ]
+    return taken
+
+
+def _unexplained(
+    points_px: Float[np.ndarray, "frames joints 2"],
+    places_px: Float[np.ndarray, "people frames joints 2"],
+    px_per_m: Float[np.ndarray, "people frames joints"],
+    sides: Int[np.ndarray, "2 joints"],
+) -> Float[np.ndarray, "people 2 frames joints"]:
+    """Share of each observation that people's joints of its own and of the other side do not explain.
+
+    It is the function of Geman and McClure of the distance at the joint's depth; 1 for a joint that is not expected.
+    """
+    places_px, px_per_m = (np.stack([values[:, :, side] for side in sides], axis=1) for values in (places_px, px_per_m))
+    apart_m = np.linalg.norm(places_px - points_px, axis=-1) / px_per_m
+    return np.asarray(np.nan_to_num(apart_m**2 / (apart_m**2 + SCALE_M**2), nan=1.0))
+
+
+def _give_back(
+    persons: Sequence[Person],
+    taken: Sequence[TakenJoint],
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    min_score: float,
+) -> list[Person]:
+    """Take joints from the people who have them, and give them to their owners where these have none."""
+    points_px = {k: persons[k][1].points_px.copy() for k in {k for each in taken for k in (each.person, each.owner)}}
+    score = {k: persons[k][1].score.copy() for k in points_px}
+    changed = {k: np.zeros(persons[k][0].num_frames, bool) for k in points_px}
+    given: list[tuple[TakenJoint, Float[np.ndarray, " 2"], float]] = []
+    for each in taken:
+        k, at = each.person, (each.frame - persons[each.person][0].start_frame, each.camera, each.joint)
+        given.append((each, points_px[k][at].copy(), float(score[k][at])))
+        points_px[k][at], score[k][at], changed[k][at[0]] = np.nan, 0.0, True
+    for each, point_px, confidence in given:
+        k, at = each.owner, (each.frame - persons[each.owner][0].start_frame, each.camera, each.owners_joint)
+        if score[k][at] < max(min_score, np.finfo(float).tiny):
+            points_px[k][at], score[k][at], changed[k][at[0]] = point_px, confidence, True
+    returned = list(persons)
+    for k, places_px in points_px.items():
+        track, seen = persons[k]
+        owned = replace(seen, points_px=read_only(places_px), score=read_only(score[k]))
+        located, known = relocate((track, owned), changed[k], cameras, timebase, min_score)
+        returned[k] = replace(located, track_id=track.track_id), replace(known, track_id=track.track_id)
+    return returned
