@@ -1,20 +1,19 @@
 """Steps and options that evaluations share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import typer
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.config import Method, ReconstructionConfig
+from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera, FrameTimes, Refinement, Timebase
 from pipeline.data.detections import Detections
 from pipeline.data.people import People
-from pipeline.identity.identify import identify
 from pipeline.job_choices import MAX_STATURE_M, MIN_STATURE_M
 from pipeline.joints import JointSet
+from pipeline.stages.association import assign_identities, assign_limbs
 from pipeline.stages.refinement import refine_from_bodies
-from pipeline.tracking.parameters import derive_parameters
 
 StatureOption = Annotated[
     list[float] | None,
@@ -56,11 +55,16 @@ def refinement_scores(refinement: Refinement | None) -> dict[str, Any]:
 
 
 def identified(
-    people: People, cameras: Sequence[Camera], timebase: Timebase, joints: JointSet, method: Method
+    people: People,
+    cameras: tuple[Camera, ...],
+    times: Mapping[str, FrameTimes],
+    timebase: Timebase,
+    joints: JointSet,
+    config: ReconstructionConfig,
 ) -> People:
-    """People after the global pass."""
-    min_score = 0.0 if method == "clustering" else derive_parameters(cameras, timebase.frame_rate_hz).min_score
-    return identify(people, cameras, joints, timebase, min_score)
+    """People after the global pass, with one person and one side for each limb, as of the stage ``identify``."""
+    session = KeypointSession(cameras, times, timebase, {}, joints, {}, ())
+    return assign_limbs(session, assign_identities(session, people, joints, config), joints, config)
 
 
 def shown(value: float | None) -> str:

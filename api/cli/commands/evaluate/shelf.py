@@ -71,7 +71,7 @@ def command(
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
             identities = associate(*views, limits)
             people = locate_people(*views, identities, benchmark.timebase, limits)
-        people = identified(people, benchmark.cameras, benchmark.timebase, COCO_17, config.method)
+        people = identified(people, benchmark.cameras, benchmark.times, benchmark.timebase, COCO_17, config)
         tracks = animate(
             people.tracks, people.observations, benchmark.cameras, benchmark.timebase, COCO_17, config
         ).tracks

@@ -176,7 +176,7 @@ def _score_bodies(
         limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
         bodies = gather(simulation.cameras, simulation.times, simulation.detections)
         people = track_bodies(simulation.cameras, simulation.times, bodies, simulation.timebase, limits)
-    people = identified(people, simulation.cameras, simulation.timebase, simulation.joints, config.method)
+    people = identified(people, simulation.cameras, simulation.times, simulation.timebase, simulation.joints, config)
     animation = animate(
         people.tracks, people.observations, simulation.cameras, simulation.timebase, simulation.joints, config
     )
@@ -192,7 +192,7 @@ def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
         people = People(*cluster_fields(simulation, files))
-        people = identified(people, simulation.cameras, simulation.timebase, COCO_18, config.method)
+        people = identified(people, simulation.cameras, simulation.times, simulation.timebase, COCO_18, config)
         animation = animate(
             people.tracks, people.observations, simulation.cameras, simulation.timebase, COCO_18, config
         )
