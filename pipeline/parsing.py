@@ -4,6 +4,7 @@ Parsing gives a value or ``UnreadableError``, for any content. The ranges are fa
 no product or square in the geometry overflows. The readers refuse numbers outside.
 """
 
+import codecs
 import json
 import re
 from collections.abc import Callable
@@ -16,6 +17,7 @@ import numpy as np
 # Python refuses to read integers of more than 4300 digits; floats end at 309.
 _MAX_DIGITS = 300
 _LONG_INTEGER = re.compile(r"[0-9]{301}")
+_XML_ENCODING = re.compile(r"""(\A\s*<\?xml[^>]*?)\s+encoding\s*=\s*["'][^"'>]*["']""")
 
 _Content = TypeVar("_Content")
 _Parsed = TypeVar("_Parsed")
@@ -37,6 +39,20 @@ def parse(parser: Callable[[_Content], _Parsed], content: _Content) -> _Parsed:
         raise
     except Exception as error:
         raise UnreadableError(type(error).__name__) from error
+
+
+def in_utf_8(content: bytes) -> bytes:
+    """Text of a file in UTF-8, if it is UTF-16 with its mark; other content as it is.
+
+    XML then no longer states its encoding, which would be wrong.
+    """
+    if not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content
+    try:
+        text = content.decode("utf-16")
+    except UnicodeDecodeError:
+        return content
+    return _XML_ENCODING.sub(r"\1", text, count=1).encode()
 
 
 def read_json(content: bytes) -> Any:

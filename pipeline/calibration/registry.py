@@ -8,6 +8,7 @@ from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.advice import SUPPORTED, other_format, other_keys
 from pipeline.calibration.contents import UNITS_M, CameraFile, Units, Up, scaled
+from pipeline.calibration.decimal_commas import COMMA_HINT, comma_in, comma_message, with_points
 from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
@@ -15,7 +16,7 @@ from pipeline.calibration.units import possible_units, question
 from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, parse
+from pipeline.parsing import UnreadableError, in_utf_8, parse
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
 from pipeline.problem_codes.sessions import (
@@ -89,6 +90,10 @@ _BY_START: Mapping[bytes, Reader] = {
     b"<": _read_xml,
     b"{": json_formats.read,
 }
+
+
+# Starts of files that are no text: zip archives and pickles.
+_BINARY = (b"PK\x03\x04", b"\x80")
 
 
 def _reader(name: str, content: bytes) -> Reader | None:
@@ -184,7 +189,23 @@ def _read(path: Path) -> CameraFile:
         content = path.read_bytes()
     except OSError as error:
         raise _refusal(path, CALIBRATION_UNREADABLE, "The file can't be read.", "Check its permissions.") from error
+    content = in_utf_8(content)
     reader = _reader(path.name, content)
     if reader is None:
         raise _refusal(path, CALIBRATION_FORMAT, *other_format(path.name))
-    return reader(content, path.name)
+    try:
+        return reader(content, path.name)
+    except InputError:
+        comma = None if content.startswith(_BINARY) else comma_in(content)
+        if comma is None:
+            raise
+        if colmap.is_text(content) or content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+            # Spaces or quotes separate the numbers.
+            return _read_with_points(reader, content, path, comma)
+        raise _refusal(path, CALIBRATION_UNREADABLE, comma_message(comma), COMMA_HINT) from None
+
+
+def _read_with_points(reader: Reader, content: bytes, path: Path, comma: str) -> CameraFile:
+    contents = reader(with_points(content), path.name)
+    note = f"{path.name}: the numbers have decimal commas, such as {comma}, and are read so."
+    return replace(contents, notes=(*contents.notes, note))

@@ -7,13 +7,14 @@ from pathlib import PurePosixPath
 
 from pipeline.calibration.advice import other_members
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.decimal_commas import COMMA_HINT, comma_in, comma_message
 from pipeline.calibration.readers import colmap, opencv
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, parse
+from pipeline.parsing import UnreadableError, in_utf_8, parse
 from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, CALIBRATION_UNREADABLE
 
 _MAX_ENTRIES = 2 * MAX_CAMERAS
@@ -28,7 +29,7 @@ def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a zip; ``InputError`` lists all its problems."""
     try:
         members = parse(_unpack, content)
-        contents = _read_members(members, file)
+        contents = _read_unless_commas(members, file)
     except UnreadableError as error:
         message = "The archive, or a file in it, is damaged, not in its format, or too large."
         raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
@@ -36,6 +37,18 @@ def read(content: bytes, file: str) -> CameraFile:
         message, hint = other_members(members)
         raise InputError([Problem(CALIBRATION_FORMAT, message, file=file, hint=hint)])
     return contents
+
+
+def _read_unless_commas(members: Mapping[str, bytes], file: str) -> CameraFile | None:
+    """Contents of the files; decimal commas are the reason that is named of files that can't be read."""
+    try:
+        return _read_members(members, file)
+    except (InputError, UnreadableError):
+        commas = [comma for member in members.values() if (comma := comma_in(member)) is not None]
+        if not commas:
+            raise
+        problem = Problem(CALIBRATION_UNREADABLE, comma_message(commas[0]), file=file, hint=COMMA_HINT)
+        raise InputError([problem]) from None
 
 
 def _unpack(content: bytes) -> dict[str, bytes]:
@@ -55,6 +68,7 @@ def _unpack(content: bytes) -> dict[str, bytes]:
             left -= len(members[name])
             if left < 0:
                 raise UnreadableError
+            members[name] = in_utf_8(members[name])
     return members
 
 
