@@ -72,11 +72,22 @@ SLOW = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the slow tests."""
+    """Mark the slow tests, and keep the tests of a module together: its fixtures are made once, in one process.
+
+    Groups of several modules come first, since they take longest.
+    """
     tests = Path(__file__).parent
+    of_groups, of_modules = [], []
     for item in items:
-        if item.path.relative_to(tests).as_posix().startswith(SLOW):
+        module = item.path.relative_to(tests).as_posix()
+        if module.startswith(SLOW):
             item.add_marker(pytest.mark.slow)
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(module))
+            of_modules.append(item)
+        else:
+            of_groups.append(item)
+    items[:] = of_groups + of_modules
 
 
 @pytest.fixture(scope="module", autouse=True)

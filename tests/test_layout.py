@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 from pipeline.stages.plan import STAGES
@@ -26,14 +27,20 @@ def scripts_of_the_page() -> list[Path]:
     return paths
 
 
+@cache
+def classes_and_stages(path: Path) -> tuple[list[str], list[int]]:
+    """Names of the classes of a module, and lines on which the name of a stage is a constant."""
+    nodes = list(ast.walk(ast.parse(path.read_bytes())))
+    lines = [node.lineno for node in nodes if isinstance(node, ast.Constant) and node.value in NAMES]
+    return [node.name for node in nodes if isinstance(node, ast.ClassDef)], lines
+
+
 def test_no_stage_is_spelled_elsewhere() -> None:
     spelled = []
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
             if path.parent != ROOT / "pipeline" / "stages":
-                tree = ast.parse(path.read_bytes())
-                constants = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and node.value in NAMES]
-                spelled += [f"{path.relative_to(ROOT)}:{node.lineno}" for node in constants]
+                spelled += [f"{path.relative_to(ROOT)}:{line}" for line in classes_and_stages(path)[1]]
     assert not spelled
 
 
@@ -52,8 +59,7 @@ def test_no_two_classes_have_one_name() -> None:
     for package in (*PACKAGES, "tests"):
         for path in (ROOT / package).rglob("*.py"):
             if "node_modules" not in path.parts:
-                nodes = ast.walk(ast.parse(path.read_bytes()))
-                names.update(node.name for node in nodes if isinstance(node, ast.ClassDef))
+                names.update(classes_and_stages(path)[0])
     for path in scripts_of_the_page():
         names.update(re.findall(r"^\s*(?:export )?class (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE))
     assert len(names) > 500

@@ -13,7 +13,6 @@ from typing import Any
 
 import httpx2
 import psutil
-import pytest
 
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
@@ -24,8 +23,6 @@ from tests.e2e.test_serve_keypoints import capture, files
 from tests.waiting import wait_for
 
 __all__ = ["capture"]
-
-pytestmark = pytest.mark.xdist_group("sample")
 
 # Workers with a low priority may make no progress on a busy machine.
 ENVIRONMENT = {"MULTICAP_NICE": "0"}

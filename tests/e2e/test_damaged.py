@@ -22,8 +22,6 @@ from tests.pipeline.media import rewrite_packets, write_sizes, write_video
 from tests.pipeline.video.test_damage import lose
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.xdist_group("damaged")
-
 DECODER = "pipeline.video.decoder"
 
 # The name of the file chooses how the decoder fails.

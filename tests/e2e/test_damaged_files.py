@@ -15,8 +15,6 @@ from tests.e2e.test_serve_keypoints import files
 from tests.waiting import wait_for
 from tests.worker.jobs.damage import damage_under, overwrite
 
-pytestmark = pytest.mark.xdist_group("faults")
-
 ENVIRONMENT = {"MULTICAP_LEASE_S": "3", "MULTICAP_HEARTBEAT_S": "0.5", "MULTICAP_REAP_INTERVAL_S": "1"}
 
 Parts = list[tuple[str, tuple[str, bytes]]]

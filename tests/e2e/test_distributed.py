@@ -41,8 +41,6 @@ from worker.jobs.store import JobStore
 
 __all__ = ["receiver"]
 
-pytestmark = pytest.mark.xdist_group("sample")
-
 NUM_WORKERS = 2
 
 

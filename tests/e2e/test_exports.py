@@ -32,8 +32,6 @@ from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.export.writers.test_bvh import encoded, orders_in, tumbling, with_fingers
 
-pytestmark = pytest.mark.xdist_group("sample")
-
 EXPORTS = tuple(FILE_FORMATS)
 PRESET_NAMES = tuple(PRESETS)
 # World axes of a file's x, y and z, and units a metre.
@@ -81,7 +79,7 @@ def exported(name: str, reconstruction: Reconstruction, folder: Path) -> Exporte
 @pytest.fixture(scope="session")
 def walk(tmp_path_factory: pytest.TempPathFactory) -> ExportedCapture:
     folder = tmp_path_factory.mktemp("walk")
-    for name, content in simulation_files(record(find_scene("walk"), seed=0)):
+    for name, content in simulation_files(record(replace(find_scene("walk"), duration_s=8.0), seed=0)):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
     session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv", None)
@@ -139,7 +137,11 @@ def with_finger_joints(track: Track3D, motion: SkeletonMotion | None) -> Track3D
     )
 
 
-@pytest.fixture(params=["walk", pytest.param("filmed", marks=pytest.mark.slow), "hands"])
+# The process that tests the sample has its reconstruction.
+FILMED = pytest.param("filmed", marks=[pytest.mark.slow, pytest.mark.xdist_group("sample")])
+
+
+@pytest.fixture(params=["walk", FILMED, "hands"])
 def capture(request: pytest.FixtureRequest) -> ExportedCapture:
     return request.getfixturevalue(request.param)
 

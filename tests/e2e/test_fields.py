@@ -21,8 +21,6 @@ from pipeline.runtime.packages.samples import Sample
 from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests
 
-pytestmark = pytest.mark.xdist_group("sample")
-
 NUM_FRAMES = 12
 CONFIG = ReconstructionConfig(
     "clustering", detector="openpose-mobilenet-thin", joint_centers="off", chunk_frames=NUM_FRAMES

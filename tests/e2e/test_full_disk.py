@@ -18,8 +18,6 @@ from tests.e2e.test_serve_keypoints import files
 from tests.small_disk import fill, small_disk
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.xdist_group("faults")
-
 TUS = {"Tus-Resumable": "1.0.0", "Upload-Metadata": "filename Y2FtXzAubXA0"}
 ENVIRONMENT = {"MULTICAP_LEASE_S": "3", "MULTICAP_HEARTBEAT_S": "0.5", "MULTICAP_REAP_INTERVAL_S": "1"}
 

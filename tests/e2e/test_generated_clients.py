@@ -19,8 +19,6 @@ from api.contract.openapi import COMMITTED
 from pipeline.runtime.packages.samples import Sample
 from tests.e2e.serving import Served, serving
 
-pytestmark = pytest.mark.xdist_group("sample")
-
 PAGE = Path(__file__).parents[2] / "docs/clients.md"
 CLIENTS = Path(__file__).parent / "clients"
 ADDRESS, KEY, FOLDER = "https://multicap.example", "mc_...", "take"

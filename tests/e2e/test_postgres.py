@@ -17,8 +17,6 @@ from tests.postgres import Postgres, running_postgres
 
 __all__ = ["capture"]
 
-pytestmark = pytest.mark.xdist_group("sample")
-
 
 @pytest.fixture(scope="module")
 def postgres() -> Iterator[Postgres]:

@@ -15,8 +15,6 @@ from pipeline.runtime.parent_watch import tied_to_parent
 from tests.e2e.serving import COMMAND, NUM_PROCESSES
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.xdist_group("faults")
-
 IDLE_S = 2.0
 
 

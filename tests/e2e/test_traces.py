@@ -17,8 +17,6 @@ from tests.waiting import wait_for
 
 __all__ = ["capture"]
 
-pytestmark = pytest.mark.xdist_group("sample")
-
 
 @dataclass
 class Collector:

@@ -21,8 +21,6 @@ from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import archives
 
-pytestmark = pytest.mark.xdist_group("sample")
-
 ROOT = Path(__file__).parents[2]
 
 RECONSTRUCT = """

@@ -26,8 +26,6 @@ from tests.hostile.media import good_videos, spoilt_videos
 from worker.jobs.model.rights import Scope
 from worker.jobs.store import JobStore
 
-pytestmark = pytest.mark.xdist_group("faults")
-
 SEED = int(os.environ.get("MULTICAP_HOSTILE_SEED", "18"))
 SHARE = float(os.environ.get("MULTICAP_HOSTILE_SHARE", "1"))
 SENDERS = 3

@@ -9,7 +9,6 @@ from typing import Any
 
 import httpx2
 import numpy as np
-import pytest
 
 from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
@@ -20,8 +19,6 @@ from tests.hostile.keypoints import archive, keypoint_files, simulate
 from tests.waiting import wait_for
 from worker.jobs.model.rights import Scope
 from worker.jobs.store import JobStore
-
-pytestmark = pytest.mark.xdist_group("faults")
 
 NUM_CAMERAS, NUM_FRAMES, RATE_HZ = 4, 20, 5
 FINISHED = {"succeeded", "failed", "canceled"}

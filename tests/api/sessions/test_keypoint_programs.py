@@ -23,17 +23,23 @@ from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.keypoint_programs import Files, freemocap_array, keypoint_files, write_session
 
 # One form of each program; tests/pipeline/capture/keypoint_files has the others.
+# All go the same way through the service.
 PROGRAMS = [
     "AlphaPose",
-    "AlphaPose, PoseFlow",
-    "EasyMocap",
-    "MMPose",
-    "COCO, annotations",
-    "DeepLabCut",
     "DeepLabCut, HDF5",
-    "SLEAP",
-    "MediaPipe",
-    "YOLO",
+    *(
+        pytest.param(program, marks=pytest.mark.slow)
+        for program in (
+            "AlphaPose, PoseFlow",
+            "EasyMocap",
+            "MMPose",
+            "COCO, annotations",
+            "DeepLabCut",
+            "SLEAP",
+            "MediaPipe",
+            "YOLO",
+        )
+    ),
 ]
 
 
@@ -122,7 +128,7 @@ def test_the_axis_of_a_session_that_points_up(checking: Live, simulation: Simula
     assert "not_upright" not in found["y"]
 
 
-@pytest.mark.parametrize("is_zip", [True, False])
+@pytest.mark.parametrize("is_zip", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_an_array_of_all_cameras(checking: Live, simulation: Simulation, is_zip: bool) -> None:
     content, archive = io.BytesIO(), io.BytesIO()
     np.save(content, freemocap_array(simulation))

@@ -345,7 +345,7 @@ def eleven() -> tuple[list[Camera], SimultaneousPeople]:
     return cameras, seen
 
 
-@pytest.mark.parametrize("is_backward", [False, True])
+@pytest.mark.parametrize("is_backward", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_eleven_cameras_in_alphabetical_for_natural_order(
     is_backward: bool, eleven: tuple[list[Camera], SimultaneousPeople]
 ) -> None:

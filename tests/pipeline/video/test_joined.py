@@ -54,14 +54,22 @@ def test_times_and_keyframes_are_those_of_the_whole(whole: VideoInfo, joined: Vi
     assert joined.paths == tuple(part.path for part in joined.parts)
 
 
+@pytest.fixture(scope="module")
+def expected(whole: VideoInfo) -> list[tuple[int, bytes]]:
+    """Pictures of the whole."""
+    return pictures(whole, 0, NUM_FRAMES)
+
+
 @pytest.mark.parametrize("span", [(0, NUM_FRAMES), (3, 15), (15, 17), (16, 32), (31, 40), (39, 45), (-5, 1)])
-def test_pictures_are_those_of_the_whole(whole: VideoInfo, joined: VideoInfo, span: tuple[int, int]) -> None:
-    assert pictures(joined, *span) == pictures(whole, *span)
+def test_pictures_are_those_of_the_whole(
+    joined: VideoInfo, expected: list[tuple[int, bytes]], span: tuple[int, int]
+) -> None:
+    assert pictures(joined, *span) == expected[max(span[0], 0) : span[1]]
 
 
-def test_chosen_pictures_are_those_of_the_whole(whole: VideoInfo, joined: VideoInfo) -> None:
+def test_chosen_pictures_are_those_of_the_whole(joined: VideoInfo, expected: list[tuple[int, bytes]]) -> None:
     for only in ([0, 8, 16, 24, 32], [1, 15, 16, 39], [20]):
-        assert pictures(joined, 0, NUM_FRAMES, only=only) == pictures(whole, 0, NUM_FRAMES, only=only)
+        assert pictures(joined, 0, NUM_FRAMES, only=only) == [expected[number] for number in only]
 
 
 def test_proxies_are_those_of_the_whole(whole: VideoInfo, joined: VideoInfo, tmp_path: Path) -> None:
