@@ -48,7 +48,7 @@ def find_still(number: int, track: Track3D, joints: JointSet, frame_rate_hz: flo
     """
     body = [index for index, name in enumerate(joints.names) if name not in FINGER_JOINTS]
     rows = np.flatnonzero(np.isfinite(track.xyz_m[..., 0]).any(-1))
-    block = max(1, round(_BLOCK_S * frame_rate_hz))
+    block = max(2, round(_BLOCK_S * frame_rate_hz))  # noise is measured between neighbouring frames
     if len(rows) < max(_MIN_S * frame_rate_hz, block):
         return None
     blocks = rows[: len(rows) // block * block].reshape(-1, block)
