@@ -17,10 +17,10 @@ from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
 from pipeline.identity.merging import relocate
 
-# Largest mean distance of a body's joints from the expected ones, at the person's distance, and joints that must be
-# compared.
+# Largest mean distance of a body's joints from the expected ones, at the person's distance.
 _REACH_M = 0.25
-_MIN_JOINTS = 4
+MIN_JOINTS = 4
+"""Joints that must be compared."""
 _ENOUGH_CAMERAS = 2
 # Longest time without a joint over which its position is expected on a straight line.
 _LONGEST_GAP_S = 2.0
@@ -50,19 +50,19 @@ def _distances_m(
     distance_m = np.full(len(left.frame), np.inf)
     row = left.frame - track.start_frame
     inside = np.flatnonzero((row >= 0) & (row < track.num_frames))
-    sees = np.asarray((seen.score > 0).sum(-1) >= _MIN_JOINTS)
+    sees = np.asarray((seen.score > 0).sum(-1) >= MIN_JOINTS)
     missed = (sees.sum(-1) < _ENOUGH_CAMERAS)[row[inside]] & ~sees[row[inside], left.camera[inside]]
     inside = inside[missed]
     expected_m = _expected_m(track.xyz_m, row[inside], round(_LONGEST_GAP_S * timebase.frame_rate_hz))
     for number in np.unique(left.camera[inside]).tolist():
         of_camera = left.camera[inside] == number
         bodies = inside[of_camera]
-        mean_m = _mean_m(cameras[number], expected_m[of_camera], left.points_px[bodies])
+        mean_m = mean_distance_m(cameras[number], expected_m[of_camera], left.points_px[bodies])
         distance_m[bodies] = np.where(mean_m <= _REACH_M, mean_m, np.inf)
     return distance_m
 
 
-def _mean_m(
+def mean_distance_m(
     camera: Camera, xyz_m: Float[np.ndarray, "n joints 3"], points_px: Float[np.ndarray, "n joints 2"]
 ) -> Float[np.ndarray, " n"]:
     """Mean distance of a body's joints from a person's, at the person's distance; NaN if too few can be compared."""
@@ -71,7 +71,7 @@ def _mean_m(
     apart_m = apart_px * depth_m / np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
     known = np.isfinite(apart_m) & (depth_m > 0)
     count = known.sum(-1)
-    return np.where(count >= _MIN_JOINTS, np.where(known, apart_m, 0.0).sum(-1) / np.maximum(count, 1), np.nan)
+    return np.where(count >= MIN_JOINTS, np.where(known, apart_m, 0.0).sum(-1) / np.maximum(count, 1), np.nan)
 
 
 def _expected_m(

@@ -23,10 +23,11 @@ from pipeline.clustering.parameters import derive_parameters as derive_clusterin
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig, networks_of
 from pipeline.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
-from pipeline.data.people import People, Poses3D
+from pipeline.data.people import Leftovers, People, Poses3D
 from pipeline.detect.chunk import concatenate
 from pipeline.detect.entries import entry_of
 from pipeline.hands.attach import attach_hands
+from pipeline.identity.alone import follow_alone
 from pipeline.identity.identify import identify
 from pipeline.identity.neighbours.decide import return_limbs
 from pipeline.identity.sides.decide import decide_sides
@@ -177,6 +178,22 @@ def assign_limbs(session: Session, people: People, joints: JointSet, config: Rec
     return people._replace(
         tracks=tuple(replace(track, track_id=k) for (track, _), k in zip(sided, numbers, strict=True)),
         observations=tuple(replace(seen, track_id=k) for (_, seen), k in zip(sided, numbers, strict=True)),
+    )
+
+
+def follow_by_one_camera(
+    session: Session, people: People, left: Leftovers | None, config: ReconstructionConfig
+) -> People:
+    """Continue people whom one camera alone still sees; see ``pipeline.identity.alone``.
+
+    ``left`` are the bodies that association gave to nobody; ``None`` where it takes joints one by one.
+    """
+    if left is None:
+        return people
+    persons = list(zip(people.tracks, people.observations, strict=True))
+    followed = follow_alone(persons, left, session.cameras, session.timebase, _min_score(session, config))
+    return people._replace(
+        tracks=tuple(track for track, _ in followed), observations=tuple(seen for _, seen in followed)
     )
 
 

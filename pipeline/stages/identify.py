@@ -20,7 +20,13 @@ def identify(task: Task, context: Context) -> Output:
     from pipeline.data.detections import Detections
     from pipeline.hands.attach import has_hands
     from pipeline.joints import without_hands
-    from pipeline.stages.association import accept_redetected, assign_identities, assign_limbs, attach
+    from pipeline.stages.association import (
+        accept_redetected,
+        assign_identities,
+        assign_limbs,
+        attach,
+        follow_by_one_camera,
+    )
     from pipeline.stages.people import write_people
 
     session = context.wanted(context.outline())
@@ -32,6 +38,7 @@ def identify(task: Task, context: Context) -> Output:
     if is_redetecting(context.facts, context.config):
         people = accept_redetected(session, people, context.records(REDETECT, Detections), body, context.config)
     people = assign_limbs(session, people, body, context.config)
+    people = follow_by_one_camera(session, people, tracked.people.leftovers, context.config)
     if has_hands(joints):
         people = attach(session, people, context.gathered_bodies()[0], joints, context.config)
     path = context.scratch / "people.npz"

@@ -183,9 +183,15 @@ def _record(
         recorded.append(
             make_person(sampled.start_frame, person_m, source, errors, seen_px[ours], score[ours], detection)
         )
-        is_left[sampling.rows] = False
+        is_left[_rows_within(sampling, sampled.start_frame, len(person_m), timebase)] = False
         num_done += len(person_m)
     return People(*number_people(recorded), leftovers=_leftovers(bodies, np.flatnonzero(is_left), timebase))
+
+
+def _rows_within(sampling: Sampling, start_frame: int, num_frames: int, timebase: Timebase) -> Int[np.ndarray, " rows"]:
+    """Rows of a person's detections in the person's life; one camera alone may have more before and behind."""
+    place = (sampling.seen_s - timebase.start_time_s) * timebase.frame_rate_hz - start_frame
+    return np.asarray(sampling.rows[(place > -1.0) & (place < num_frames)])
 
 
 def _leftovers(bodies: Detections2D, rows: Int[np.ndarray, " n"], timebase: Timebase) -> Leftovers:

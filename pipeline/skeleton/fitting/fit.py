@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from pipeline.data.animation import SkeletonMotion
@@ -39,8 +39,9 @@ MAX_GAP_S = 1.0
 
 _NUM_STEPS = 6
 _NUM_STEPS_PINNED = 3
-# Standard deviations of positions as evidence: smoothed positions, positions in gaps, and positions of held feet.
-_PLACED_M, _BRIDGE_M, _PIN_M = 0.01, 0.10, 0.001
+# Standard deviations of positions as evidence: smoothed positions, positions in gaps, positions that were predicted
+# where one camera alone sees the person, and positions of held feet.
+_PLACED_M, _BRIDGE_M, _PREDICTED_M, _PIN_M = 0.01, 0.10, 0.30, 0.001
 # Smoothed positions farther than this from the start of the fit are outliers and ignored.
 _REACH_M = 0.15
 
@@ -90,6 +91,8 @@ class SkeletonFit:
         Returns the rays in a window of frames, which the fit follows. ``None``: the fit follows the positions.
     offsets
         Offsets of the detector's marks, to which the rays lead, from the joints' centres, at which the positions are.
+    is_predicted
+        Positions that are weak evidence beside the rays, as one camera alone sees the person. ``None``: none is.
     """
 
     def __init__(
@@ -100,8 +103,10 @@ class SkeletonFit:
         name: str,
         rays_of: _RaysOf | None = None,
         offsets: JointOffsets = MARKED_AT_CENTERS,
+        is_predicted: Bool[np.ndarray, "frames joints"] | None = None,
     ) -> None:
         self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
+        self._is_predicted = np.zeros(track.source.shape, bool) if is_predicted is None else is_predicted
         self._offsets = offsets
         self._bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints))
         offsets_m = landmark_offsets_m(track, joints, self._bone_length_m)
@@ -239,6 +244,8 @@ class SkeletonFit:
             known &= np.linalg.norm(xyz_m - start_m, axis=-1, keepdims=True) <= _REACH_M
         place_m = np.where(known, xyz_m, start_m)
         strength = np.where(known, 0.0 if self._rays_of else 1.0 / _PLACED_M**2, 1.0 / _BRIDGE_M**2)
+        is_predicted = self._is_predicted[rows][:, landmark, None]
+        strength = np.where(known & is_predicted, 1.0 / _PREDICTED_M**2, strength)
         for name, pin_m in places_m.items():
             number = landmark.tolist().index(self._joints.index(name))
             pinned = np.isfinite(pin_m)
@@ -268,6 +275,10 @@ def fit_to_rays(
     xyz_m = fit_positions(track, seen, cameras, timebase, joints, on_share)
     measured = track.source == Source.MEASURED
     known = measured | gaps_up_to(measured, round(MAX_GAP_S * timebase.frame_rate_hz))
+    predicted = track.source == Source.PREDICTED
+    known |= predicted
+    # The acceleration prior alone would let the distance from the one camera run away.
+    xyz_m[predicted] = track.xyz_m[predicted]
     xyz_m[~known] = np.nan
     source = np.where(known, np.where(measured, Source.MEASURED, Source.PREDICTED), Source.ABSENT)
     offsets = offsets if has_torso(xyz_m, joints) else MARKED_AT_CENTERS
@@ -280,7 +291,7 @@ def fit_to_rays(
     def rays_of(rows: slice) -> Rays:
         return Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
 
-    return SkeletonFit(positions, joints, timebase, name, rays_of, offsets)
+    return SkeletonFit(positions, joints, timebase, name, rays_of, offsets, predicted)
 
 
 def follow(
