@@ -82,7 +82,13 @@ def _medians(blocks_m: Float[np.ndarray, "blocks frames joints 3"]) -> Float[np.
 
 
 def _sigma_m(blocks_m: Float[np.ndarray, "blocks frames joints 3"]) -> Float[np.ndarray, " joints"]:
-    """Standard deviation of each joint along its noisiest axis, from differences of neighbouring frames."""
+    """Standard deviation of each joint along its noisiest axis, from differences of neighbouring frames.
+
+    Infinite for a joint that no two neighbouring frames know.
+    """
     change_m = np.abs(np.diff(blocks_m, axis=1))
     change_m = change_m.reshape(-1, *change_m.shape[2:])
-    return np.asarray(np.nanmedian(change_m, axis=0).max(-1) / 0.6745 / np.sqrt(2.0))
+    sigma_m = np.full(change_m.shape[1], np.inf)
+    known = np.isfinite(change_m).any((0, 2))
+    sigma_m[known] = np.nanmedian(change_m[:, known], axis=0).max(-1) / 0.6745 / np.sqrt(2.0)
+    return sigma_m
