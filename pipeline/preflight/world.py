@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from pipeline.data.cameras import Camera
@@ -32,6 +32,7 @@ from pipeline.quality.world_checks import (
     leftness,
 )
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
+from pipeline.skeleton.feet.support import OVERHEAD_M
 
 # With fewer people, chance decides.
 _MIN_POSES, _MIN_FACES = 6, 20
@@ -41,6 +42,9 @@ _POSSIBLE_M = (0.4, 3.0)
 _MAX_FLOOR_M = 0.3
 # Bodies at one place, and the least number of instants at which a body that never moves is there.
 _SAME_PLACE_M, _MIN_INSTANTS_AT_PLACE = 0.04, 4
+# Share of people who may hang from a bar, so that their feet tell of no floor.
+_MAX_HANGING = 0.25
+_ARMS = ("left_wrist", "right_wrist", "left_shoulder", "right_shoulder")
 _ANKLES = ("left_ankle", "right_ankle")
 
 
@@ -140,10 +144,21 @@ def _check_sides(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
         yield Finding(MIRRORED_WORLD, message, None, "error", hint, {"share": share, "num_people": len(sides)})
 
 
+def _hangs(poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet) -> Bool[np.ndarray, " poses"]:
+    """Poses with both hands above the shoulders: these people may hang from a bar."""
+    if not set(_ARMS) <= set(joints.names):
+        return np.zeros(len(poses_m), bool)
+    height_m = poses_m[:, joints.indices(_ARMS), 2]
+    # Comparisons with NaN are false.
+    return np.asarray((height_m[:, :2].min(-1) - height_m[:, 2:].mean(-1)) > OVERHEAD_M)
+
+
 def _check_heights(
     cameras: Sequence[Camera], poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet
 ) -> Iterator[Finding]:
     if not set(_ANKLES) <= set(joints.names):
+        return
+    if _hangs(poses_m, joints).mean() > _MAX_HANGING:
         return
     ankles_m = poses_m[:, joints.indices(_ANKLES), 2]
     ankles_m = ankles_m[np.isfinite(ankles_m).all(-1)].min(-1)

@@ -10,7 +10,7 @@ from pipeline.data.people import Observations, Track3D
 from pipeline.joints import FINGER_JOINTS, MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
 from pipeline.progress import OnShare, ignore, split
 from pipeline.rules import cutoff_problems, require
-from pipeline.skeleton.feet.floor import estimate_floor
+from pipeline.skeleton.feet.floor import shared_floor
 from pipeline.skeleton.feet.stances import contacts_of, foot_points, hold_feet
 from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
 from pipeline.skeleton.hands.whole import (
@@ -78,8 +78,11 @@ def animate(
     points = [foot_points(fitted, motion, body) for fitted, motion in zip(fits, motions, strict=True)]
     if floor == "estimated":
         judged = points if on_floor is None else [points[number] for number in on_floor]
-        floor = estimate_floor(
-            [person.ankles_m for person in judged], [person.ankles_known for person in judged], timebase.frame_rate_hz
+        floor = shared_floor(
+            [person.ankles_m for person in judged],
+            [person.ankles_known for person in judged],
+            [person.support.carries for person in judged],
+            timebase.frame_rate_hz,
         )
     finals: list[Track3D] = []
     for number, (track, seen) in enumerate(zip(tracks, observations, strict=True)):

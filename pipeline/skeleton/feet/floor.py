@@ -26,6 +26,8 @@ _FLOOR_SCALES_M = (0.20, 0.10, 0.05, 0.03, 0.03, 0.03)
 # don't determine a slope.
 _LOWEST_SHARE = 0.2
 _SLOPE_SIGMA, _HEIGHT_SIGMA_M = 0.02, 0.02
+# Shortest time for which a foot carries somebody, and share of the feet that may be below the floor by mistake.
+_CARRIES_S, _BELOW_SHARE = 0.3, 0.02
 
 
 def estimate_floor(
@@ -52,6 +54,27 @@ def estimate_floor(
     return fit_floor(points_m)
 
 
+def shared_floor(
+    ankles_m: Sequence[Float[np.ndarray, "_ 2 3"]],
+    known: Sequence[Bool[np.ndarray, "_ 2"]],
+    carries: Sequence[Bool[np.ndarray, "_ 2"]],
+    frame_rate_hz: float,
+) -> Floor | None:
+    """Floor under the feet that carry upright people, as of ``estimate_floor``.
+
+    If nobody stands, it is the world's level at z = 0, unless feet were below it. ``carries`` are the frames in which a
+    foot may carry its person, ``known`` those in which it was located.
+    """
+    shortest = _CARRIES_S * frame_rate_hz
+    stands = [feet if feet.sum() >= shortest else np.zeros_like(feet) for feet in carries]
+    if any(feet.any() for feet in stands):
+        return estimate_floor(ankles_m, stands, frame_rate_hz)
+    heights_m = np.concatenate([np.zeros(0), *(ankles[seen, 2] for ankles, seen in zip(ankles_m, known, strict=True))])
+    if not len(heights_m) or np.quantile(heights_m, _BELOW_SHARE) < -MAX_HEIGHT_M:
+        return None
+    return Floor(0.0, 0.0, 0.0)
+
+
 def fit_floor(points_m: Float[np.ndarray, "points 3"]) -> Floor:
     """Fit a plane to the lowest of some positions of ankles, robustly; a weak prior keeps it level."""
     center_m = points_m.mean(0)
@@ -66,11 +89,13 @@ def fit_floor(points_m: Float[np.ndarray, "points 3"]) -> Floor:
     return Floor(float(plane[0] - slope @ center_m[:2]) - ANKLE_HEIGHT_M, float(slope[0]), float(slope[1]))
 
 
-def speed_m_s(point_m: Float[np.ndarray, "frames 3"], frame_rate_hz: float) -> Float[np.ndarray, " frames"]:
-    """Speed of a point of a foot in metres a second, smoothed."""
+def speed_m_s(
+    point_m: Float[np.ndarray, "frames *points 3"], frame_rate_hz: float, smooth_s: float = _SMOOTH_S
+) -> Float[np.ndarray, "frames *points"]:
+    """Speed of points of feet in metres a second, smoothed."""
     if len(point_m) < 2:
-        return np.zeros(len(point_m))
-    smooth_m = gaussian_filter1d(point_m, _SMOOTH_S * frame_rate_hz, axis=0, mode="nearest")
+        return np.zeros(point_m.shape[:-1])
+    smooth_m = gaussian_filter1d(point_m, smooth_s * frame_rate_hz, axis=0, mode="nearest")
     return np.asarray(np.linalg.norm(np.gradient(smooth_m, axis=0), axis=-1) * frame_rate_hz)
 
 

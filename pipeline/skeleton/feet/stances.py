@@ -15,6 +15,7 @@ from pipeline.progress import OnShare
 from pipeline.skeleton.feet.contacts import find_contacts, mean_slide_m
 from pipeline.skeleton.feet.floor import SIDES
 from pipeline.skeleton.feet.holding import PARTS, held_parts_m, held_positions_m, stance_weight
+from pipeline.skeleton.feet.support import Support, support_of
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import joint_pose
 from pipeline.skeleton.rotations import from_axes
@@ -38,6 +39,7 @@ class FootPoints:
     # a whole.
     parts_m: Float[np.ndarray, "frames 2 2 3"]
     parts_known: Bool[np.ndarray, "frames 2 2"]
+    support: Support
 
     @property
     def by_parts(self) -> Bool[np.ndarray, " 2"]:
@@ -45,11 +47,10 @@ class FootPoints:
         return np.asarray(self.parts_known.any(axis=(0, 2)))
 
     def of(self, contact: FootContact) -> Float[np.ndarray, "rows 3"]:
-        """Positions of the point of a contact during the contact (metres)."""
+        """Positions of the point of a contact on its ground during the contact (metres)."""
         foot = SIDES.index(contact.side)
-        if contact.part == "foot":
-            return self.ankles_m[contact.rows, foot]
-        return self.parts_m[contact.rows, foot, PARTS.index(contact.part)]
+        point_m = self.ankles_m[:, foot] if contact.part == "foot" else self.parts_m[:, foot, PARTS.index(contact.part)]
+        return (point_m - self.support.ground_m)[contact.rows]
 
 
 def foot_points(fitted: SkeletonFit, motion: SkeletonMotion, joints: JointSet) -> FootPoints:
@@ -64,7 +65,8 @@ def foot_points(fitted: SkeletonFit, motion: SkeletonMotion, joints: JointSet) -
         axis=1,
     )
     often = parts_known.all(-1).sum(0) >= np.maximum(_KNOWN_SHARE * ankles_known.sum(0), 1.0)
-    return FootPoints(ankles_m, ankles_known, parts_m, parts_known & often[:, None])
+    support = support_of(fitted.track, joints, ankles_m, ankles_known, motion.frame_rate_hz)
+    return FootPoints(ankles_m, ankles_known, parts_m, parts_known & often[:, None], support)
 
 
 def _positions_m(
@@ -89,14 +91,18 @@ def _known(track: Track3D, joints: JointSet, name: str) -> Bool[np.ndarray, " fr
 
 
 def contacts_of(points: FootPoints, floor: Floor | None, frame_rate_hz: float, feet: Feet) -> tuple[FootContact, ...]:
-    """Find the contacts of both feet, by heel and toe where they are known, sorted by start."""
+    """Find the contacts of both feet, by heel and toe where they are known, sorted by start.
+
+    Feet stand where their ground does, and do not ride along with the body.
+    """
+    support, ground_m = points.support, points.support.ground_m[:, None]
     whole = points.ankles_known & ~points.by_parts
-    contacts = [*find_contacts(points.ankles_m, whole, floor, frame_rate_hz, feet)]
+    contacts = [*find_contacts(points.ankles_m - ground_m, whole, floor, frame_rate_hz, feet, "foot", support)]
     for number, part in enumerate(PARTS):
         known = points.parts_known[:, :, number]
         if known.any():
-            here_m = np.nan_to_num(points.parts_m[:, :, number])
-            contacts += find_contacts(here_m, known, floor, frame_rate_hz, feet, part)
+            here_m = np.nan_to_num(points.parts_m[:, :, number]) - ground_m
+            contacts += find_contacts(here_m, known, floor, frame_rate_hz, feet, part, support)
     return tuple(sorted(contacts, key=lambda contact: (contact.start_frame, contact.side)))
 
 
@@ -129,8 +135,10 @@ def _places_m(
     points: FootPoints, contacts: tuple[FootContact, ...], frame_rate_hz: float
 ) -> Mapping[str, Float[np.ndarray, "frames 3"]]:
     """Positions at which landmarks of the feet are held, NaN where and along which they are free."""
-    ankles_m = held_positions_m(points.ankles_m, contacts, frame_rate_hz)
-    parts_m = held_parts_m(points.parts_m, contacts, frame_rate_hz)
+    ground_m = points.support.ground_m
+    on_ground_m = points.ankles_m - ground_m[:, None], points.parts_m - ground_m[:, None, None]
+    ankles_m = held_positions_m(on_ground_m[0], contacts, frame_rate_hz) + ground_m[:, None]
+    parts_m = held_parts_m(on_ground_m[1], contacts, frame_rate_hz) + ground_m[:, None, None]
     places_m = {f"{side}_ankle": ankles_m[:, foot] for foot, side in enumerate(SIDES) if not points.by_parts[foot]}
     return places_m | {
         f"{side}_{_MARKS[part]}": parts_m[:, foot, number]

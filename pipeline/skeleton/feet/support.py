@@ -1,0 +1,150 @@
+"""Support of the body: what tells feet that carry it from feet that hang, ride along, or stand on a moving belt."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter1d
+
+from pipeline.data.people import Track3D
+from pipeline.joints import SIDES, JointSet
+
+# Height of the hips above a foot, as a share of the leg, from which on the foot carries an upright body: people who
+# sit, squat or crawl have half of it.
+_UPRIGHT_SHARE = 0.6
+# Smoothing of velocities, and of products of velocities. A foot rides along with hips that are faster than this, if its
+# velocity along theirs has at least this share of it.
+_SMOOTH_S, _AROUND_S, _MOVING_M_S, _RIDING = 0.06, 0.15, 0.06, 0.7
+# Belt: least speed; width of the velocities of standing feet, and their least share of the low feet, also as a multiple
+# of the feet that stand still; least way, and largest speed of the body as a share of the belt's.
+_BELT_M_S, _SPREAD_M_S, _BELT_SHARE, _BELT_RATIO = 0.15, 0.1, 0.35, 3.0
+_BELT_WAY_M, _STAYS = 1.0, 0.3
+_ITERATIONS = 10
+
+
+OVERHEAD_M = 0.1
+"""Height of both hands above the shoulders from which on a body may hang."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Support:
+    """Frames of a person in which feet (left, right) may stand, and what they stand on."""
+
+    # Velocity of a foot along that of the hips, times the hips' speed, and the square of the hips' speed: on the ground
+    along_m2_s2: Float[np.ndarray, "frames 2"]
+    squared_m2_s2: Float[np.ndarray, "frames 1"]
+    upright: Bool[np.ndarray, "frames 2"]  # Whether the body is upright above the foot, and does not hang by its hands
+    carries: Bool[np.ndarray, "frames 2"]  # Whether the foot carries such a body, too: the floor is under these feet
+    ground_m: Float[np.ndarray, "frames 3"]  # Way of the ground since the first frame: that of a belt, zeros elsewhere
+
+    def rides(self, rows: slice, foot: int) -> bool:
+        """Whether a foot moves along with the hips in the middle of some frames, and so does not stand."""
+        middle = middle_of(rows)
+        return bool(_is_riding(self.along_m2_s2[middle, foot].mean(), self.squared_m2_s2[middle].mean()))
+
+
+def support_of(
+    track: Track3D,
+    joints: JointSet,
+    ankles_m: Float[np.ndarray, "frames 2 3"],
+    known: Bool[np.ndarray, "frames 2"],
+    frame_rate_hz: float,
+) -> Support:
+    """Find out what carries a person; ``known`` are the frames in which the ankles were located."""
+    hips_m, shoulders_m, wrists_m, knees_m = (
+        np.stack([_points_m(track, joints, f"{side}_{name}") for side in SIDES], axis=1)
+        for name in ("hip", "shoulder", "wrist", "knee")
+    )
+    middle_m = hips_m.mean(1)
+    ground_m = _belt_m(ankles_m, known, middle_m, frame_rate_hz)
+    along, squared = _shared_motion(ankles_m - ground_m[:, None], middle_m - ground_m, frame_rate_hz)
+    around = _AROUND_S * frame_rate_hz
+    rides = _is_riding(*(gaussian_filter1d(values, around, axis=0, mode="nearest") for values in (along, squared)))
+    leg_m = np.linalg.norm(hips_m - knees_m, axis=-1) + np.linalg.norm(knees_m - ankles_m, axis=-1)
+    usual_m = float(np.median(leg_m[np.isfinite(leg_m)])) if np.isfinite(leg_m).any() else np.inf
+    # Comparisons with NaN are false.
+    is_low = middle_m[:, None, 2] - ankles_m[..., 2] < _UPRIGHT_SHARE * usual_m
+    hangs = (wrists_m[..., 2] - shoulders_m.mean(1)[:, None, 2] > OVERHEAD_M).all(-1)
+    upright = ~is_low & ~hangs[:, None]
+    return Support(along, squared, upright, np.asarray(known & upright & ~rides), ground_m)
+
+
+def middle_of(rows: slice) -> slice:
+    """Some frames without the first and the last fifth, in which a foot comes and goes."""
+    margin = (rows.stop - rows.start) // 5
+    return slice(rows.start + margin, rows.stop - margin)
+
+
+def _points_m(track: Track3D, joints: JointSet, name: str) -> Float[np.ndarray, "frames 3"]:
+    if name not in joints.names:
+        return np.full((track.num_frames, 3), np.nan)
+    return np.asarray(track.xyz_m[:, joints.index(name)])
+
+
+def _velocity_m_s(
+    points_m: Float[np.ndarray, "frames *points 3"], frame_rate_hz: float
+) -> Float[np.ndarray, "frames *points 3"]:
+    """Velocity of points in metres a second, smoothed; NaN near frames in which they are unknown."""
+    if len(points_m) < 2:
+        return np.zeros_like(points_m)
+    smooth_m = gaussian_filter1d(points_m, _SMOOTH_S * frame_rate_hz, axis=0, mode="nearest")
+    return np.asarray(np.gradient(smooth_m, axis=0) * frame_rate_hz)
+
+
+def _shared_motion(
+    ankles_m: Float[np.ndarray, "frames 2 3"], hips_m: Float[np.ndarray, "frames 3"], frame_rate_hz: float
+) -> tuple[Float[np.ndarray, "frames 2"], Float[np.ndarray, "frames 1"]]:
+    """Products of the velocities of ankles and hips, and the squared speed of the hips; 0 where they are unknown."""
+    of_ankles, of_hips = _velocity_m_s(ankles_m, frame_rate_hz), _velocity_m_s(hips_m, frame_rate_hz)[:, None]
+    return np.nan_to_num((of_ankles * of_hips).sum(-1)), np.nan_to_num((of_hips**2).sum(-1))
+
+
+def _is_riding(along: Any, squared: Any) -> Any:
+    """Whether feet move as the hips do: those of people who hang, swing or are carried."""
+    return (squared > _MOVING_M_S**2) & (along > _RIDING * squared)
+
+
+def _belt_m(
+    ankles_m: Float[np.ndarray, "frames 2 3"],
+    known: Bool[np.ndarray, "frames 2"],
+    hips_m: Float[np.ndarray, "frames 3"],
+    frame_rate_hz: float,
+) -> Float[np.ndarray, "frames 3"]:
+    """Way of a treadmill's belt since the first frame, zeros if there is none.
+
+    Feet that stand on a belt have its velocity, while the body stays where it is.
+    """
+    still_m = np.zeros((len(ankles_m), 3))
+    place_m = hips_m[np.isfinite(hips_m).all(-1)]
+    if not known.any() or len(place_m) < 2:
+        return still_m
+    height_m = ankles_m[..., 2]
+    low = known & (height_m < np.quantile(height_m[known], 0.1) + 0.04)
+    velocity_m_s = _velocity_m_s(ankles_m, frame_rate_hz)[low][:, :2]
+    velocity_m_s = velocity_m_s[np.isfinite(velocity_m_s).all(-1)]
+    if not len(velocity_m_s):
+        return still_m
+    belt_m_s = np.median(velocity_m_s, axis=0)
+    for spread_m_s in (*[_SPREAD_M_S] * _ITERATIONS, *[_SPREAD_M_S / 3] * _ITERATIONS):
+        weight = np.exp(-((velocity_m_s - belt_m_s) ** 2).sum(-1) / (2 * spread_m_s**2))
+        belt_m_s = (velocity_m_s * weight[:, None]).sum(0) / max(float(weight.sum()), 1e-9)
+    speed_m_s = float(np.linalg.norm(belt_m_s))
+    duration_s = len(ankles_m) / frame_rate_hz
+    share = _share_near(velocity_m_s, belt_m_s)
+    goes_m = float(np.linalg.norm((place_m[-1] - place_m[0])[:2]))
+    if (
+        speed_m_s < _BELT_M_S
+        or speed_m_s * duration_s < _BELT_WAY_M
+        or share < _BELT_SHARE
+        or share < _BELT_RATIO * _share_near(velocity_m_s, np.zeros(2))
+        or goes_m > _STAYS * speed_m_s * duration_s
+    ):
+        return still_m
+    still_m[:, :2] = belt_m_s * (np.arange(len(ankles_m)) / frame_rate_hz)[:, None]
+    return still_m
+
+
+def _share_near(velocity_m_s: Float[np.ndarray, "n 2"], belt_m_s: Float[np.ndarray, " 2"]) -> float:
+    """Share of feet whose velocity is that of the ground."""
+    return float((np.linalg.norm(velocity_m_s - belt_m_s, axis=-1) < _SPREAD_M_S).mean())
