@@ -151,10 +151,7 @@ def refine(
     ``usual_m`` are the usual second differences of landmarks in metres; infinite for landmarks without this term.
     """
     for _ in range(num_steps):
-        # One thread: in such a narrow band, several threads would mostly wait, and could round differently.
-        with _LIBRARIES.limit(limits=1, user_api="blas"):
-            step = _step(bodies, skeleton, evidence, usual_m, frame_rate_hz)
-        move(bodies, skeleton, step)
+        move(bodies, skeleton, _step(bodies, skeleton, evidence, usual_m, frame_rate_hz))
 
 
 def _step(
@@ -164,6 +161,36 @@ def _step(
     usual_m: Float[np.ndarray, " landmarks"],
     frame_rate_hz: float,
 ) -> Float[np.ndarray, "frames freedoms"]:
+    system = linearise(bodies, skeleton, evidence, usual_m, frame_rate_hz)
+    return system.solve(system.right.ravel()).reshape(system.right.shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearSystem:
+    """Normal equations of a Gauss-Newton step, and the terms of landmarks that they were made of."""
+
+    lower: Float[np.ndarray, "unknowns below"]  # Lower diagonals of the matrix; unknowns of a frame are consecutive
+    right: Float[np.ndarray, "frames freedoms"]
+    jacobian: Float[np.ndarray, "frames landmarks most 3"]
+    # Curvature and negative gradient of the landmarks' evidence
+    curvature: Float[np.ndarray, "frames landmarks 3 3"]
+    pull: Float[np.ndarray, "frames landmarks 3"]
+
+    def solve(self, right: Float[np.ndarray, "unknowns *sides"]) -> Float[np.ndarray, "unknowns *sides"]:
+        """Solve for one or several right sides. The matrix is overwritten: call it once."""
+        # One thread: in such a narrow band, several threads would mostly wait, and could round differently.
+        with _LIBRARIES.limit(limits=1, user_api="blas"):
+            return np.asarray(solveh_banded(self.lower.T, right, lower=True, overwrite_ab=True, check_finite=False))
+
+
+def linearise(
+    bodies: JointPoses,
+    skeleton: Articulation,
+    evidence: Evidence,
+    usual_m: Float[np.ndarray, " landmarks"],
+    frame_rate_hz: float,
+) -> LinearSystem:
+    """Normal equations at a pose; for the arguments see ``refine``."""
     num_frames, num_freedoms = len(bodies.root_m), skeleton.num_freedoms
     posed = Posed(bodies, skeleton)
     jacobian = posed.jacobian()
@@ -180,8 +207,7 @@ def _step(
         at_end = (outwards * (bodies.angle_rad - end_rad) >= -_AT_END_RAD) & (outwards * force > 0)
         by_frame[..., 0] += np.where(at_end, _HELD, 0.0)
     by_frame[..., 0] += _INERTIA
-    solved: np.ndarray = solveh_banded(lower.T, right, lower=True, overwrite_ab=True, check_finite=False)
-    return solved.reshape(num_frames, num_freedoms)
+    return LinearSystem(lower, force, jacobian, curvature, pull)
 
 
 def _draw_to_rest(

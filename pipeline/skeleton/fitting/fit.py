@@ -15,7 +15,8 @@ from pipeline.geometry.tracks import reproject
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.fitting.articulated import JointPoses, landmarks_of, refine, start_from
-from pipeline.skeleton.fitting.articulation import FREEDOMS, articulate
+from pipeline.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
+from pipeline.skeleton.fitting.lengths import learn_lengths
 from pipeline.skeleton.fitting.positions import SCALES_M, fit_positions, usual_step_m
 from pipeline.skeleton.fitting.rays import Rays
 from pipeline.skeleton.fitting.solve import solve_pose
@@ -44,6 +45,9 @@ _NUM_STEPS_PINNED = 3
 _PLACED_M, _BRIDGE_M, _PREDICTED_M, _PIN_M = 0.01, 0.10, 0.30, 0.001
 # Smoothed positions farther than this from the start of the fit are outliers and ignored.
 _REACH_M = 0.15
+
+# Windows of frames from which the lengths of bones are learnt, at most.
+_NUM_LEARNT_WINDOWS = 3
 
 _RaysOf = Callable[[slice], Rays]
 
@@ -108,12 +112,7 @@ class SkeletonFit:
         self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
         self._is_predicted = np.zeros(track.source.shape, bool) if is_predicted is None else is_predicted
         self._offsets = offsets
-        self._bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints))
-        offsets_m = landmark_offsets_m(track, joints, self._bone_length_m)
-        self._offsets_m = offsets_m
-        marks_m = mark_offsets_m(joints, offsets, trunk_length_m(self._bone_length_m))
-        self._centers = articulate(self._bone_length_m, joints, offsets_m)
-        self._skeleton = articulate(self._bone_length_m, joints, offsets_m, marks_m) if marks_m else self._centers
+        self._use_lengths(bone_lengths_m(Landmarks(track.xyz_m, track.source, joints)))
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
         self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
         self._uncertainty_m: np.ndarray | None = None
@@ -150,14 +149,11 @@ class SkeletonFit:
         """Fit the skeleton, starting from rotations computed from the positions."""
         num_frames = self._track.num_frames
         self._root_m, self._quat = np.empty((num_frames, 3)), np.empty((num_frames, len(SKELETON), 4))
-
-        def start(rows: slice) -> JointPoses:
-            landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
-            return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
-
+        start = self._start
         if self._rays_of is None or not self.has_torso:
             self._fit(start, {}, _NUM_STEPS, on_share)
         else:
+            self._use_lengths(self._learnt_lengths_m())
             sigma_m = np.empty((num_frames, len(self._skeleton.landmark)))
             self._fit(start, {}, _NUM_STEPS, on_share, Blend(sigma_m))
             self._uncertainty_m = np.full(self._track.xyz_m.shape[:2], np.nan)
@@ -172,6 +168,34 @@ class SkeletonFit:
             parent_from_joint=read_only(self._quat.view()),
             contacts=(),
         )
+
+    def _start(self, rows: slice) -> JointPoses:
+        """Pose that the joints of a window suggest."""
+        landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
+        return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
+
+    def _use_lengths(self, bone_length_m: Float[np.ndarray, " joints"]) -> None:
+        """Build the skeleton with lengths of bones, and measure heads and feet with it."""
+        self._bone_length_m = bone_length_m
+        self._offsets_m = landmark_offsets_m(self._track, self._joints, bone_length_m)
+        self._centers = articulate(bone_length_m, self._joints, self._offsets_m)
+        self._skeleton = self._marked(bone_length_m) if self._offsets else self._centers
+
+    def _marked(self, bone_length_m: Float[np.ndarray, " joints"]) -> Articulation:
+        """Skeleton with other lengths of bones, whose landmarks are the detector's marks."""
+        marks_m = mark_offsets_m(self._joints, self._offsets, trunk_length_m(bone_length_m))
+        return articulate(bone_length_m, self._joints, self._offsets_m, marks_m)
+
+    def _learnt_lengths_m(self) -> Float[np.ndarray, " joints"]:
+        """Lengths of bones from windows that are spread evenly over the track."""
+        rows = list(windows(self._track.num_frames))
+        chosen = np.unique(np.linspace(0, len(rows) - 1, _NUM_LEARNT_WINDOWS).round().astype(int))
+        spread = []
+        for number in chosen.tolist():
+            bodies = self._start(rows[number])
+            spread.append((bodies, self._evidence(rows[number], bodies, {})))
+        rate_hz = self._timebase.frame_rate_hz
+        return learn_lengths(self._bone_length_m, self._marked, spread, self._usual_m, rate_hz)
 
     def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]], on_share: OnShare = ignore) -> None:
         """Refine the motion with landmarks held at given positions.
