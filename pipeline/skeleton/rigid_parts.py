@@ -35,6 +35,8 @@ _MIRRORED = np.array([-1.0, 1.0, 1.0])
 # A foot is flat on the floor where all its marks are this close to their lowest heights, a quantile of the frames. From
 # as many such frames, its own pitch on the floor is learnt, up to a limit.
 _FLAT_M, _LOWEST_SHARE, _FEWEST_FLAT, _MAX_PITCH_RAD = 0.02, 0.2, 10, np.radians(30.0)
+# Angle between a flat foot's sole and its marks' plane: marks are at different heights above the sole.
+_NEARLY_LEVEL_RAD = np.radians(20.0)
 # Number of frames, evenly spaced over the track, for the medians of a person's own proportions.
 _NUM_SAMPLES = 400
 
@@ -135,6 +137,8 @@ def _flat_pitch_rad(landmarks: Landmarks, names: tuple[str, ...], foot: Foot) ->
     flat = foot.valid.copy()
     for height_m in heights_m:
         flat &= np.nan_to_num(height_m, nan=np.inf) <= np.nanquantile(height_m, _LOWEST_SHARE) + _FLAT_M
+    # Feet of people who lie, kneel, hang or stand on their hands are at their lowest without being flat.
+    flat &= foot.world_from_foot.apply([0.0, 0.0, 1.0])[:, 2] > np.cos(_NEARLY_LEVEL_RAD)
     ahead = foot.world_from_foot.apply([0.0, -1.0, 0.0])[flat]
     return np.asarray(-np.arcsin(np.clip(ahead[:, 2], -1.0, 1.0)))
 

@@ -23,6 +23,8 @@ from pipeline.skeleton.rotations import from_axes
 _LEFT, _UP, _HORIZONTAL = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
 # Limit on the bend of an ankle from the right angle with the shin.
 _MAX_BEND_RAD = np.radians(45.0)
+# Limit of feet whose insteps lie on the floor.
+_MAX_POINTED_RAD = np.radians(80.0)
 _MARKS: Mapping[str, str] = {"heel": "heel", "toe": "big_toe"}
 # Share of the frames with a known ankle in which heel and toe must be known, so that a foot stands by its parts.
 _KNOWN_SHARE = 0.5
@@ -152,13 +154,19 @@ def _foot_without_toes(motion: SkeletonMotion, side: Side) -> Rotation:
     """Rotation from foot to shin where only the ankle is known.
 
     The foot is at a right angle to the shin in the air, and level on the floor. A standing foot points in the direction
-    that the shin faces. Both orientations are blended before and after a stance.
+    that the shin faces; that of a person who kneels lies on its instep and points away from the knee. The orientations
+    in the air and on the floor are blended before and after a stance.
     """
     share = stance_weight(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
     _, world_from_shin = joint_pose(motion, f"{side.capitalize()}Leg")
     left = world_from_shin.apply(_LEFT) * _HORIZONTAL
-    level, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
-    bend = (world_from_shin.inv() * level).as_rotvec()
+    on_sole, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
+    on_instep, _ = from_axes(left, np.broadcast_to(-_UP, left.shape))
+    bend, limit_rad = (world_from_shin.inv() * on_sole).as_rotvec(), np.full(len(left), _MAX_BEND_RAD)
+    # A foot does not bend up to a shin that faces the floor.
+    pointed = (world_from_shin.inv() * on_instep).as_rotvec()
+    lies = (bend @ _LEFT < -_MAX_BEND_RAD) & (pointed @ _LEFT > 0.0)
+    bend[lies], limit_rad[lies] = pointed[lies], _MAX_POINTED_RAD
     angle_rad = np.linalg.norm(bend, axis=-1)
-    share = share * is_known * np.minimum(1.0, _MAX_BEND_RAD / np.maximum(angle_rad, 1e-9))
+    share = share * is_known * np.minimum(1.0, limit_rad / np.maximum(angle_rad, 1e-9))
     return Rotation.from_rotvec(bend * share[:, None])
