@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.data.people import Track3D
 from pipeline.joints import SIDES, JointSet
+from pipeline.skeleton.feet.floor import runs_of
 
 # Height of the hips above a foot, as a share of the leg, from which on the foot carries an upright body: people who
 # sit, squat or crawl have half of it.
@@ -16,10 +17,11 @@ _UPRIGHT_SHARE = 0.6
 # Smoothing of velocities, and of products of velocities. A foot rides along with hips that are faster than this, if its
 # velocity along theirs has at least this share of it.
 _SMOOTH_S, _AROUND_S, _MOVING_M_S, _RIDING = 0.06, 0.15, 0.06, 0.7
-# Belt: least speed; width of the velocities of standing feet, and their least share of the low feet, also as a multiple
-# of the feet that stand still; least way, and largest speed of the body as a share of the belt's.
-_BELT_M_S, _SPREAD_M_S, _BELT_SHARE, _BELT_RATIO = 0.15, 0.1, 0.35, 3.0
-_BELT_WAY_M, _STAYS = 1.0, 0.3
+# Belt: least speed; height up to which feet are low; width of the velocities of standing feet, which is more at a
+# higher speed; least way of a stance; least share of the low feet that stand on the belt, also as a multiple of those
+# at rest; least way of the belt, and largest speed of the body as a share of its speed.
+_BELT_M_S, _LOW_M, _SPREAD_M_S, _SPREAD_SHARE, _STANCE_M = 0.15, 0.04, 0.1, 0.08, 0.15
+_BELT_SHARE, _BELT_RATIO, _BELT_WAY_M, _STAYS = 0.2, 2.0, 1.0, 0.3
 _ITERATIONS = 10
 
 
@@ -115,36 +117,39 @@ def _belt_m(
 
     Feet that stand on a belt have its velocity, while the body stays where it is.
     """
-    still_m = np.zeros((len(ankles_m), 3))
+    unmoved_m = np.zeros((len(ankles_m), 3))
     place_m = hips_m[np.isfinite(hips_m).all(-1)]
     if not known.any() or len(place_m) < 2:
-        return still_m
+        return unmoved_m
     height_m = ankles_m[..., 2]
-    low = known & (height_m < np.quantile(height_m[known], 0.1) + 0.04)
-    velocity_m_s = _velocity_m_s(ankles_m, frame_rate_hz)[low][:, :2]
-    velocity_m_s = velocity_m_s[np.isfinite(velocity_m_s).all(-1)]
-    if not len(velocity_m_s):
-        return still_m
-    belt_m_s = np.median(velocity_m_s, axis=0)
-    for spread_m_s in (*[_SPREAD_M_S] * _ITERATIONS, *[_SPREAD_M_S / 3] * _ITERATIONS):
-        weight = np.exp(-((velocity_m_s - belt_m_s) ** 2).sum(-1) / (2 * spread_m_s**2))
-        belt_m_s = (velocity_m_s * weight[:, None]).sum(0) / max(float(weight.sum()), 1e-9)
+    velocity_m_s = _velocity_m_s(ankles_m, frame_rate_hz)
+    low = known & (height_m < np.quantile(height_m[known], 0.1) + _LOW_M) & np.isfinite(velocity_m_s).all(-1)
+    if not low.any():
+        return unmoved_m
+    of_low = velocity_m_s[low]
+    belt_m_s = np.median(of_low, axis=0) * [1.0, 1.0, 0.0]
+    for share in (*[1.0] * _ITERATIONS, *[1.0 / 3.0] * _ITERATIONS):
+        weight = np.exp(-((of_low - belt_m_s) ** 2).sum(-1) / (2 * (share * _spread_m_s(belt_m_s)) ** 2))
+        belt_m_s = (of_low * weight[:, None]).sum(0) / max(float(weight.sum()), 1e-9) * [1.0, 1.0, 0.0]
     speed_m_s = float(np.linalg.norm(belt_m_s))
     duration_s = len(ankles_m) / frame_rate_hz
-    share = _share_near(velocity_m_s, belt_m_s)
+    stands = low & (np.linalg.norm(velocity_m_s - belt_m_s, axis=-1) < _spread_m_s(belt_m_s))
+    shortest = _STANCE_M / max(speed_m_s, 1e-9) * frame_rate_hz
+    on_belt = sum(
+        stop - start for foot in range(2) for start, stop in runs_of(stands[:, foot]) if stop - start >= shortest
+    )
+    at_rest = np.count_nonzero(np.linalg.norm(of_low, axis=-1) < _SPREAD_M_S)
     goes_m = float(np.linalg.norm((place_m[-1] - place_m[0])[:2]))
     if (
         speed_m_s < _BELT_M_S
         or speed_m_s * duration_s < _BELT_WAY_M
-        or share < _BELT_SHARE
-        or share < _BELT_RATIO * _share_near(velocity_m_s, np.zeros(2))
+        or on_belt < max(_BELT_SHARE * len(of_low), _BELT_RATIO * at_rest)
         or goes_m > _STAYS * speed_m_s * duration_s
     ):
-        return still_m
-    still_m[:, :2] = belt_m_s * (np.arange(len(ankles_m)) / frame_rate_hz)[:, None]
-    return still_m
+        return unmoved_m
+    return np.asarray(belt_m_s * (np.arange(len(ankles_m)) / frame_rate_hz)[:, None])
 
 
-def _share_near(velocity_m_s: Float[np.ndarray, "n 2"], belt_m_s: Float[np.ndarray, " 2"]) -> float:
-    """Share of feet whose velocity is that of the ground."""
-    return float((np.linalg.norm(velocity_m_s - belt_m_s, axis=-1) < _SPREAD_M_S).mean())
+def _spread_m_s(belt_m_s: Float[np.ndarray, " 3"]) -> float:
+    """Width of the velocities of feet that stand on a belt."""
+    return _SPREAD_M_S + _SPREAD_SHARE * float(np.linalg.norm(belt_m_s))

@@ -102,6 +102,16 @@ def test_who_slides_away_is_on_no_belt() -> None:
     assert contacts == ()
 
 
+@pytest.mark.parametrize("turns_hz", [0.7, 1.5])
+def test_pedals_are_no_belt(turns_hz: float) -> None:
+    angle_rad = 2 * np.pi * turns_hz * np.arange(400)[:, None] / RATE_HZ + np.array([0.0, np.pi])
+    ankles_m = np.zeros((400, 2, 3)) + np.array([0.0, 0.1, 0.35])
+    ankles_m[..., 0], ankles_m[..., 2] = 0.17 * np.cos(angle_rad), 0.35 + 0.17 * np.sin(angle_rad)
+    support, _, contacts = found(body(ankles_m, np.tile([-0.2, 0.0, 1.0], (400, 1))))
+    assert (support.ground_m == 0.0).all()
+    assert contacts == ()
+
+
 def swinging(amplitude_m: float) -> np.ndarray:
     """Ankles half a metre above the floor that go up and down with the body."""
     ankles_m = np.full((300, 2, 3), 0.55)
