@@ -3,7 +3,7 @@
 import contextlib
 import errno
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -12,14 +12,15 @@ from jaxtyping import Float
 
 from pipeline.config import FILE_FORMATS, Export, Preset
 from pipeline.data.animation import SkeletonMotion
+from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Timebase
-from pipeline.data.people import Track3D
+from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.origin import file_origin_m
 from pipeline.export.writers import skeletons_json
 from pipeline.export.writers.rotation_orders import BetweenFrames
-from pipeline.joints import JointSet
+from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
 from pipeline.progress import OnShare, part_of, split
 from pipeline.skeleton.model import forward_kinematics
 
@@ -117,11 +118,29 @@ def _written(
         with replacing(path, skeletons_json.encode_track(track)) as part:
             return KeptFile(_furthest_mm(path, track.xyz_m, [skeletons_json.read_track_m(part)], on_read))
     export: Export = next(export for export in FILE_FORMATS if export == name)
+    if FILE_FORMATS[export].holds == "joints":
+        track = without_resting_fingers(track, person.joints)
     content = PersonContent(track, person.motion, person.joints, person.timebase, path.name, person.origin_m, preset)
     expected_m = skeleton_m() if FILE_FORMATS[export].holds == "motion" else track.xyz_m
     with replacing(path, FORMATS[export].encode(content)) as part:
         distance_mm = _furthest_mm(path, expected_m, FORMATS[export].read_xyz_m(part, preset), on_read)
     return KeptFile(distance_mm, FORMATS[export].between_frames(content))
+
+
+def without_resting_fingers(track: Track3D, joints: JointSet) -> Track3D:
+    """Track without the fingers of hands that nobody saw.
+
+    Such hands rest in a pose of the model. It animates a skeleton, but is no measurement. A hand was seen in frames in
+    which one of its fingers was measured or interpolated.
+    """
+    if FINGER_JOINTS.isdisjoint(joints.names):
+        return track
+    xyz_m = np.array(track.xyz_m)
+    for side in SIDES:
+        columns = np.isin(joints.names, finger_joints(side))
+        is_seen = np.isin(track.source[:, columns], (Source.MEASURED, Source.INTERPOLATED)).any(1)
+        xyz_m[np.ix_(~is_seen, columns)] = np.nan
+    return replace(track, xyz_m=read_only(xyz_m))
 
 
 @contextlib.contextmanager

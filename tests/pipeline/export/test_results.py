@@ -11,14 +11,15 @@ import pytest
 from pygltflib import GLTF2
 
 from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
+from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
-from pipeline.data.people import Track3D
+from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError
 from pipeline.export.results import write_files, write_results
-from pipeline.export.writers import csv_table
-from pipeline.joints import COCO_17
+from pipeline.export.writers import c3d_file, csv_table, trc
+from pipeline.joints import COCO_17, FINGER_JOINTS, WHOLE_BODY, finger_joints
 from pipeline.skeleton.animate import animate
 from tests.e2e.foreign import validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
@@ -205,3 +206,32 @@ def test_metrics_name_the_joint_and_the_frame_whose_interpolated_angles_are_off(
     assert between["max_distance_mm"] > 30.0
     assert (between["track_id"], between["joint"]) == (1, "Hips")
     assert 100 <= between["frame"] < 159
+
+
+def test_fingers_that_nobody_saw_are_in_no_file_of_joints(tmp_path: Path) -> None:
+    """The left hand is seen in five frames, the right one never; both rest elsewhere."""
+    num_frames = 20
+    body_m = walker(num_frames)
+    xyz_m = np.concatenate([body_m, np.repeat(body_m[:, [9]], len(WHOLE_BODY.names) - 17, axis=1)], axis=1)
+    located = track_of(xyz_m)
+    source = np.array(located.source)
+    fingers = [WHOLE_BODY.names.index(name) for name in WHOLE_BODY.names if name in FINGER_JOINTS]
+    left = [WHOLE_BODY.names.index(name) for name in finger_joints("left")]
+    source[:, fingers] = Source.PREDICTED
+    source[5:10, left[3]] = Source.MEASURED
+    track = replace(located, source=source)
+    (motion,) = take(track_of(body_m)).motions
+    timebase = Timebase(0.0, 25.0, num_frames)
+    animation = Animation((track,), (motion,), None)
+    reconstruction = Reconstruction(CAMERAS, WHOLE_BODY, timebase, (track,), (observe(track),), animation)
+    write_files(reconstruction, tmp_path, ("trc", "c3d", "csv"))
+    known = np.isfinite(xyz_m).all(-1)
+    known[:, fingers] = False
+    known[5:10, left] = True
+    for name, read in (("trc", trc.read_xyz_m), ("c3d", c3d_file.read_xyz_m), ("csv", csv_table.read_xyz_m)):
+        (path,) = tmp_path.rglob(f"*.{name}")
+        in_file_m = np.concatenate(list(read(path)))
+        np.testing.assert_array_equal(np.isfinite(in_file_m).all(-1), known)
+    skeletons = json.loads(next(tmp_path.rglob("skeletons.json")).read_text())
+    (person,) = skeletons["tracks"]
+    assert person["positions_m"][0][left[0]] is not None
