@@ -133,6 +133,12 @@ PEOPLE_UNCERTAIN_FOCAL = WARNINGS.code(
     "People determine the focal length of a camera poorly.",
     "Give the intrinsics, or calibrate them from a board.",
 )
+PEOPLE_STATURES = WARNINGS.code(
+    "people_statures",
+    _WARNING,
+    "The stated statures are not those of the people, in number or in their ratios.",
+    "State the stature of each person, or one for all.",
+)
 PEOPLE_UNCERTAIN_FLOOR = WARNINGS.code(
     "people_uncertain_floor",
     _WARNING,

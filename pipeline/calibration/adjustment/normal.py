@@ -5,6 +5,7 @@ Schur complement: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -93,7 +94,11 @@ class Normal:
 
     def reduced(self) -> Float[np.ndarray, "parameters parameters"]:
         """Normal matrix of the free parameters after the elimination: the inverse of their covariance."""
-        return self.cameras - self.mixed.T @ self._solver(0.0)(self.mixed)
+        return self.cameras - self.mixed.T @ self.eliminated()
+
+    def eliminated(self) -> Float[np.ndarray, "unknowns parameters"]:
+        """Negative steps of the eliminated unknowns that belong to unit steps of the free parameters."""
+        return self._solver(0.0)(self.mixed)
 
     def block_covariance(self, chosen: Int[np.ndarray, " chosen"]) -> Float[np.ndarray, "unknowns unknowns"]:
         """Covariance of the parameters of some blocks, with what the cameras leave open.
@@ -258,6 +263,42 @@ def _weighted_rows(
     root = np.sqrt(problem.loss.weights(np.linalg.norm(residual, axis=-1)))
     factor = (root / sigma_px)[:, None, None]
     return factor * by_camera[:, :, problem.free[number]], factor * (by_point @ by_block), root[:, None] * residual
+
+
+class ObservationRows(NamedTuple):
+    """Residuals of observations, and what they ask of the cameras."""
+
+    residual: Float[np.ndarray, "n 2"]  # In units of the noise
+    weight: Float[np.ndarray, " n"]  # Weights of the loss
+    # Derivatives of the right side of the reduced normal equations by the residuals
+    scores: Float[np.ndarray, "n 2 parameters"]
+
+
+def observation_rows(
+    problem: AdjustmentProblem,
+    state: State,
+    sigma_px: float,
+    eliminated: Float[np.ndarray, "unknowns parameters"],
+) -> ObservationRows:
+    """Rows of all observations for a state without deviations.
+
+    ``eliminated`` is that of the normal equations of the state.
+    """
+    starts = np.concatenate([[0], np.cumsum(problem.free.sum(1))])
+    num_blocks, size = state.structure.num_blocks, state.structure.block_size
+    of_blocks = eliminated[: num_blocks * size].reshape(num_blocks, size, starts[-1])
+    residual = residuals_px(problem, state) / sigma_px
+    weight = problem.loss.weights(np.linalg.norm(residual, axis=-1))
+    scores = np.zeros((len(residual), 2, starts[-1]))
+    for number in range(len(state.cameras)):
+        rows = np.flatnonzero(problem.observations.camera == number)
+        block = problem.observations.block[rows]
+        xyz_m, by_block = state.structure.in_world(block, problem.observations.model_m[rows])
+        A, B, _ = _weighted_rows(problem, state, number, xyz_m, by_block, sigma_px)
+        root = np.sqrt(weight[rows])[:, None, None]
+        scores[rows] = -root * (B @ of_blocks[block])
+        scores[rows, :, starts[number] : starts[number + 1]] += root * A
+    return ObservationRows(residual, weight, scores)
 
 
 def cost(problem: AdjustmentProblem, state: State, sigma_px: float) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.calibration.adjustment.adjust import Adjustment, adjust
+from pipeline.calibration.adjustment.correlated import correlated_sigma
 from pipeline.calibration.adjustment.links import DistanceLinks, PointLink, ShiftLinks
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,
@@ -42,6 +43,8 @@ _FEW_BODIES, _MANY_BODIES, _MAX_GROUPS = 120, 500, 24
 _MIN_GROUP = 10
 # Observations farther from the projection than this share of the focal length are of somebody else.
 _MAX_ERROR = 0.03
+# Time for which an error of a detector lasts, beside those that last for the whole take.
+_LASTING_S = 1.0
 # Priors where intrinsics are guessed: logarithm of the focal length, first radial coefficient.
 _FOCAL_SIGMA, _K1_SIGMA = 0.25, 0.15
 
@@ -55,12 +58,22 @@ class PeopleFit:
     error_px: Float[np.ndarray, " cameras"]  # Median distance of each camera's projections from the observations
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Adjustment of cameras to bodies, with the body and the joint of each observation."""
+
+    problem: AdjustmentProblem
+    adjusted: Adjustment
+    body: Int[np.ndarray, " observations"]
+    joint: Int[np.ndarray, " observations"]
+
+
 def adjust_poses(posed: Mapping[int, Camera], bodies: MatchedBodies, has_free_lenses: bool) -> dict[int, Camera]:
     """Adjust the cameras that are posed so far to some bodies."""
     numbers = sorted(posed)
     chosen = _spread(bodies.of_cameras(numbers), _FEW_BODIES)
-    adjusted, _ = _adjust([posed[k] for k in numbers], chosen, None, has_free_lenses and len(numbers) > 2)
-    return dict(zip(numbers, adjusted.cameras, strict=True))
+    fit = _adjust([posed[k] for k in numbers], chosen, None, has_free_lenses and len(numbers) > 2)
+    return dict(zip(numbers, fit.adjusted.cameras, strict=True))
 
 
 def adjust_people_rig(
@@ -71,8 +84,11 @@ def adjust_people_rig(
     ``has_free_lenses``: focal lengths and first radial coefficients are adjusted too.
     """
     chosen = _spread(bodies, _MANY_BODIES)
-    adjusted, camera = _adjust(cameras, chosen, instants_s, has_free_lenses)
-    return PeopleFit(adjusted.cameras, adjusted.sigma, adjusted.error_px(camera))
+    fit = _adjust(cameras, chosen, instants_s, has_free_lenses)
+    part = (instants_s[chosen.instant[fit.body]] - instants_s[0]) // _LASTING_S
+    whole = chosen.group[fit.body] * len(JOINTS) + fit.joint
+    sigma = correlated_sigma(fit.problem, fit.adjusted, [whole, whole * len(instants_s) + part.astype(int)])
+    return PeopleFit(fit.adjusted.cameras, sigma, fit.adjusted.error_px(fit.problem.observations.camera))
 
 
 def _spread(bodies: MatchedBodies, most: int) -> MatchedBodies:
@@ -86,8 +102,7 @@ def _adjust(
     bodies: MatchedBodies,
     instants_s: Float[np.ndarray, " instants"] | None,
     has_free_lenses: bool,
-) -> tuple[Adjustment, Int[np.ndarray, " observations"]]:
-    """Adjust cameras; returns also the number of the camera of each residual."""
+) -> _Fit:
     xyz_m = bodies.triangulated(cameras)
     projected_px = np.stack([project(camera, xyz_m) for camera in cameras], axis=1)
     focal_px = np.array([camera.matrix[0, 0] for camera in cameras])[:, None]
@@ -116,7 +131,7 @@ def _adjust(
         tuple(cameras), free, sigma, observations, Loss.CAUCHY, links, read_only(lengths_m),
         read_only(np.full(len(lengths_m), np.inf)),
     )  # fmt: skip
-    return adjust(problem, FreePoints(read_only(xyz_m[is_known])), max_steps=30), camera
+    return _Fit(problem, adjust(problem, FreePoints(read_only(xyz_m[is_known])), max_steps=30), body, joint)
 
 
 def _links(

@@ -56,7 +56,7 @@ def calibrate_people(
     cameras
         Cameras with known or guessed intrinsics; their poses are ignored.
     stature_m
-        Statures of the people, in any order; one for all is enough.
+        Statures of the people, in any order; one for all is enough. Several go to people by their heights.
     has_intrinsics
         Whether the intrinsics are known, and stay; else a focal length and a radial coefficient of each camera are
         estimated.
@@ -130,9 +130,10 @@ def _made(
     has_intrinsics: bool,
     rate_hz: float,
 ) -> CalibrationResult:
-    num_views = bodies.seen().any(-1).sum(0)
+    is_seen = np.asarray(bodies.seen().any(-1))
+    num_views = [len(np.unique(bodies.instant[of_camera])) for of_camera in is_seen.T]
     reports = tuple(
-        report_camera(camera, fitted.error_px[number], int(num_views[number]), fitted.sigma[number], world.scale)
+        report_camera(camera, fitted.error_px[number], num_views[number], fitted.sigma[number], world.scale)
         for number, camera in enumerate(world.cameras)
     )
     statures = " and ".join(f"{height_m:.2f} m" for height_m in stature_m)
@@ -141,7 +142,7 @@ def _made(
         has_extrinsics=True,
         by_camera=reports,
         reprojection_error_px=float(np.nanmedian(fitted.error_px)),
-        warnings=tuple(people_warnings(reports, world, rate_hz)),
+        warnings=tuple(people_warnings(reports, world, stature_m, rate_hz)),
         world=(
             f"Z up, floor under the feet, origin under the middle of the people, y away from {world.cameras[0].name}; "
             f"scale from a stature of {statures}."

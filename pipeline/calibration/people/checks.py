@@ -22,6 +22,7 @@ from pipeline.problem_codes.warnings import (
     PEOPLE_FEW_VIEWS,
     PEOPLE_POOR_FIT,
     PEOPLE_SAME_PLACE,
+    PEOPLE_STATURES,
     PEOPLE_UNCERTAIN_FLOOR,
     PEOPLE_UNCERTAIN_FOCAL,
     PEOPLE_UNCERTAIN_POSE,
@@ -34,6 +35,9 @@ _MIN_INSTANTS, _FEW_INSTANTS = 50, 150
 _MAX_FOCAL_PERCENT, _MAX_ROTATION_DEG = 2.0, 0.3
 # Ratio of a camera's reprojection error to the median of all above which it is doubtful.
 _POOR_FIT = 1.4
+# Logarithm of the ratio of a person's stature to the stated one above which it is somebody else's: the segments of
+# people of one stature differ by a few percent.
+_STATURE_RATIO = 0.08
 # Cameras that are closer than this share of the mean distance of two cameras may have the same video.
 _SAME_PLACE = 0.03
 
@@ -82,9 +86,13 @@ def world_or_refused(world: PeopleWorld | None) -> PeopleWorld:
     return world
 
 
-def people_warnings(reports: Sequence[CameraReport], world: PeopleWorld, rate_hz: float) -> Iterator[Problem]:
-    """Doubts about cameras, their focal lengths and the floor."""
+def people_warnings(
+    reports: Sequence[CameraReport], world: PeopleWorld, stature_m: Sequence[float], rate_hz: float
+) -> Iterator[Problem]:
+    """Doubts about cameras, their focal lengths, the statures and the floor."""
     yield from _same_places(world.cameras)
+    if len(stature_m) > 1:
+        yield from _other_statures(world, stature_m)
     median_px = float(np.nanmedian([report.reprojection_error_px for report in reports]))
     for report in reports:
         if report.reprojection_error_px > _POOR_FIT * median_px:
@@ -97,7 +105,10 @@ def people_warnings(reports: Sequence[CameraReport], world: PeopleWorld, rate_hz
             message = f"The camera shares people with another camera for {report.num_views / rate_hz:.1f} s."
             yield Problem(PEOPLE_FEW_VIEWS, message, camera=report.name, hint=_FILM)
         if report.rotation_sigma_deg > _MAX_ROTATION_DEG:
-            message = f"The camera's rotation is known to {report.rotation_sigma_deg:.1f} degrees."
+            message = (
+                f"The camera's rotation is known to {report.rotation_sigma_deg:.1f} degrees and its position to "
+                f"{report.position_sigma_mm:.0f} mm."
+            )
             yield Problem(PEOPLE_UNCERTAIN_POSE, message, camera=report.name, hint=_FILM)
         if np.isfinite(report.focal_sigma_percent) and report.focal_sigma_percent > _MAX_FOCAL_PERCENT:
             message = f"The focal length is known to {report.focal_sigma_percent:.1f} %."
@@ -106,6 +117,31 @@ def people_warnings(reports: Sequence[CameraReport], world: PeopleWorld, rate_hz
     if not world.has_floor:
         message = "The feet reach too little ground to find its slope; the vertical is that of upright standing."
         yield Problem(PEOPLE_UNCERTAIN_FLOOR, message, hint="Let the people walk all over the place.")
+
+
+def _other_statures(world: PeopleWorld, stature_m: Sequence[float]) -> Iterator[Problem]:
+    """Statures that are not those of the people."""
+    hint = "State the stature of each person, or one for all."
+    given = ", ".join(f"{height_m:.2f}" for height_m in stature_m)
+    if -1 in world.statures:
+        message = f"More people are seen at once than statures are given ({given} m)."
+        yield Problem(PEOPLE_STATURES, message, field="stature_m", hint=hint)
+    if unused := [f"{stature_m[number]:.2f}" for number in range(len(stature_m)) if number not in world.statures]:
+        message = f"Of the statures {given} m, nobody was given {', '.join(unused)} m: fewer people are seen whole."
+        yield Problem(PEOPLE_STATURES, message, field="stature_m", hint=hint)
+    pairs = [
+        (own_m, stature_m[number])
+        for own_m, number in zip(world.estimates_m, world.statures, strict=True)
+        if number >= 0
+    ]
+    if worst := max(pairs, key=lambda pair: abs(np.log(pair[0] / pair[1])), default=None):
+        own_m, known_m = worst
+        if abs(np.log(own_m / known_m)) > _STATURE_RATIO:
+            message = (
+                f"The ratios of the statures {given} m are not those of the people: the person of {known_m:.2f} m is "
+                f"{own_m:.2f} m tall at the scale that fits most."
+            )
+            yield Problem(PEOPLE_STATURES, message, field="stature_m", hint=hint)
 
 
 def _same_places(cameras: Sequence[Camera]) -> Iterator[Problem]:

@@ -60,10 +60,10 @@ def _seed(cameras: Sequence[Camera], relatives: Sequence[RelativePose], bodies: 
         replace(cameras[best.second], cam_from_world=best.second_from_first),
     ]
     both = bodies.of_cameras([best.first, best.second])
-    estimates, weights = statures(both.triangulated(pair), bodies.group)
-    if not len(estimates):
+    found = statures(both.triangulated(pair), bodies.group)
+    if not len(found):
         return {}
-    scale = scale_from(estimates, weights, [_STATURE_M])
+    scale = scale_from(found, _STATURE_M)
     second = best.second_from_first
     pair[1] = replace(pair[1], cam_from_world=Rigid3(second.rotation, read_only(scale * second.translation_m)))
     return {best.first: pair[0], best.second: pair[1]}

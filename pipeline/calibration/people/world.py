@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.following import JOINTS
-from pipeline.calibration.people.stature import scale_from, statures
+from pipeline.calibration.people.stature import match_statures, others_at_once, statures
 from pipeline.calibration.vertical import turn_upright, upright_direction
 from pipeline.data.animation import Floor
 from pipeline.data.arrays import read_only
@@ -32,6 +32,10 @@ class PeopleWorld:
     cameras: tuple[Camera, ...]
     scale: float  # Metres of this world to the unit of the cameras before
     has_floor: bool  # Whether feet determine the floor; else z = 0 is only at the height of the lowest feet
+    # Estimated stature of each group of bodies in metres, and the number of the known stature that it was given, -1
+    # where none was left
+    estimates_m: tuple[float, ...]
+    statures: tuple[int, ...]
 
 
 def find_people_world(
@@ -42,11 +46,12 @@ def find_people_world(
     The cameras are adjusted, in any frame and scale; statures are in any order. ``rate_hz`` is that of the instants.
     """
     xyz = bodies.triangulated(cameras)
-    estimates_m, weights = statures(xyz, bodies.group)
+    found = statures(xyz, bodies.group)
     up = upright_direction(xyz[:, _SHOULDERS], xyz[:, _ANKLES])
-    if up is None or not len(estimates_m):
+    if up is None or not len(found):
         return None
-    scale = scale_from(estimates_m, weights, stature_m)
+    are_others = others_at_once(found, xyz, bodies.group, bodies.instant)
+    scale, stature = match_statures(found, are_others, stature_m)
     rotation = turn_upright(up)
     floor = _floor(bodies, scale * xyz @ rotation.T, rate_hz)
     if floor is not None:
@@ -59,7 +64,13 @@ def find_people_world(
     turn = _away_from(middle_m - centers_m[0, :2])
     world_from_root = Rigid3(read_only(turn @ rotation), read_only(-turn @ origin_m))
     moved = tuple(_moved(camera, world_from_root, scale) for camera in cameras)
-    return PeopleWorld(moved, scale, floor is not None and _reach_m(xyz_m) > _MIN_REACH_M)
+    return PeopleWorld(
+        moved,
+        scale,
+        floor is not None and _reach_m(xyz_m) > _MIN_REACH_M,
+        tuple((scale * found.estimates).tolist()),
+        tuple(stature.tolist()),
+    )
 
 
 def _ground_m(floor: Floor, place_m: Float[np.ndarray, " 2"]) -> float:

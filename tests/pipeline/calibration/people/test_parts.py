@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.pairs import relate_by_people, sampson
-from pipeline.calibration.people.stature import scale_from, statures
+from pipeline.calibration.people.stature import Statures, match_statures, others_at_once, scale_from, statures
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of
 from pipeline.data.cameras import FrameTimes
 from pipeline.data.detections import Detections
@@ -99,17 +99,62 @@ def test_the_sampson_distance_is_that_to_the_epipolar_line() -> None:
     assert sampson(essential, left, right) == pytest.approx([0.0, 0.1 / np.sqrt(2)])
 
 
+def of_groups(estimates: list[float], weights: list[float]) -> Statures:
+    return Statures(np.array(estimates), np.array(weights), np.arange(len(estimates)))
+
+
+def at_once(num_groups: int, *pairs: tuple[int, int]) -> np.ndarray:
+    are_others = np.zeros((num_groups, num_groups), bool)
+    for first, second in pairs:
+        are_others[first, second] = are_others[second, first] = True
+    return are_others
+
+
 def test_statures_scale_the_world_whoever_is_who() -> None:
-    found, weights = np.array([2.0, 1.8, 2.05]), np.array([100.0, 80.0, 10.0])
-    assert scale_from(found, weights, [0.9, 1.0]) == pytest.approx(0.5)
-    assert scale_from(found, weights, [1.7]) == pytest.approx(1.7 / 2.0)
+    # The third group is the first person at another time.
+    found = of_groups([2.0, 1.8, 2.05], [100.0, 80.0, 10.0])
+    match = match_statures(found, at_once(3, (0, 1), (1, 2)), [0.9, 1.0])
+    assert match.scale == pytest.approx(0.5)
+    assert match.stature.tolist() == [1, 0, 1]
+    assert scale_from(found, 1.7) == pytest.approx(1.7 / 2.0)
+
+
+def test_people_who_are_seen_at_once_have_different_statures() -> None:
+    # The nearest statures alone would give both the first one.
+    found = of_groups([1.02, 0.98], [100.0, 100.0])
+    assert match_statures(found, at_once(2, (0, 1)), [1.7, 1.2]).stature.tolist() == [0, 1]
+    assert len(set(match_statures(found, at_once(2), [1.7, 1.2]).stature.tolist())) == 1
+
+
+def test_a_child_beside_two_adults() -> None:
+    found = of_groups([3.6, 2.7, 3.0], [80.0, 80.0, 80.0])
+    pairs = ((0, 1), (1, 2), (0, 2))
+    match = match_statures(found, at_once(3, *pairs), [1.49, 1.78, 1.34])
+    assert match.stature.tolist() == [1, 2, 0]
+    assert match.scale == pytest.approx(0.5, rel=0.02)
+    # Of three people one has no stature left; of two a stature is left.
+    assert sorted(match_statures(found, at_once(3, *pairs), [1.78, 1.34]).stature.tolist()) == [-1, 0, 1]
+    assert match_statures(
+        of_groups([3.6, 2.7], [80.0, 80.0]), at_once(2, (0, 1)), [1.49, 1.8, 1.35]
+    ).stature.tolist() == [1, 2]
+
+
+def test_two_groups_at_one_place_are_one_person(walk: Simulation) -> None:
+    xyz_m = walk.truth_m[:, :50][:, :, walk.joints.indices(JOINTS)]
+    both = np.concatenate([xyz_m[0], xyz_m[0] + 0.05, xyz_m[1]])
+    group, instant = np.repeat([4, 7, 9], 50), np.tile(np.arange(50), 3)
+    found = statures(both, group)
+    assert found.group.tolist() == [4, 7, 9]
+    expected = at_once(3, (0, 2), (1, 2))
+    np.testing.assert_array_equal(others_at_once(found, both, group, instant), expected)
+    later = np.concatenate([np.arange(100), np.arange(200, 250)])
+    assert not others_at_once(found, both, group, later).any()
 
 
 def test_a_person_without_legs_has_no_stature(walk: Simulation) -> None:
     columns = walk.joints.indices(JOINTS)
     xyz_m = walk.truth_m[0][:, columns].copy()
     group = np.zeros(len(xyz_m), int)
-    found, _ = statures(xyz_m, group)
-    assert 1.4 < found[0] < 2.1
+    assert 1.4 < statures(xyz_m, group).estimates[0] < 2.1
     xyz_m[:, -2:] = np.nan
-    assert len(statures(xyz_m, group)[0]) == 0
+    assert len(statures(xyz_m, group)) == 0
