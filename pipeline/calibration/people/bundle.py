@@ -56,6 +56,7 @@ class PeopleFit:
     cameras: tuple[Camera, ...]  # Cameras; the world is the one they came with
     sigma: Parameters  # Standard deviations of their parameters
     error_px: Float[np.ndarray, " cameras"]  # Median distance of each camera's projections from the observations
+    fitting: Float[np.ndarray, " cameras"]  # Share of each camera's observations that fit the other cameras
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +67,7 @@ class _Fit:
     adjusted: Adjustment
     body: Int[np.ndarray, " observations"]
     joint: Int[np.ndarray, " observations"]
+    fitting: Float[np.ndarray, " cameras"]  # See ``PeopleFit``
 
 
 def adjust_poses(posed: Mapping[int, Camera], bodies: MatchedBodies, has_free_lenses: bool) -> dict[int, Camera]:
@@ -88,7 +90,8 @@ def adjust_people_rig(
     part = (instants_s[chosen.instant[fit.body]] - instants_s[0]) // _LASTING_S
     whole = chosen.group[fit.body] * len(JOINTS) + fit.joint
     sigma = correlated_sigma(fit.problem, fit.adjusted, [whole, whole * len(instants_s) + part.astype(int)])
-    return PeopleFit(fit.adjusted.cameras, sigma, fit.adjusted.error_px(fit.problem.observations.camera))
+    error_px = fit.adjusted.error_px(fit.problem.observations.camera)
+    return PeopleFit(fit.adjusted.cameras, sigma, error_px, fit.fitting)
 
 
 def _spread(bodies: MatchedBodies, most: int) -> MatchedBodies:
@@ -131,7 +134,10 @@ def _adjust(
         tuple(cameras), free, sigma, observations, Loss.CAUCHY, links, read_only(lengths_m),
         read_only(np.full(len(lengths_m), np.inf)),
     )  # fmt: skip
-    return _Fit(problem, adjust(problem, FreePoints(read_only(xyz_m[is_known])), max_steps=30), body, joint)
+    adjusted = adjust(problem, FreePoints(read_only(xyz_m[is_known])), max_steps=30)
+    num_seen = (bodies.seen() & np.isfinite(xyz_m).all(-1)[:, None]).sum((0, 2))
+    fitting = read_only(np.bincount(camera, minlength=len(cameras)) / np.maximum(num_seen, 1))
+    return _Fit(problem, adjusted, body, joint, fitting)
 
 
 def _links(

@@ -142,7 +142,7 @@ def _made(
         has_extrinsics=True,
         by_camera=reports,
         reprojection_error_px=float(np.nanmedian(fitted.error_px)),
-        warnings=tuple(people_warnings(reports, world, stature_m, rate_hz)),
+        warnings=tuple(people_warnings(reports, fitted.fitting, world, stature_m, rate_hz)),
         world=(
             f"Z up, floor under the feet, origin under the middle of the people, y away from {world.cameras[0].name}; "
             f"scale from a stature of {statures}."

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.calibration.people.pairs import RelativePose
 from pipeline.calibration.people.tracklets import ViewTracklet
@@ -35,6 +36,9 @@ _MIN_INSTANTS, _FEW_INSTANTS = 50, 150
 _MAX_FOCAL_PERCENT, _MAX_ROTATION_DEG = 2.0, 0.3
 # Ratio of a camera's reprojection error to the median of all above which it is doubtful.
 _POOR_FIT = 1.4
+# Share of the observations that fit, over that of the median camera, below which a camera may have taken one person for
+# another one, and stand elsewhere.
+_MIN_FITTING = 0.9
 # Logarithm of the ratio of a person's stature to the stated one above which it is somebody else's: the segments of
 # people of one stature differ by a few percent.
 _STATURE_RATIO = 0.08
@@ -87,14 +91,24 @@ def world_or_refused(world: PeopleWorld | None) -> PeopleWorld:
 
 
 def people_warnings(
-    reports: Sequence[CameraReport], world: PeopleWorld, stature_m: Sequence[float], rate_hz: float
+    reports: Sequence[CameraReport],
+    fitting: Float[np.ndarray, " cameras"],
+    world: PeopleWorld,
+    stature_m: Sequence[float],
+    rate_hz: float,
 ) -> Iterator[Problem]:
     """Doubts about cameras, their focal lengths, the statures and the floor."""
     yield from _same_places(world.cameras)
     if len(stature_m) > 1:
         yield from _other_statures(world, stature_m)
     median_px = float(np.nanmedian([report.reprojection_error_px for report in reports]))
-    for report in reports:
+    for report, share in zip(reports, fitting.tolist(), strict=True):
+        if share < _MIN_FITTING * float(np.median(fitting)):
+            message = (
+                f"{100 * share:.0f} % of what the camera sees of the people fit the other cameras, of whose own "
+                f"{100 * np.median(fitting):.0f} % do: it may stand elsewhere."
+            )
+            yield Problem(PEOPLE_POOR_FIT, message, camera=report.name, hint=f"{_CHECK} Or film longer.")
         if report.reprojection_error_px > _POOR_FIT * median_px:
             message = (
                 f"The reprojection error, {report.reprojection_error_px:.1f} px, is larger than that of the other "

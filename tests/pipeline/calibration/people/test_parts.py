@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from pipeline.calibration.people.checks import people_warnings
 from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.pairs import relate_by_people, sampson
 from pipeline.calibration.people.stature import Statures, match_statures, others_at_once, scale_from, statures
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of
+from pipeline.calibration.people.world import PeopleWorld
+from pipeline.calibration.report import CameraReport
 from pipeline.data.cameras import FrameTimes
 from pipeline.data.detections import Detections
 from pipeline.geometry.camera import project
@@ -158,3 +161,35 @@ def test_a_person_without_legs_has_no_stature(walk: Simulation) -> None:
     assert 1.4 < statures(xyz_m, group).estimates[0] < 2.1
     xyz_m[:, -2:] = np.nan
     assert len(statures(xyz_m, group)) == 0
+
+
+def doubts(
+    walk: Simulation, fitting: list[float], estimates_m: list[float], stature: list[int], stature_m: list[float]
+) -> list[tuple[str, str | None, str]]:
+    """Warnings of a calibration of three cameras."""
+    reports = [CameraReport(camera.name, 2.0, 760.0, 200, np.nan, 5.0, 0.1) for camera in walk.cameras]
+    world = PeopleWorld(walk.cameras, 1.0, True, tuple(estimates_m), tuple(stature))
+    problems = people_warnings(reports, np.array(fitting), world, stature_m, 10.0)
+    return [(problem.code, problem.camera, problem.message) for problem in problems]
+
+
+def test_a_camera_that_takes_somebody_for_another_one_is_named(walk: Simulation) -> None:
+    assert not doubts(walk, [0.99, 0.97, 0.98], [1.75], [0], [1.7])
+    ((code, camera, message),) = doubts(walk, [0.99, 0.97, 0.5], [1.75], [0], [1.7])
+    assert (code, camera) == ("people_poor_fit", "cam_02")
+    assert message.startswith("50 % of what the camera sees")
+
+
+def test_statures_that_are_not_those_of_the_people_are_named(walk: Simulation) -> None:
+    fits = [1.0, 1.0, 1.0]
+    assert not doubts(walk, fits, [1.75, 1.38], [0, 1], [1.78, 1.34])
+    # One stature is that of all, however tall they are.
+    assert not doubts(walk, fits, [1.9, 1.4], [0, 0], [1.7])
+    for estimates_m, stature, stature_m, words in (
+        ([1.78, 1.34, 1.5], [0, 1, -1], [1.78, 1.34], "More people are seen at once than statures"),
+        ([1.78, 1.34], [0, 1], [1.78, 1.34, 1.6], "nobody was given 1.60 m"),
+        ([1.78, 1.6], [0, 1], [1.78, 1.34], "the person of 1.34 m is 1.60 m tall"),
+    ):
+        ((code, _, message),) = doubts(walk, fits, estimates_m, stature, stature_m)
+        assert code == "people_statures"
+        assert words in message
