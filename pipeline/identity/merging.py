@@ -87,7 +87,7 @@ def _locate(
     min_score: float,
 ) -> None:
     """Triangulate the joints of the chosen frames, in place."""
-    for rows in _runs(chosen):
+    for rows in runs(chosen):
         xyz_m[rows] = _triangulate(cameras, points_px, score, rows, min_score)
 
 
@@ -105,7 +105,7 @@ def _triangulate(
     return xyz_m[rows.start - first : rows.stop - first]
 
 
-def _runs(chosen: Bool[np.ndarray, " n"]) -> list[slice]:
+def runs(chosen: Bool[np.ndarray, " n"]) -> list[slice]:
     """Slices of consecutive chosen rows."""
     borders = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]))).tolist()
     return [slice(first, last) for first, last in zip(borders[::2], borders[1::2], strict=True)]

@@ -6,18 +6,20 @@ the person's own. It is taken from the person's observation, and given to the ne
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import binary_dilation
 
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, Timebase
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
+from pipeline.geometry.undistortion import undistort_views
 from pipeline.identity.limbs import arms_and_legs
-from pipeline.identity.merging import relocate
+from pipeline.identity.merging import relocate, runs
 from pipeline.identity.neighbours.places import (
     Window,
     expected_without,
@@ -31,6 +33,8 @@ from pipeline.joints import COCO_17, JointSet, other_side
 
 # Gain of an explanation, in observations that nothing explains, that decides for the neighbour.
 _CLEARLY = 0.6
+# Share by which the places from all views may explain a limb less than those of the other views.
+_ROUGHLY = 0.2
 # Expected places get better when limbs have gone to their owners.
 _NUM_ROUNDS = 2
 # Frames that are worked on at once, to bound the memory.
@@ -95,71 +99,129 @@ def _taken(
         near = near_neighbours(window, cameras)
         near[..., : block.start - frames.start] = False
         near[..., block.stop - frames.start :] = False
+        if not near.any():
+            continue
+        ideal_px = np.stack([undistort_views(cameras, points_px) for points_px in window.points_px])
         for number in np.flatnonzero(near.any((0, 1, 3))).tolist():
-            taken += _taken_in(
-                window, near[:, :, number], number, limbs, sides, cameras, min_score, timebase.frame_rate_hz, frames
-            )
+            view = _View(window, ideal_px, number, cameras, limbs, sides, min_score)
+            at_stake = view.at_stake(near[:, :, number])
+            for rows in runs(binary_dilation(at_stake.any((0, 1)), np.ones(2 * margin + 1, bool))):
+                expected_m = view.expected_m(at_stake[..., rows], rows, timebase.frame_rate_hz)
+                taken += view.taken(at_stake[..., rows], rows, expected_m, frames[rows].start)
     return taken
 
 
-def _taken_in(
-    window: Window,
-    near: Bool[np.ndarray, "people people frames"],
-    number: int,
-    limbs: Sequence[list[int]],
-    sides: Int[np.ndarray, "2 joints"],
-    cameras: Sequence[Camera],
-    min_score: float,
-    frame_rate_hz: float,
-    frames: range,
-) -> list[TakenJoint]:
-    """Find the joints of a camera's observations that show a neighbour."""
-    camera = cameras[number]
-    involved = np.flatnonzero(near.any((1, 2))).tolist()
-    expected_m = np.full(window.xyz_m.shape, np.nan)
-    for row in involved:
-        expected_m[row] = expected_without(window, row, number, cameras, min_score, frame_rate_hz)
-    places_px, px_per_m = project(camera, expected_m), scale_px_per_m(camera, expected_m)
-    taken: list[TakenJoint] = []
-    for row in involved:
-        others = np.flatnonzero(near[row].any(-1))
-        score = window.score[row][:, number]
-        unexplained = _unexplained(
-            window.points_px[row][:, number], places_px[[row, *others]], px_per_m[[row, *others]], sides
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """Everybody's observations in a camera."""
+
+    window: Window
+    ideal_px: Float[np.ndarray, "people frames cameras joints 2"]  # Undistorted observations
+    number: int  # Position of the camera
+    cameras: Sequence[Camera]
+    limbs: Sequence[list[int]]
+    sides: Int[np.ndarray, "2 joints"]  # Joints of the same and of the other side
+    min_score: float
+
+    def at_stake(self, near: Bool[np.ndarray, "people people frames"]) -> Bool[np.ndarray, "people people frames"]:
+        """Frames in which the place of a neighbour may explain a limb: a rough bound, from all views."""
+        places_px, px_per_m = self._places(self.window.xyz_m)
+        at_stake = np.zeros_like(near)
+        for row in np.flatnonzero(near.any((1, 2))).tolist():
+            others = np.flatnonzero(near[row].any(-1))
+            is_seen = self._is_seen(row, slice(None))
+            unexplained = self._unexplained(row, slice(None), places_px[others], px_per_m[others])
+            for limb in self.limbs:
+                cost = _means(unexplained[..., limb], is_seen[:, limb])
+                may_be_theirs = is_seen[:, limb].any(-1) & (cost.min(1) < 1.0 - _CLEARLY + _ROUGHLY)
+                at_stake[row, others] |= near[row, others] & may_be_theirs
+        return at_stake
+
+    def expected_m(
+        self, at_stake: Bool[np.ndarray, "people people frames"], rows: slice, frame_rate_hz: float
+    ) -> Float[np.ndarray, "people frames joints 3"]:
+        """Places at which the other views expect the people at stake; NaN for the others."""
+        involved = at_stake.any((1, 2)) | at_stake.any((0, 2))
+        expected_m = np.full((len(self.window), rows.stop - rows.start, *self.window.xyz_m.shape[2:]), np.nan)
+        for row in np.flatnonzero(involved).tolist():
+            seen = self.ideal_px[row, rows], self.window.score[row, rows]
+            expected_m[row] = expected_without(*seen, self.number, self.cameras, self.min_score, frame_rate_hz)
+        return expected_m
+
+    def taken(
+        self,
+        at_stake: Bool[np.ndarray, "people people frames"],
+        rows: slice,
+        expected_m: Float[np.ndarray, "people frames joints 3"],
+        start_frame: int,
+    ) -> list[TakenJoint]:
+        """Joints of the observations that show a neighbour."""
+        places_px, px_per_m = self._places(expected_m)
+        found: list[TakenJoint] = []
+        for row in np.flatnonzero(at_stake.any((1, 2))).tolist():
+            others = np.flatnonzero(at_stake[row].any(-1))
+            is_seen = self._is_seen(row, rows)
+            counts = is_seen & np.isfinite(places_px[row]).all(-1)
+            own = self._unexplained(row, rows, places_px[[row]], px_per_m[[row]])[0].min(0)
+            of_others = self._unexplained(row, rows, places_px[others], px_per_m[others])
+            of_others = np.where(at_stake[row][others][:, None, :, None], of_others, 1.0)
+            for limb in self.limbs:
+                cost = _means(of_others[..., limb], counts[:, limb])
+                gain = _means(own[:, limb], counts[:, limb]) - cost.min((0, 1))
+                best = cost.reshape(-1, cost.shape[-1]).argmin(0)
+                for frame in np.flatnonzero(gain > _CLEARLY):
+                    other, side = np.unravel_index(best[frame], cost.shape[:2])
+                    joint_gain = own[frame] - of_others[other, side, frame]
+                    found += [
+                        TakenJoint(
+                            start_frame + int(frame),
+                            self.number,
+                            self.window.person[row],
+                            joint,
+                            self.window.person[others[other]],
+                            int(self.sides[side, joint]),
+                        )
+                        for joint in limb
+                        if is_seen[frame, joint] and joint_gain[joint] > _CLEARLY / 2
+                    ]
+        return found
+
+    def _places(
+        self, xyz_m: Float[np.ndarray, "people frames joints 3"]
+    ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
+        """Pixels of joints, and pixels of a metre there."""
+        camera = self.cameras[self.number]
+        return project(camera, xyz_m), scale_px_per_m(camera, xyz_m)
+
+    def _is_seen(self, row: int, rows: slice) -> Bool[np.ndarray, "frames joints"]:
+        score = self.window.score[row, rows, self.number]
+        return np.asarray((score > 0) & (score >= self.min_score))
+
+    def _unexplained(
+        self,
+        row: int,
+        rows: slice,
+        places_px: Float[np.ndarray, "people frames joints 2"],
+        px_per_m: Float[np.ndarray, "people frames joints"],
+    ) -> Float[np.ndarray, "people 2 frames joints"]:
+        """Share of a person's observation that people's joints of its own and of the other side do not explain.
+
+        It is the function of Geman and McClure of the distance at the joint's depth; 1 for a joint that is not
+        expected.
+        """
+        points_px = self.window.points_px[row, rows, self.number]
+        places_px, px_per_m = (
+            np.stack([values[:, :, side] for side in self.sides], axis=1) for values in (places_px, px_per_m)
         )
-        is_expected = np.isfinite(places_px[row]).all(-1)
-        is_seen = (score > 0) & (score >= min_score)
-        own, of_others = unexplained[0].min(0), np.where(near[row][others][:, None, :, None], unexplained[1:], 1.0)
-        for limb in limbs:
-            weight = (is_seen & is_expected)[:, limb]
-            count = np.maximum(weight.sum(-1), 1)
-            cost = (weight * of_others[..., limb]).sum(-1) / count
-            gain = (weight * own[:, limb]).sum(-1) / count - cost.min((0, 1))
-            best = cost.reshape(-1, len(frames)).argmin(0)
-            for frame in np.flatnonzero(gain > _CLEARLY):
-                other, side = np.unravel_index(best[frame], cost.shape[:2])
-                owner = window.person[others[other]]
-                taken += [
-                    TakenJoint(frames[frame], number, window.person[row], joint, owner, int(sides[side, joint]))
-                    for joint in limb
-                    if is_seen[frame, joint] and own[frame, joint] - of_others[other, side, frame, joint] > _CLEARLY / 2
-                ]
-    return taken
+        apart_m = np.linalg.norm(places_px - points_px, axis=-1) / px_per_m
+        return np.asarray(np.nan_to_num(apart_m**2 / (apart_m**2 + SCALE_M**2), nan=1.0))
 
 
-def _unexplained(
-    points_px: Float[np.ndarray, "frames joints 2"],
-    places_px: Float[np.ndarray, "people frames joints 2"],
-    px_per_m: Float[np.ndarray, "people frames joints"],
-    sides: Int[np.ndarray, "2 joints"],
-) -> Float[np.ndarray, "people 2 frames joints"]:
-    """Share of each observation that people's joints of its own and of the other side do not explain.
-
-    It is the function of Geman and McClure of the distance at the joint's depth; 1 for a joint that is not expected.
-    """
-    places_px, px_per_m = (np.stack([values[:, :, side] for side in sides], axis=1) for values in (places_px, px_per_m))
-    apart_m = np.linalg.norm(places_px - points_px, axis=-1) / px_per_m
-    return np.asarray(np.nan_to_num(apart_m**2 / (apart_m**2 + SCALE_M**2), nan=1.0))
+def _means(
+    values: Float[np.ndarray, "*batch frames joints"], counts: Bool[np.ndarray, "frames joints"]
+) -> Float[np.ndarray, "*batch frames"]:
+    """Mean of the joints that count; 0 without any, of no explanation as of all."""
+    return np.asarray((counts * values).sum(-1) / np.maximum(counts.sum(-1), 1))
 
 
 def _give_back(

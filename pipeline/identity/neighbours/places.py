@@ -10,7 +10,6 @@ from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import project, projection_matrices
 from pipeline.geometry.track_assembly import Person
 from pipeline.geometry.tracks import triangulate_frames
-from pipeline.geometry.undistortion import undistort_views
 from pipeline.identity.steady import steady_places
 
 # Distance of the middles of two bodies in a picture at which a limb may be either one's, at the nearer one's distance.
@@ -60,17 +59,21 @@ def near_neighbours(window: Window, cameras: Sequence[Camera]) -> Bool[np.ndarra
 
 
 def expected_without(
-    window: Window, row: int, camera: int, cameras: Sequence[Camera], min_score: float, frame_rate_hz: float
+    ideal_px: Float[np.ndarray, "frames cameras joints 2"],
+    score: Float[np.ndarray, "frames cameras joints"],
+    camera: int,
+    cameras: Sequence[Camera],
+    min_score: float,
+    frame_rate_hz: float,
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Expected places of a person's joints in the world in metres without the observations of a camera.
+    """Expected places of a person's joints in the world in metres without a camera's observations.
 
-    They are medians over time; NaN where fewer than two other views see a joint for long. Without the camera's own
-    observations its error can't confirm itself.
+    Observations are undistorted. Places are medians over time; NaN where fewer than two other views see a joint for
+    long. Without the camera's own observations its error can't confirm itself.
     """
     others = [k for k in range(len(cameras)) if k != camera]
-    of_others = [cameras[k] for k in others]
-    ideal_px = undistort_views(of_others, window.points_px[row][:, others])
-    xyz_m = triangulate_frames(projection_matrices(of_others), ideal_px, window.score[row][:, others], min_score)
+    projections = projection_matrices([cameras[k] for k in others])
+    xyz_m = triangulate_frames(projections, ideal_px[:, others], score[:, others], min_score)
     return steady_places(xyz_m, np.isfinite(xyz_m).all(-1), frame_rate_hz)
 
 
