@@ -33,7 +33,7 @@ _LONG_S, _BESIDE_S = 0.2, 0.2
 _DRIFT_M_S, _DRIFT_M = 0.12, 0.02
 _STILL_M_S, _PACE_SMOOTH_S = 0.08, 0.08
 # Shortest time for which feet carry a person whose own level is measured.
-_CARRIES_S = 0.3
+_CARRIES_S = 1.0
 # Lowest confidence of a contact that ``auto`` pins.
 _MIN_CONFIDENCE = 0.5
 
