@@ -28,8 +28,8 @@ _SURE_AFTER_S = 0.15
 _CREEP_M, _ROOM_S = 0.04, 0.2
 # Contacts of a stance that are shorter, and so near to one that is not, are of the landing.
 _LONG_S, _BESIDE_S = 0.2, 0.2
-# Speed at which a foot under an upright body does not stand, and distance by which it may be wrong besides. Feet of
-# other bodies slide and are dragged: they stand if their speed, smoothed over this time, is lower.
+# Speed at which a foot under an upright shin does not stand, and distance by which it may be wrong besides. Feet behind
+# shins that lie are dragged: they stand if their speed, smoothed over this time, is lower.
 _DRIFT_M_S, _DRIFT_M = 0.12, 0.02
 _STILL_M_S, _PACE_SMOOTH_S = 0.08, 0.08
 # Shortest time for which feet carry a person whose own level is measured.
@@ -100,10 +100,10 @@ def find_contacts(
                 duration_s = (rows.stop - rows.start) / frame_rate_hz
                 if duration_s < _SHORTEST_S or (support is not None and support.rides(rows, foot)):
                     continue
-                is_upright = support is None or 2 * support.upright[rows, foot].sum() >= rows.stop - rows.start
-                if is_upright and _drift_m_s(point_m[rows], frame_rate_hz) > _DRIFT_M_S + _DRIFT_M / duration_s:
+                stands_up = support is None or 2 * support.shin_stands[rows, foot].sum() >= rows.stop - rows.start
+                if stands_up and _drift_m_s(point_m[rows], frame_rate_hz) > _DRIFT_M_S + _DRIFT_M / duration_s:
                     continue
-                if not is_upright and np.median(pace_m_s[middle_of(rows), foot]) > _STILL_M_S:
+                if not stands_up and np.median(pace_m_s[middle_of(rows), foot]) > _STILL_M_S:
                     continue
                 confidence = float(likely[rows].mean() * (1.0 - np.exp(-duration_s / _SURE_AFTER_S)))
                 pinned = feet == "always" or (feet == "auto" and confidence >= _MIN_CONFIDENCE)

@@ -14,6 +14,8 @@ from pipeline.skeleton.feet.floor import runs_of
 # Height of the hips above a foot, as a share of the leg, from which on the foot carries an upright body: people who
 # sit, squat or crawl have half of it.
 _UPRIGHT_SHARE = 0.6
+# Least height of the knee above the ankle, as a share of the shin, of a shin that stands.
+_STEEP = 0.5
 # Smoothing of velocities, and of products of velocities. A foot rides along with hips that are faster than this, if its
 # velocity along theirs has at least this share of it.
 _SMOOTH_S, _AROUND_S, _MOVING_M_S, _RIDING = 0.06, 0.15, 0.06, 0.7
@@ -36,8 +38,11 @@ class Support:
     # Velocity of a foot along that of the hips, times the hips' speed, and the square of the hips' speed: on the ground
     along_m2_s2: Float[np.ndarray, "frames 2"]
     squared_m2_s2: Float[np.ndarray, "frames 1"]
-    upright: Bool[np.ndarray, "frames 2"]  # Whether the body is upright above the foot, and does not hang by its hands
-    carries: Bool[np.ndarray, "frames 2"]  # Whether the foot carries such a body, too: the floor is under these feet
+    shin_stands: Bool[
+        np.ndarray, "frames 2"
+    ]  # Whether the knee is above the foot: shins lie of people who kneel or crawl
+    # Whether the foot carries an upright body that does not hang by its hands: the floor is under these feet
+    carries: Bool[np.ndarray, "frames 2"]
     ground_m: Float[np.ndarray, "frames 3"]  # Way of the ground since the first frame: that of a belt, zeros elsewhere
 
     def rides(self, rows: slice, foot: int) -> bool:
@@ -68,8 +73,10 @@ def support_of(
     # Comparisons with NaN are false.
     is_low = middle_m[:, None, 2] - ankles_m[..., 2] < _UPRIGHT_SHARE * usual_m
     hangs = (wrists_m[..., 2] - shoulders_m.mean(1)[:, None, 2] > OVERHEAD_M).all(-1)
-    upright = ~is_low & ~hangs[:, None]
-    return Support(along, squared, upright, np.asarray(known & upright & ~rides), ground_m)
+    shin_m = knees_m - ankles_m
+    shin_lies = shin_m[..., 2] < _STEEP * np.linalg.norm(shin_m, axis=-1)
+    carries = known & ~is_low & ~hangs[:, None] & ~rides
+    return Support(along, squared, ~shin_lies, np.asarray(carries), ground_m)
 
 
 def middle_of(rows: slice) -> slice:
