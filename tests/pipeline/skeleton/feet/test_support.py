@@ -144,7 +144,7 @@ def test_people_who_only_lie_have_the_floor_of_the_world() -> None:
 
 def test_feet_that_are_dragged_do_not_stand() -> None:
     """Feet of somebody who lies, at a pace at which the feet of upright people stand."""
-    lying_m = dict.fromkeys(HEIGHTS_M, 0.0)
+    lying_m = {**dict.fromkeys(HEIGHTS_M, 0.0), "knee": -0.05}
     ankles_m = np.full((200, 2, 3), 0.05)
     angle_rad = 3.0 * np.arange(200)[:, None] / RATE_HZ
     ankles_m[..., 0] += 0.05 * np.cos(angle_rad)
