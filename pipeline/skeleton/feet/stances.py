@@ -165,8 +165,20 @@ def _foot_without_toes(motion: SkeletonMotion, side: Side) -> Rotation:
     bend, limit_rad = (world_from_shin.inv() * on_sole).as_rotvec(), np.full(len(left), _MAX_BEND_RAD)
     # A foot does not bend up to a shin that faces the floor.
     pointed = (world_from_shin.inv() * on_instep).as_rotvec()
-    lies = (bend @ _LEFT < -_MAX_BEND_RAD) & (pointed @ _LEFT > 0.0)
+    lies = _by_contact((bend @ _LEFT < -_MAX_BEND_RAD) & (pointed @ _LEFT > 0.0), motion.contacts, side)
     bend[lies], limit_rad[lies] = pointed[lies], _MAX_POINTED_RAD
     angle_rad = np.linalg.norm(bend, axis=-1)
     share = share * is_known * np.minimum(1.0, limit_rad / np.maximum(angle_rad, 1e-9))
     return Rotation.from_rotvec(bend * share[:, None])
+
+
+def _by_contact(
+    lies: Bool[np.ndarray, " frames"], contacts: tuple[FootContact, ...], side: Side
+) -> Bool[np.ndarray, " frames"]:
+    """Majority of the frames of the nearest contact of a foot, so that the foot does not flip in a stance."""
+    stances = [contact.rows for contact in contacts if contact.side == side]
+    if not stances:
+        return lies
+    frames = np.arange(len(lies))
+    away = np.array([np.maximum(np.maximum(rows.start - frames, frames - rows.stop + 1), 0) for rows in stances])
+    return np.array([lies[rows].mean() > 0.5 for rows in stances])[away.argmin(0)]
