@@ -51,7 +51,6 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, first_
     choose(page, *sample.videos.values(), sample.calibration)
     expect(page.get_by_label("Camera of cam02.mp4")).to_have_value("cam02", timeout=180_000)
     page.get_by_text("More options", exact=True).click()
-    page.get_by_label("first", exact=True).fill("0")
     page.get_by_label("after the last").fill(str(NUM_FIRST))
     page.get_by_role("button", name="Send and reconstruct").click()
     expect(page.get_by_role("heading", name="<b>Take</b> 1", level=1)).to_be_visible(timeout=180_000)

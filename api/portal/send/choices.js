@@ -137,8 +137,8 @@ const FIELDS = {
   frame_range({ id, choice, spec, set }) {
     const range = spec[choice.name] ?? [null, null];
     const bound = (index) => (event) => {
-      const changed = range.map((one, place) => (place === index ? numberIn(event) ?? null : one));
-      set(changed.every((end) => end === null) ? undefined : changed);
+      const [first, stop] = range.map((end, place) => (place === index ? numberIn(event) ?? null : end));
+      set(first === null && stop === null ? undefined : [first ?? 0, stop]);
     };
     const labels = ["first", "after the last"];
     return html`<fieldset class="field"><legend>${choice.label}: ${choice.unset}, or</legend>
