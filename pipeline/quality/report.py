@@ -43,7 +43,7 @@ from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.epipolar_distances import median_distances_m
 from pipeline.quality.views import PersonViews, body_joints, has_position, views_of, without_fingers
 from pipeline.quality.world_checks import EVIDENCE, world_checks
-from pipeline.skeleton.fitting.fit import MAX_GAP_S
+from pipeline.skeleton.fitting.positions import MAX_GAP_S
 from pipeline.synchronization.document import sync_document
 
 SCHEMA_VERSION = 1

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 from threadpoolctl import ThreadpoolController
@@ -55,6 +55,8 @@ class JointPoses:
     root_m: Float[np.ndarray, "frames 3"]  # World position of the root
     local: Float[np.ndarray, "frames joints 3 3"]  # Rotation matrix of each joint to its parent
     angle_rad: Float[np.ndarray, "frames freedoms"]  # Angle of each hinge, by degree of freedom; 0 for other rotations
+    # Steps from each frame to the next that no pause parts, see ``positions.stretches``; ``None``: there is no pause
+    is_tied: Bool[np.ndarray, " steps"] | None = None
 
     def quat_xyzw(self) -> Float[np.ndarray, "frames joints 4"]:
         """Rotations of all joints to their parents as quaternions (x, y, z, w), continuous in time."""
@@ -196,6 +198,8 @@ def linearise(
     jacobian = posed.jacobian()
     second_m = np.diff(posed.landmark_m, n=2, axis=0)
     tie = tie_weight(second_m, usual_m)
+    if bodies.is_tied is not None:
+        tie *= (bodies.is_tied[1:] & bodies.is_tied[:-1])[:, None]
     lower, right = np.zeros((num_frames * num_freedoms, 3 * num_freedoms)), np.zeros(num_frames * num_freedoms)
     curvature, pull = evidence.normal_equations(posed.landmark_m)
     assemble(jacobian, skeleton.moved_by, skeleton.num_moved_by, curvature, pull, tie, second_m, lower, right)
@@ -255,10 +259,12 @@ def _steady_twist(
         relative = np.einsum("fba,fbc->fac", local[:-1], local[1:])
         change_rad = Rotation.from_matrix(relative).as_rotvec() @ bone
         before = -relative @ bone
-        tied = 1.0 / usual_change_rad**2
+        tied = np.full(len(change_rad), 1.0 / usual_change_rad**2)
+        if bodies.is_tied is not None:
+            tied *= bodies.is_tied
         force[:, first : first + 3] += force_rad[:, None] * gradient
-        force[:-1, first : first + 3] -= tied * change_rad[:, None] * before
-        force[1:, first : first + 3] -= tied * change_rad[:, None] * bone
+        force[:-1, first : first + 3] -= (tied * change_rad)[:, None] * before
+        force[1:, first : first + 3] -= (tied * change_rad)[:, None] * bone
         for k in range(3):
             for m in range(3):
                 lower[:-1, first + k, num_freedoms + m - k] += tied * before[:, k] * bone[m]

@@ -17,7 +17,7 @@ from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.fitting.articulated import JointPoses, landmarks_of, refine, start_from
 from pipeline.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
 from pipeline.skeleton.fitting.lengths import learn_lengths
-from pipeline.skeleton.fitting.positions import SCALES_M, fit_positions, usual_step_m
+from pipeline.skeleton.fitting.positions import MAX_GAP_S, SCALES_M, fit_positions, stretches, usual_step_m
 from pipeline.skeleton.fitting.rays import Rays
 from pipeline.skeleton.fitting.solve import solve_pose
 from pipeline.skeleton.fitting.uncertainty import uncertainty_m
@@ -33,13 +33,11 @@ from pipeline.skeleton.marks import (
 )
 from pipeline.skeleton.model import INDEX, SKELETON
 from pipeline.skeleton.rigid_parts import landmark_offsets_m
-from pipeline.skeleton.rotations import continuous_quat_xyzw
-
-MAX_GAP_S = 1.0
-"""Longest gap between two measurements of a joint that is filled."""
+from pipeline.skeleton.rotations import continuous_quat_xyzw, filled
 
 _NUM_STEPS = 6
 _NUM_STEPS_PINNED = 3
+_NUM_STEPS_APART = 15
 # Standard deviations of positions as evidence: smoothed positions, positions in gaps, positions that were predicted
 # where one camera alone sees the person, and positions of held feet.
 _PLACED_M, _BRIDGE_M, _PREDICTED_M, _PIN_M = 0.01, 0.10, 0.30, 0.001
@@ -174,6 +172,21 @@ class SkeletonFit:
         landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
         return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
 
+    def _is_tied(self, rows: slice) -> Bool[np.ndarray, " steps"] | None:
+        """Steps between frames that no pause parts; ``None`` without a pause."""
+        parts = self._stretches(rows)
+        if len(parts) == 1:
+            return None
+        is_tied = np.zeros(parts[-1].stop - 1, dtype=bool)
+        for part in parts:
+            is_tied[part.start : part.stop - 1] = True
+        return is_tied
+
+    def _stretches(self, rows: slice) -> list[slice]:
+        """Ranges of frames of a window between pauses."""
+        is_seen = np.isfinite(self._track.xyz_m[rows]).all(-1).any(-1)
+        return stretches(is_seen, round(MAX_GAP_S * self._timebase.frame_rate_hz))
+
     def _use_lengths(self, bone_length_m: Float[np.ndarray, " joints"]) -> None:
         """Build the skeleton with lengths of bones, and measure heads and feet with it."""
         self._bone_length_m = bone_length_m
@@ -193,6 +206,7 @@ class SkeletonFit:
         spread = []
         for number in chosen.tolist():
             bodies = self._start(rows[number])
+            bodies.is_tied = self._is_tied(rows[number])
             spread.append((bodies, self._evidence(rows[number], bodies, {})))
         rate_hz = self._timebase.frame_rate_hz
         return learn_lengths(self._bone_length_m, self._marked, spread, self._usual_m, rate_hz)
@@ -242,8 +256,11 @@ class SkeletonFit:
             if number + 1 < len(all_rows):
                 # Before this window changes the frames of the overlap.
                 following = start(all_rows[number + 1])
+            bodies.is_tied = self._is_tied(rows)
             evidence = self._evidence(rows, bodies, {name: place_m[rows] for name, place_m in places_m.items()})
-            refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, num_steps)
+            # After a pause, the start of the fit is often far off.
+            steps = num_steps if bodies.is_tied is None or places_m else _NUM_STEPS_APART
+            refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, steps)
             if sigma_m is not None:
                 sigma_m.add(rows, uncertainty_m(bodies, self._skeleton, evidence, self._timebase.frame_rate_hz))
             root_m.add(rows, bodies.root_m)
@@ -251,6 +268,21 @@ class SkeletonFit:
             # Blended quaternions are not of length 1.
             self._quat[rows] /= np.linalg.norm(self._quat[rows], axis=-1, keepdims=True)
             on_share((number + 1) / len(all_rows))
+        self._bridge_pauses()
+
+    def _bridge_pauses(self) -> None:
+        """Let root and rotations pass evenly over pauses, from one fitted frame to the next."""
+        is_inside = np.zeros(self._track.num_frames, dtype=bool)
+        for part in self._stretches(slice(None)):
+            is_inside[part] = True
+        if is_inside.all():
+            return
+        frames, inside = np.arange(len(is_inside)), np.flatnonzero(is_inside)
+        for axis in range(3):
+            self._root_m[:, axis] = np.interp(frames, inside, self._root_m[inside, axis])
+        for joint in range(self._quat.shape[1]):
+            rotation = filled(Rotation.from_quat(self._quat[:, joint]), is_inside)
+            self._quat[:, joint] = continuous_quat_xyzw(rotation)
 
     def _evidence(
         self, rows: slice, start: JointPoses, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]

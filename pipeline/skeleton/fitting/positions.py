@@ -49,6 +49,8 @@ _INERTIA = 1e-2
 # Coefficients of the second difference.
 _DIFFERENCE = np.array([1.0, -2.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
+MAX_GAP_S = 1.0
+"""Longest gap between two measurements of a joint that is filled, and longest time in which a body is followed."""
 # Rate from which on a body is near its place in the frames before and behind; below it somebody walks 15 cm in a frame.
 _FOLLOWED_HZ = 9.3
 
@@ -84,10 +86,31 @@ def fit_positions(
     may_follow = timebase.frame_rate_hz >= _FOLLOWED_HZ
     fitted_m = np.empty(track.xyz_m.shape)
     fitted = Blend(fitted_m)
+    longest_gap = round(MAX_GAP_S * timebase.frame_rate_hz)
     for rows in windows(track.num_frames, on_share=on_share):
-        rays = Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
-        fitted.add(rows, _fit_window(track.xyz_m[rows], rays, limbs, usual_m, may_follow))
+        start_m = track.xyz_m[rows]
+        parts = stretches(np.isfinite(start_m).all(-1).any(-1), longest_gap)
+        beside_m = start_m if may_follow and len(parts) == 1 else filled_with_body(start_m)
+        window_m = np.array(beside_m)
+        for stretch in parts:
+            seen_rows = slice(rows.start + stretch.start, rows.start + stretch.stop)
+            rays = Rays(cameras, seen.points_px[seen_rows], seen.score[seen_rows], joints)
+            of_stretch = start_m[stretch], beside_m[stretch]
+            window_m[stretch] = _fit_stretch(*of_stretch, rays, limbs, usual_m, may_follow)
+        fitted.add(rows, window_m)
     return fitted_m
+
+
+def stretches(is_seen: Bool[np.ndarray, " frames"], longest_gap: int) -> list[slice]:
+    """Ranges of frames between pauses, which are gaps of more than ``longest_gap`` frames in which nobody is seen.
+
+    A body may be anywhere after a pause. Without any seen frame, all frames are one range. Pauses belong to none,
+    except those at the beginning and at the end.
+    """
+    frames = np.flatnonzero(is_seen)
+    pauses = np.flatnonzero(np.diff(frames) > longest_gap + 1)
+    starts, stops = [0, *frames[pauses + 1].tolist()], [*(frames[pauses] + 1).tolist(), len(is_seen)]
+    return [slice(start, stop) for start, stop in zip(starts, stops, strict=True)]
 
 
 def limb_lengths(
@@ -111,18 +134,22 @@ def limb_lengths(
     return hanging
 
 
-def _fit_window(
+def _fit_stretch(
     start_m: Float[np.ndarray, "frames joints 3"],
+    beside_m: Float[np.ndarray, "frames joints 3"],
     rays: Rays,
     limbs: Sequence[Sequence[tuple[int, float]]],
     usual_m: Float[np.ndarray, " joints"],
     may_follow: bool,
 ) -> Float[np.ndarray, "frames joints 3"]:
+    """Fit a stretch of frames without a pause; ``beside_m`` are positions beside joints that are seen elsewhere."""
     if may_follow:
         xyz_m = np.stack([filled_linearly(start_m[:, joint], _UNKNOWN) for joint in range(start_m.shape[1])], axis=1)
+        xyz_m = np.where(np.isfinite(xyz_m), xyz_m, beside_m)
     else:
-        xyz_m = filled_with_body(start_m)
+        xyz_m = np.array(beside_m)
     is_known = np.isfinite(start_m[..., 0])
+    is_followed = may_follow & is_known.any(0)
     # Joints that were never located can't be fitted.
     located = np.flatnonzero(np.isfinite(xyz_m[0, :, 0]))
     for step in range(_NUM_STEPS):
@@ -133,7 +160,7 @@ def _fit_window(
             normal, right = rays.normal_equations(joint, xyz_m[:, joint], scale_m)
             for other, length_m in limbs[joint] if step > 0 else ():
                 # In frames that are far apart, a joint that nobody saw is anywhere, and pulls none that was seen.
-                pulls = may_follow | is_known[:, other] | ~is_known[:, joint]
+                pulls = is_followed[other] | is_known[:, other] | ~is_known[:, joint]
                 _add_bone(normal, right, xyz_m[:, joint], xyz_m[:, other], length_m, pulls)
             step_m = _solve(normal, right, xyz_m[:, joint], usual_m[joint]) - xyz_m[:, joint]
             length_m = np.linalg.norm(step_m, axis=-1, keepdims=True)
