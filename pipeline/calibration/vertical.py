@@ -114,7 +114,7 @@ def possible_up_axes(cameras: Sequence[Camera]) -> tuple[str, ...]:
 
 
 def cameras_allow(cameras: Sequence[Camera], up: Float[np.ndarray, " 3"]) -> bool:
-    """Whether cameras agree that another direction than Z is up.
+    """Agreement of cameras that another direction than Z is up.
 
     The rolls of cameras determine the vertical to a degree or two, because operators level them. People outweigh
     cameras that say little about a small turn, but a large one needs cameras that are wrong in the given world: people

@@ -116,7 +116,7 @@ def _distance_m(
 def _right(
     distance_mm: Float[np.ndarray, " poses"], person: Int[np.ndarray, " poses"], threshold_mm: float
 ) -> np.ndarray:
-    """Whether each pose, by falling score, is the first one near its person."""
+    """Poses, by falling score, that are the first one near their person."""
     near = np.flatnonzero(distance_mm < threshold_mm)
     right = np.zeros(len(distance_mm), bool)
     right[near[np.unique(person[near], return_index=True)[1]]] = True

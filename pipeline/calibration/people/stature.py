@@ -70,14 +70,14 @@ def others_at_once(
     """Pairs of groups that are seen at the same instants at different places: two people."""
     rows = {number: np.flatnonzero(group == number) for number in found.group.tolist()}
     are_others = np.zeros((len(found), len(found)), bool)
-    for one in range(len(found)):
-        for other in range(one):
-            of_one, of_other = rows[int(found.group[one])], rows[int(found.group[other])]
-            _, first, second = np.intersect1d(instant[of_one], instant[of_other], return_indices=True)
-            apart = np.linalg.norm(xyz[of_one[first]] - xyz[of_other[second]], axis=-1)
+    for later in range(len(found)):
+        for earlier in range(later):
+            of_later, of_earlier = rows[int(found.group[later])], rows[int(found.group[earlier])]
+            _, first, second = np.intersect1d(instant[of_later], instant[of_earlier], return_indices=True)
+            apart = np.linalg.norm(xyz[of_later[first]] - xyz[of_earlier[second]], axis=-1)
             apart = apart[np.isfinite(apart)]
-            limit = _SAME_PERSON * min(found.estimates[one], found.estimates[other])
-            are_others[one, other] = len(first) >= _TOGETHER and len(apart) > 0 and np.median(apart) > limit
+            limit = _SAME_PERSON * min(found.estimates[later], found.estimates[earlier])
+            are_others[later, earlier] = len(first) >= _TOGETHER and len(apart) > 0 and np.median(apart) > limit
     return are_others | are_others.T
 
 

@@ -212,7 +212,7 @@ def _right_joints(
     scores: Float[np.ndarray, " bodies"],
     joints_px: Float[np.ndarray, "10 2"],
 ) -> Bool[np.ndarray, " 10"]:
-    """Whether each annotated joint of a person is found."""
+    """Annotated joints of a person that are found."""
     if not len(bodies_px):
         return np.zeros(len(JOINTS), bool)
     low, high = np.nanmin(joints_px, axis=0), np.nanmax(joints_px, axis=0)

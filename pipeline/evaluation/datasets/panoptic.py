@@ -67,7 +67,7 @@ class PanopticSequence:
 
     @property
     def has_images(self) -> bool:
-        """Whether any footage is a folder of images, which states no frame rate."""
+        """True if any footage is a folder of images, which states no frame rate."""
         return any(path.is_dir() for path in self.footage)
 
 

@@ -41,12 +41,12 @@ class Support:
     shin_stands: Bool[
         np.ndarray, "frames 2"
     ]  # Whether the knee is above the foot: shins lie of people who kneel or crawl
-    # Whether the foot carries an upright body that does not hang by its hands: the floor is under these feet
+    # True if the foot carries an upright body that does not hang by its hands: the floor is under these feet
     carries: Bool[np.ndarray, "frames 2"]
     ground_m: Float[np.ndarray, "frames 3"]  # Way of the ground since the first frame: that of a belt, zeros elsewhere
 
     def rides(self, rows: slice, foot: int) -> bool:
-        """Whether a foot moves along with the hips in the middle of some frames, and so does not stand."""
+        """Tell if a foot moves along with the hips in the middle of some frames, and so does not stand."""
         middle = middle_of(rows)
         return bool(_is_riding(self.along_m2_s2[middle, foot].mean(), self.squared_m2_s2[middle].mean()))
 
@@ -110,7 +110,7 @@ def _shared_motion(
 
 
 def _is_riding(along: Any, squared: Any) -> Any:
-    """Whether feet move as the hips do: those of people who hang, swing or are carried."""
+    """Feet that move as the hips do: those of people who hang, swing or are carried."""
     return (squared > _MOVING_M_S**2) & (along > _RIDING * squared)
 
 
