@@ -66,7 +66,7 @@ def test_it_works_from_a_file_and_asks_nobody(report: Path) -> None:
         assert page.locator("#clock").inner_text().endswith("frame 10")
         page.keyboard.press("Space")
         expect(page.locator("#clock")).to_contain_text("frame 39")
-        assert page.locator("#play").inner_text() == "Play"
+        expect(page.locator("#play")).to_have_text("Play")
         strip = page.locator(".strip canvas").first
         width = strip.evaluate("canvas => canvas.clientWidth")
         strip.click(position={"x": width * 10.5 / 40, "y": 5})
