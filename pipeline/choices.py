@@ -45,6 +45,7 @@ class FileFormat(Value):
     # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints
     holds: Literal["motion", "joints"]
     limit: FrameLimit | None = None
+    has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset
 
 
 @dataclass(frozen=True, slots=True)

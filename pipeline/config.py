@@ -99,8 +99,9 @@ Sync = (
     | Annotated[Literal["auto"], Value("Times measured from the motion of the people")]
 )
 Export = (
-    Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion")]
+    Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion", has_presets=True)]
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
+    | Annotated[Literal["fbx"], FileFormat("FBX, body and animation", _BYTES, "motion", has_presets=True)]
     | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
     # The header counts frames in 16 bits, and readers take no longer files.
     | Annotated[
@@ -109,7 +110,7 @@ Export = (
     | Annotated[Literal["csv"], FileFormat("CSV, joints in a table", _CSV, "joints")]
 )
 Preset = (
-    Annotated[Literal["default"], Value("Standard BVH")]
+    Annotated[Literal["default"], Value("Standard names")]
     | Annotated[Literal["blender"], Value("Blender")]
     | Annotated[Literal["unity-humanoid"], Value("Unity, humanoid")]
     | Annotated[Literal["unreal"], Value("Unreal Engine, mannequin")]
@@ -215,8 +216,8 @@ class JobChoices(MotionChoices):
     bvh: Annotated[
         Preset,
         About(
-            "Application for BVH files",
-            "Application that BVH files are written for: names, axes, unit and rest pose.",
+            "Application for BVH and FBX files",
+            "Application that BVH and FBX files are written for: names, axes, unit and rest pose.",
             option="preset",
             group="purpose",
         ),

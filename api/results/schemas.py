@@ -21,7 +21,7 @@ class ResultOut(ResponseModel):
         "people."
     )
     format: str | None = Field(description="Format of a person's or of all people's motion, a value of `exports`.")
-    preset: str | None = Field(description="Preset of a BVH file; null of other files.")
+    preset: str | None = Field(description="Preset of a BVH or FBX file; null of other files.")
     download_name: str = Field(
         description="Name under which clients save the file; it tells takes, and revisions of the edits, apart."
     )
@@ -34,9 +34,10 @@ class ResultOut(ResponseModel):
     @classmethod
     def of(cls, job: JobRecord, result: Result) -> Self:
         """Build the response from a result of a job."""
+        form = next((form for name, form in FILE_FORMATS.items() if name == result.kind), None)
         return cls(
-            format=result.kind if result.kind in FILE_FORMATS else None,
-            preset=job.spec.bvh if result.kind == "bvh" else None,
+            format=result.kind if form is not None else None,
+            preset=job.spec.bvh if form is not None and form.has_presets else None,
             download_name=result_name(job.session_name, result.name, result.revision, result.person_name),
             link=f"/v1/jobs/{job.id}/results/{result.name}",
             **fields_of(result, cls, without=("format", "preset", "download_name", "link")),

@@ -16,7 +16,7 @@ from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.export.presets import PRESETS
-from pipeline.export.writers import bvh, c3d_file, csv_table, glb, trc
+from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc
 from pipeline.export.writers.rotation_orders import BetweenFrames, rotation_orders
 from pipeline.joints import JointSet
 
@@ -32,7 +32,7 @@ class PersonContent:
     timebase: Timebase
     file_name: str  # Name of the file
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
-    preset: Preset  # Convention of BVH files
+    preset: Preset  # Convention of BVH and FBX files
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +61,13 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
         "glb": Format(
             lambda person: glb.encode(person.motion, person.origin_m),
             lambda path, _: glb.read_xyz_m(path),
+            holds_name=True,
+            has_origin=True,
+        ),
+        "fbx": Format(
+            lambda person: fbx.encode(person.motion, person.preset, person.origin_m),
+            fbx.read_xyz_m,
+            lambda person: rotation_orders(person.motion, fbx.convention_of_fbx(person.preset)).between,
             holds_name=True,
             has_origin=True,
         ),

@@ -18,7 +18,7 @@ from importlib import import_module
 from itertools import islice
 from typing import Any
 
-from pipeline.config import ReconstructionConfig, detected_joints
+from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints
 from pipeline.edits import document_of, without_names
 from pipeline.job_choices import ProxyChoices
 from pipeline.stages.stage import PERSON_PARTS, SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
@@ -154,7 +154,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         "cutoff_hz": config.smoothing != "butterworth",
         "appearance": is_clustering,
         "joint_centers": config.smoothing != "fit",
-        "bvh": "bvh" not in config.exports,
+        "bvh": not any(FILE_FORMATS[export].has_presets for export in config.exports),
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}
     edits, of_people = ([document_of(edit) for edit in some] for some in (config.edits, without_names(config.edits)))

@@ -36,7 +36,7 @@ def _node(script: str, *arguments: object) -> Any:
 
 
 def read_with_three(paths: Sequence[Path]) -> dict[Path, Animated]:
-    """Read BVH with ``BVHLoader`` and GLB with ``GLTFLoader`` of three.js."""
+    """Read BVH, GLB and FBX with ``BVHLoader``, ``GLTFLoader`` and ``FBXLoader`` of three.js."""
     found = {}
     for path, read in _node("three_reader.mjs", *paths).items():
         positions = np.array(read["positions"])

@@ -15,7 +15,7 @@ const OF_ALL = {
 };
 const ORDER = Object.keys(OF_ALL);
 
-/** What a file is: its format, and the application of a BVH file. */
+/** What a file is: its format, and the application that it is written for. */
 function wordsOf({ kind, format, preset }, options) {
   const label = (name, value) => options?.choices.find((choice) => choice.name === name)?.values.find((one) => one.name === value)?.label ?? value;
   if (!format) return OF_ALL[kind] ?? kind;

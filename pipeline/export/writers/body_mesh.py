@@ -1,4 +1,4 @@
-"""Mesh of a body for GLB files: an ellipsoid around each bone, rigidly attached to the bone's joint."""
+"""Body at rest of GLB and FBX files: its joints, and an ellipsoid around each bone, attached to the bone's joint."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -6,7 +6,10 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.skeleton.model import INDEX, skeleton_of
+from pipeline.export.presets import Convention
+from pipeline.skeleton.model import INDEX, parents_of, skeleton_of
+
+_UP = np.array([0.0, 0.0, 1.0])
 
 # Half widths (to the side, to the front) of the ellipsoid around a bone, as shares of the bone's length, by the kind of
 # the bone's end.
@@ -56,6 +59,27 @@ class BodyMesh:
     normals: Float[np.ndarray, "vertices 3"]
     joint: Int[np.ndarray, " vertices"]  # Index in the skeleton of the joint that moves each vertex
     triangles: Int[np.ndarray, "triangles 3"]  # Indices of ``vertices``, counterclockwise from outside
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyAtRest:
+    """Body in the rest pose of a file, standing on the floor at the origin, in the file's axes and unit."""
+
+    offsets: Float[np.ndarray, "joints 3"]  # Of each joint from its parent, of the root from the origin
+    positions: Float[np.ndarray, "joints 3"]
+    mesh: BodyMesh
+
+
+def body_at_rest(bone_length_m: Float[np.ndarray, " joints"], convention: Convention) -> BodyAtRest:
+    """Body in the rest pose of a convention; ``bone_length_m`` are the lengths of its bones."""
+    offsets = convention.rest_offsets(bone_length_m)
+    positions = np.zeros_like(offsets)
+    for index, parent in enumerate(parents_of(len(offsets))[1:], 1):
+        positions[index] = positions[parent] + offsets[index]
+    up = convention.file_from_world @ _UP
+    positions -= (positions @ up).min() * up
+    offsets[0] = positions[0]
+    return BodyAtRest(offsets, positions, body_mesh(offsets, positions))
 
 
 @cache

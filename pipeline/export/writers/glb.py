@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.colors import color_rgb
 from pipeline.export.presets import GLTF
-from pipeline.export.writers.body_mesh import BodyMesh, body_mesh
-from pipeline.skeleton.model import INDEX, children_of, parents_of, skeleton_of
+from pipeline.export.writers.body_mesh import BodyMesh, body_at_rest
+from pipeline.skeleton.model import INDEX, children_of, skeleton_of
 
 # NumPy types of the components of accessors.
 _COMPONENTS: dict[int, np.dtype[Any]] = {
@@ -77,13 +77,8 @@ def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"]) -> Iterato
 
     Equal motions give equal bytes.
     """
-    offsets_m = GLTF.rest_offsets(motion.bone_length_m)
-    rest_m = np.zeros_like(offsets_m)
-    for index, parent in enumerate(parents_of(len(offsets_m))[1:], 1):
-        rest_m[index] = rest_m[parent] + offsets_m[index]
-    rest_m[:, 1] -= rest_m[:, 1].min()
-    offsets_m[_ROOT] = rest_m[_ROOT]
-
+    body = body_at_rest(motion.bone_length_m, GLTF)
+    offsets_m = body.offsets
     buffer = _Buffer()
     file = gltf.GLTF2(
         asset=gltf.Asset(generator="Multicap"),
@@ -94,9 +89,9 @@ def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"]) -> Iterato
             *_joint_nodes(offsets_m),
             gltf.Node(name=f"{motion.name} body", mesh=0, skin=0),
         ],
-        meshes=[gltf.Mesh(name="body", primitives=[_primitive(body_mesh(offsets_m, rest_m), buffer)])],
+        meshes=[gltf.Mesh(name="body", primitives=[_primitive(body.mesh, buffer)])],
         materials=[_material(motion.track_id)],
-        skins=[_skin(rest_m, buffer)],
+        skins=[_skin(body.positions, buffer)],
         animations=[_animation(motion, origin_m, buffer)],
         accessors=buffer.accessors,
         bufferViews=buffer.views,

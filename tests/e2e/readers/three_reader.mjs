@@ -1,7 +1,8 @@
-// World positions of all bones in every frame of BVH and GLB files, as three.js finds them: JSON on stdout.
+// World positions of all bones in every frame of BVH, GLB and FBX files, as three.js finds them: JSON on stdout.
 import { readFileSync } from "node:fs";
 import { AnimationMixer, LoopOnce, Vector3 } from "three";
 import { BVHLoader } from "three/examples/jsm/loaders/BVHLoader.js";
+import { FBXLoader } from "three/examples/jsm/loaders/FBXLoader.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 
 async function open(path) {
@@ -11,6 +12,10 @@ async function open(path) {
     return { root: skeleton.bones[0], top: skeleton.bones[0], clip };
   }
   const bytes = content.buffer.slice(content.byteOffset, content.byteOffset + content.byteLength);
+  if (path.endsWith(".fbx")) {
+    const scene = new FBXLoader().parse(bytes, "");
+    return { root: scene, top: scene, clip: scene.animations[0], scene };
+  }
   const gltf = await new GLTFLoader().parseAsync(bytes, "");
   return { root: gltf.scene, top: gltf.scene, clip: gltf.animations[0], scene: gltf.scene };
 }

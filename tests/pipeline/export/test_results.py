@@ -18,7 +18,8 @@ from pipeline.data.reconstruction import Reconstruction
 from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError
 from pipeline.export.results import write_files, write_results
-from pipeline.export.writers import c3d_file, csv_table, trc
+from pipeline.export.writers import c3d_file, csv_table, fbx_nodes, trc
+from pipeline.export.writers.fbx_stored import StoredScene, numbers
 from pipeline.joints import COCO_17, FINGER_JOINTS, WHOLE_BODY, finger_joints
 from pipeline.skeleton.animate import animate
 from tests.e2e.foreign import validate_with_khronos
@@ -81,10 +82,10 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
     check = json.loads(paths[-1].read_bytes())["exports"]
     assert set(check) == {"skeletons", *EXPORTS}
     for export, figures in check.items():
-        of_joints = export not in {"bvh", "glb"}
+        of_joints = export not in {"bvh", "glb", "fbx"}
         if of_joints and np.isnan(xyz_m).all():
             assert figures == {"max_distance_mm": None}
-        elif export == "bvh" and len(xyz_m) > 1:
+        elif export in {"bvh", "fbx"} and len(xyz_m) > 1:
             assert 0.0 <= figures["max_distance_mm"] < 0.5
             assert set(figures) == {"max_distance_mm", "between_frames"}
         else:
@@ -175,7 +176,7 @@ def test_survey_coordinates_have_an_origin_near_the_people(tmp_path: Path) -> No
     check = json.loads((tmp_path / "metrics.json").read_bytes())["exports"]
     assert all(figures["max_distance_mm"] < 0.1 for figures in check.values()), check
     origin_m = np.array(check["c3d"]["origin_m"])
-    assert [name for name, figures in check.items() if "origin_m" in figures] == ["glb", "c3d"]
+    assert [name for name, figures in check.items() if "origin_m" in figures] == ["glb", "fbx", "c3d"]
     assert check["glb"]["origin_m"] == origin_m.tolist() == origin_m.round().tolist()
     assert np.linalg.norm(origin_m - away_m) < 10.0
     # Other programs find the origin where the documentation says, and the people near it.
@@ -186,6 +187,8 @@ def test_survey_coordinates_have_an_origin_near_the_people(tmp_path: Path) -> No
         np.testing.assert_allclose(points_m, far.tracks[number - 1].xyz_m, atol=1e-4)
         (scene,) = GLTF2.load_binary(str(tmp_path / f"person-{number}.glb")).animations
         assert scene.extras["origin_m"] == origin_m.tolist()
+        models = StoredScene(fbx_nodes.read((tmp_path / f"person-{number}.fbx").read_bytes())).of_kind("Model", "Null")
+        assert [numbers(top, "origin_m", 3) for top in models.values()] == [tuple(origin_m)]
 
 
 def test_usual_worlds_keep_their_origin(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -18,7 +19,7 @@ from pipeline.export.formats import FORMATS as FORMATS_BY_NAME
 from pipeline.export.formats import PersonContent
 from pipeline.export.person_files import PersonOfTake, people_of
 from pipeline.export.results import keep_people, write_files
-from pipeline.export.writers import bvh, c3d_file, csv_table, glb, skeletons_json, trc
+from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, skeletons_json, trc
 from pipeline.progress import ignore
 from pipeline.quality.views import ViewsOf, views_of
 from pipeline.simulation.scenes import find_scene, record
@@ -97,7 +98,7 @@ def test_files_are_written_once_and_renamed_people_anew(
 ) -> None:
     plain, pieces = edited(session, cache), KeptPieces()
     first = files(plain, tmp_path / "first", pieces)
-    for format_ in (bvh, c3d_file, csv_table, glb, trc):
+    for format_ in (bvh, c3d_file, csv_table, fbx, glb, trc):
         monkeypatch.setattr(format_, "encode", fail)
     monkeypatch.setattr(skeletons_json, "encode_track", fail)
     assert files(plain, tmp_path / "again", pieces) == first
@@ -106,21 +107,21 @@ def test_files_are_written_once_and_renamed_people_anew(
         files(renamed, tmp_path / "failed", pieces)
     monkeypatch.undo()
     fresh = files(renamed, tmp_path / "fresh", KeptPieces())
-    # Of the renamed person the one file that holds the name is written, and no other.
+    # Of the renamed person the files that hold the name are written, and no others.
     written: list[str] = []
     for format_ in (bvh, c3d_file, csv_table, trc):
         monkeypatch.setattr(format_, "encode", fail)
     monkeypatch.setattr(skeletons_json, "encode_track", fail)
-    encode = glb.encode
 
-    def encode_noted(motion: SkeletonMotion, origin_m: np.ndarray) -> Iterator[bytes]:
+    def noted(encode: Callable[..., Iterator[bytes]], motion: SkeletonMotion, *others: Any) -> Iterator[bytes]:
         written.append(motion.name)
-        return encode(motion, origin_m)
+        return encode(motion, *others)
 
-    monkeypatch.setattr(glb, "encode", encode_noted)
+    for format_ in (fbx, glb):
+        monkeypatch.setattr(format_, "encode", partial(noted, format_.encode))
     assert files(renamed, tmp_path / "kept", pieces) == fresh
-    assert written == ["Zoë"]
-    assert {name for name in fresh if fresh[name] != first[name]} == {"skeletons.json", "person-2.glb"}
+    assert written == ["Zoë", "Zoë"]
+    assert {name for name in fresh if fresh[name] != first[name]} == {"skeletons.json", "person-2.fbx", "person-2.glb"}
 
 
 def test_a_name_changes_no_report_and_no_motion_for_viewers(

@@ -1,0 +1,371 @@
+"""FBX files (binary, 7.4): the skeleton with a body as its skin, and the motion as an animation.
+
+A preset defines the names and the rest pose. Axes are those of Maya: Y up, facing +Z, right-handed; the unit is a
+centimetre, and a metre for Blender. The rest pose, which is the bind pose of the skin too, stands on the floor at the
+origin. Models are the joints, ends of bones included, below a node with the person's name; joints are aligned with the
+file's axes at rest.
+
+The animation begins at 0 s with the person's first frame and has a key in each frame: of the place of the root, and of
+the rotation of each joint with children. Numbers have single precision: if the world's origin is far away, the node at
+the top has the setting ``origin_m``, the world position in metres that positions are relative to.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float, Float32
+from scipy.spatial.transform import Rotation
+
+from pipeline.config import Preset
+from pipeline.data.animation import SkeletonMotion
+from pipeline.export.colors import color_rgb
+from pipeline.export.presets import PRESETS, Y_UP_FROM_WORLD, Convention
+from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.writers.body_mesh import BodyAtRest, BodyMesh, body_at_rest
+from pipeline.export.writers.euler import euler_deg
+from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, array, read, write
+from pipeline.export.writers.fbx_scene import (
+    ROTATION,
+    ROTATION_ORDERS,
+    SCENE,
+    TRANSLATION,
+    Clip,
+    Scene,
+    choice,
+    integer,
+    local,
+    matrix,
+    number,
+    safe_name,
+    setting,
+    settings,
+    ticks,
+    vector,
+)
+from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
+from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
+from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of
+
+# Bytes of the angles of a group of joints, which are computed together.
+_GROUP_BYTES = 2**26
+_BYTES_OF_ANGLES = 12
+_LIMB, _MESH = "LimbNode", "Mesh"
+ORIGIN = "origin_m"
+"""Setting of the node at the top: the world position of the file's origin, in metres."""
+
+
+def convention_of_fbx(preset: Preset) -> Convention:
+    """Convention of a preset in FBX files; the same object for the same preset."""
+    return _CONVENTIONS[preset]
+
+
+def _in_fbx(preset: Preset, convention: Convention) -> Convention:
+    return replace(
+        convention,
+        file_from_world=Y_UP_FROM_WORLD,
+        units_per_m=1.0 if preset == "blender" else 100.0,
+        rotation_order="ZXY",
+        is_order_demanded=False,
+    )
+
+
+_CONVENTIONS: Mapping[Preset, Convention] = MappingProxyType(
+    {preset: _in_fbx(preset, convention) for preset, convention in PRESETS.items()}
+)
+
+
+def encode(motion: SkeletonMotion, preset: Preset, origin_m: Float[np.ndarray, " 3"]) -> Iterator[bytes]:
+    """Write a motion as FBX, piece by piece; ``origin_m`` is the world position of the file's origin.
+
+    Equal motions give equal bytes.
+    """
+    convention = convention_of_fbx(preset)
+    scene = Scene(motion.frame_rate_hz, convention.units_per_m)
+    _add_person(scene, motion, convention, origin_m)
+    yield from write(scene.nodes)
+
+
+def _add_person(
+    scene: Scene, motion: SkeletonMotion, convention: Convention, origin_m: Float[np.ndarray, " 3"]
+) -> None:
+    """Add a person with the body and the motion to a scene."""
+    body = body_at_rest(motion.bone_length_m, convention)
+    orders = rotation_orders(motion, convention).axes
+    joints = skeleton_of(len(body.offsets))
+    name = _name_of_person(motion, {convention.name(joint.name) for joint in joints})
+    top = _add_top(scene, motion, convention, name, origin_m)
+    models: list[Int64] = []
+    for joint, parent, offset, axes in zip(joints, parents_of(len(joints)), body.offsets, orders, strict=True):
+        above = models[parent] if models else top
+        models.append(_add_joint(scene, convention.name(joint.name), above, offset, axes))
+    _add_skin(scene, name, motion.track_id, body, {top: np.zeros(3), **dict(zip(models, body.positions, strict=True))})
+    _animate(scene, scene.add_clip(name, len(motion.root_m)), models, motion, convention, orders, origin_m)
+
+
+def _name_of_person(motion: SkeletonMotion, names_of_joints: set[str]) -> str:
+    """Name of a person in a file: some programs find models by their names, so that it is never that of a joint."""
+    name = safe_name(motion.name) or f"person-{motion.track_id}"
+    return f"{name} ({motion.track_id})" if name in names_of_joints else name
+
+
+def _add_top(
+    scene: Scene, motion: SkeletonMotion, convention: Convention, name: str, origin_m: Float[np.ndarray, " 3"]
+) -> Int64:
+    """Add the node above the joints: one with the person's name, or the bone on the floor that software expects."""
+    facts = [
+        integer("track_id", motion.track_id, "U"),
+        integer("start_frame", motion.start_frame, "U"),
+        number("frame_rate_hz", motion.frame_rate_hz, "U"),
+    ]
+    if origin_m.any():
+        facts.append(vector(ORIGIN, origin_m, flags="U"))
+    if convention.top_bone is not None:
+        return _add_bone(scene, convention.top_bone, SCENE, *facts)
+    top = scene.add_model(name, "Null", SCENE, *facts)
+    scene.connect(scene.add("NodeAttribute", name, "NodeAttribute", "Null", Node("TypeFlags", ("Null",))), top)
+    return top
+
+
+def _add_joint(scene: Scene, name: str, parent: Int64, offset: Float[np.ndarray, " 3"], axes: str) -> Int64:
+    order = ROTATION_ORDERS.index(axes)
+    turns = setting("RotationActive", "bool", "", 1), choice("RotationOrder", order)
+    return _add_bone(scene, name, parent, *turns, local(TRANSLATION, offset), local(ROTATION, np.zeros(3)))
+
+
+def _add_bone(scene: Scene, name: str, parent: Int64, *nodes: Node) -> Int64:
+    bone = scene.add_model(name, _LIMB, parent, *nodes)
+    scene.connect(scene.add("NodeAttribute", name, "NodeAttribute", _LIMB, Node("TypeFlags", ("Skeleton",))), bone)
+    return bone
+
+
+def _add_skin(
+    scene: Scene,
+    name: str,
+    track_id: int,
+    body: BodyAtRest,
+    models: Mapping[Int64, Float[np.ndarray, " 3"]],
+) -> None:
+    """Add the body of a person; ``models`` are the node at the top and those of the joints, with their places."""
+    mesh, (_, *joints) = body.mesh, models
+    model = scene.add_model(f"{name} body", _MESH, SCENE)
+    geometry = _add_geometry(scene, name, mesh)
+    scene.connect(geometry, model)
+    scene.connect(_add_material(scene, name, track_id), model)
+    skin = scene.add("Deformer", name, "Deformer", "Skin", Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)))
+    scene.connect(skin, geometry)
+    for index, joint in enumerate(joints):
+        (vertices,) = np.nonzero(mesh.joint == index)
+        if len(vertices):
+            link = _moved(models[joint])
+            cluster = scene.add(
+                *("Deformer", name, "SubDeformer", "Cluster"),
+                Node("Version", (100,)),
+                Node("UserData", ("", "")),
+                Node("Indexes", (array("i", vertices),)),
+                Node("Weights", (array("d", np.ones(len(vertices))),)),
+                Node("Transform", (matrix(np.linalg.inv(link)),)),
+                Node("TransformLink", (matrix(link),)),
+            )
+            scene.connect(cluster, skin)
+            scene.connect(joint, cluster)
+    places = {**models, model: np.zeros(3)}
+    scene.add_bind_pose(name, {number_of_model: _moved(place) for number_of_model, place in places.items()})
+
+
+def _moved(place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
+    """Transform of a model that is at a place and not turned."""
+    transform = np.eye(4)
+    transform[:3, 3] = place
+    return transform
+
+
+def _add_geometry(scene: Scene, name: str, mesh: BodyMesh) -> Int64:
+    corners = mesh.triangles.copy()
+    corners[:, 2] = ~corners[:, 2]  # The last corner of each polygon is marked so.
+    return scene.add(
+        *("Geometry", name, "Geometry", _MESH),
+        Node("GeometryVersion", (124,)),
+        Node("Vertices", (array("d", mesh.vertices.reshape(-1)),)),
+        Node("PolygonVertexIndex", (array("i", corners.reshape(-1)),)),
+        _layer_element(
+            "LayerElementNormal",
+            *(102, "ByPolygonVertex", "Direct"),
+            Node("Normals", (array("d", mesh.normals[mesh.triangles].reshape(-1)),)),
+        ),
+        _layer_element(
+            "LayerElementMaterial", *(101, "AllSame", "IndexToDirect"), Node("Materials", (array("i", [0]),))
+        ),
+        Node(
+            "Layer",
+            (0,),
+            (
+                Node("Version", (100,)),
+                *(
+                    Node("LayerElement", (), (Node("Type", (kind,)), Node("TypedIndex", (0,))))
+                    for kind in ("LayerElementNormal", "LayerElementMaterial")
+                ),
+            ),
+        ),
+    )
+
+
+def _layer_element(kind: str, version: int, mapping: str, reference: str, *content: Node) -> Node:
+    return Node(
+        kind,
+        (0,),
+        (
+            Node("Version", (version,)),
+            Node("Name", ("",)),
+            Node("MappingInformationType", (mapping,)),
+            Node("ReferenceInformationType", (reference,)),
+            *content,
+        ),
+    )
+
+
+def _add_material(scene: Scene, name: str, track_id: int) -> Int64:
+    """Add a matt material in the person's colour."""
+    color = np.array(color_rgb(track_id)) / 255.0
+    return scene.add(
+        *("Material", f"{name} body", "Material", ""),
+        Node("Version", (102,)),
+        Node("ShadingModel", ("lambert",)),
+        Node("MultiLayer", (0,)),
+        settings(vector("DiffuseColor", color, "Color", ""), number("DiffuseFactor", 1.0)),
+    )
+
+
+def _animate(
+    scene: Scene,
+    clip: Clip,
+    models: list[Int64],
+    motion: SkeletonMotion,
+    convention: Convention,
+    orders: tuple[str, ...],
+    origin_m: Float[np.ndarray, " 3"],
+) -> None:
+    """Add the curves of a motion: of the place of the root, and of the rotation of each joint with children."""
+    if not len(motion.root_m):
+        return
+    places = convention.file_from_xyz_m(motion.root_m - origin_m)
+    scene.animate(clip, models[0], TRANSLATION, places[0], lambda axis: places[:, axis])
+    children = children_of(len(models))
+    joints = [index for index, joint in enumerate(skeleton_of(len(models))) if children[joint.name]]
+    angles = _Angles(motion, convention, orders, joints)
+    for index in joints:
+        scene.animate(clip, models[index], ROTATION, angles.first(index), partial(angles.of, index))
+
+
+class _Angles:
+    """Angles of joints about X, Y and Z in degrees, computed for groups of joints in turn.
+
+    A file has all frames of a curve in one piece, one curve after another. So the angles of a group are in memory, of
+    all joints with fewer than 100,000 frames.
+    """
+
+    def __init__(
+        self, motion: SkeletonMotion, convention: Convention, orders: tuple[str, ...], joints: list[int]
+    ) -> None:
+        self._motion, self._convention, self._orders, self._joints = motion, convention, orders, joints
+        self._size = max(1, _GROUP_BYTES // (_BYTES_OF_ANGLES * len(motion.root_m)))
+        self._group: list[int] = []
+        self._angles_deg = np.empty((0, 3, 0), np.float32)
+
+    def first(self, joint: int) -> Float[np.ndarray, " 3"]:
+        """Angles of a joint in the first frame."""
+        angles_deg: np.ndarray = next(self._blocks([joint]))[0, 0]
+        return angles_deg
+
+    def of(self, joint: int, axis: int) -> Float32[np.ndarray, " frames"]:
+        """Angles of a joint about an axis in all frames."""
+        if joint not in self._group:
+            start = self._joints.index(joint)
+            self._group = self._joints[start : start + self._size]
+            # A group is in memory before the next one is made.
+            self._angles_deg = np.empty((0, 3, 0), np.float32)
+            angles_deg = np.empty((len(self._group), 3, len(self._motion.root_m)), np.float32)
+            for rows, block_deg in zip(frame_blocks(angles_deg.shape[2]), self._blocks(self._group), strict=True):
+                angles_deg[:, :, rows] = np.moveaxis(block_deg, 0, -1)
+            self._angles_deg = angles_deg
+        return self._angles_deg[self._group.index(joint), axis]
+
+    def _blocks(self, joints: list[int]) -> Iterator[Float[np.ndarray, "frames joints 3"]]:
+        """Angles of some joints, continuous from block to block."""
+        orders = [self._orders[joint] for joint in joints]
+        # Columns of the angles about X, Y and Z among those in the order of the rotations.
+        columns = np.array([[axes.index(axis) for axis in "XYZ"] for axes in orders])
+        angles_deg = np.zeros((1, len(joints), 3))
+        for rows in frame_blocks(len(self._motion.root_m)):
+            quat = self._convention.parent_from_joint(self._motion.parent_from_joint[rows])[:, joints]
+            angles_deg = euler_deg(matrices(quat), orders, angles_deg[-1])
+            yield np.take_along_axis(angles_deg, columns[None], axis=2)
+
+
+def read_xyz_m(path: Path, preset: Preset) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """Read world positions (metres) of the skeleton's joints from a file of ``encode``, block by block.
+
+    Raises
+    ------
+    FbxError
+        If the file is no FBX or is damaged, lacks a joint or a curve, or has keys at other times than its frames.
+    """
+    convention = convention_of_fbx(preset)
+    skeleton = _StoredSkeleton(StoredScene(read(np.memmap(path, np.uint8, "r").data)), convention)
+    for rows in frame_blocks(skeleton.num_frames):
+        turns = np.broadcast_to(np.eye(3), (rows.stop - rows.start, len(skeleton.offsets), 3, 3)).copy()
+        for joint, (axes, curves) in skeleton.rotations.items():
+            angles_deg = np.stack([curves["XYZ".index(axis)][rows] for axis in axes], axis=-1)
+            turns[:, joint] = Rotation.from_euler(axes, angles_deg, degrees=True).as_matrix()
+        places = np.stack([curve[rows] for curve in skeleton.places], axis=-1).astype(np.float64)
+        yield convention.xyz_m_from_file(chained(places, skeleton.offsets, turns)) + skeleton.origin_m
+
+
+class _StoredSkeleton:
+    """Skeleton of a file of ``encode``, and its curves."""
+
+    def __init__(self, scene: StoredScene, convention: Convention) -> None:
+        limbs = {name_of(node): number for number, node in scene.of_kind("Model", _LIMB).items()}
+        names = [convention.name(joint.name) for joint in WHOLE_SKELETON]
+        num_joints = len(limbs.keys() & set(names))
+        if num_joints not in (len(SKELETON), len(WHOLE_SKELETON)) or not limbs.keys() >= set(names[:num_joints]):
+            raise FbxError("the skeleton has other joints")
+        models = [limbs[name] for name in names[:num_joints]]
+        above = [scene.parent(model, "Model") for model in models]
+        if above[1:] != [models[parent] for parent in parents_of(num_joints)[1:]]:
+            raise FbxError("joints have other parents")
+        top = scene.objects[above[0]] if above[0] is not None else Node("")
+        self.origin_m = np.array(numbers(top, ORIGIN, 3) if has_setting(top, ORIGIN) else (0.0, 0.0, 0.0))
+        self.offsets = np.array([numbers(scene.objects[model], TRANSLATION, 3) for model in models])
+        (rate_hz,) = numbers(scene.global_settings, "CustomFrameRate", 1)
+        layer = next(iter(scene.of_kind("AnimationLayer", "")), 0)
+        self.places = _curves(scene, layer, models[0], TRANSLATION, rate_hz)
+        self.num_frames = len(self.places[0]) if self.places else 0
+        self.rotations = {}
+        children = children_of(num_joints)
+        for index, joint in enumerate(skeleton_of(num_joints)):
+            if self.num_frames and children[joint.name]:
+                (order,) = numbers(scene.objects[models[index]], "RotationOrder", 1)
+                if order not in range(len(ROTATION_ORDERS)):
+                    raise FbxError(f"rotations have the order {order}")
+                curves = _curves(scene, layer, models[index], ROTATION, rate_hz)
+                if not curves or len(curves[0]) != self.num_frames:
+                    raise FbxError("curves have different numbers of frames")
+                self.rotations[index] = ROTATION_ORDERS[int(order)], curves
+
+
+def _curves(
+    scene: StoredScene, layer: int, model: int, of_setting: str, rate_hz: float
+) -> list[Float32[np.ndarray, " frames"]]:
+    """Curves of X, Y and Z of a setting of a model, with a key in each frame; none if it is not animated."""
+    found = scene.curves(layer, model, of_setting)
+    if found is None:
+        return []
+    times, values = found
+    for curve in times:
+        if not np.array_equal(curve, ticks(len(values[0]), rate_hz)):
+            raise FbxError("a curve has keys at other times than the frames")
+    return values

@@ -1,0 +1,190 @@
+"""FBX files, read by our own reader and by three.js."""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.config import Preset
+from pipeline.data.animation import SkeletonMotion
+from pipeline.export.presets import PRESETS
+from pipeline.export.writers import fbx
+from pipeline.export.writers.fbx_nodes import ArrayProperty, FbxError, Node, read
+from pipeline.export.writers.fbx_stored import StoredScene, name_of, numbers, property_of
+from pipeline.skeleton.model import INDEX, forward_kinematics, skeleton_of
+from tests.e2e.foreign import read_with_three
+from tests.pipeline.export.writers.test_bvh import MOTIONS, tumbling, walk, with_fingers
+
+RATES_HZ = (25.0, 30000 / 1001, 24000 / 1001, 240.0, 31.7)
+MODES = {25.0: 10, 30000 / 1001: 9, 24000 / 1001: 13, 240.0: 14, 31.7: 14, 120000 / 1001: 18}
+NOWHERE = np.zeros(3)
+
+
+def written(motion: SkeletonMotion, path: Path, preset: Preset = "default") -> Path:
+    path.write_bytes(b"".join(fbx.encode(motion, preset, NOWHERE)))
+    return path
+
+
+def scene_of(path: Path) -> StoredScene:
+    return StoredScene(read(path.read_bytes()))
+
+
+def own_m(path: Path, preset: Preset = "default") -> np.ndarray:
+    return np.concatenate(list(fbx.read_xyz_m(path, preset)))
+
+
+@MOTIONS
+def test_takes_of_any_length_and_rate(dressed: Callable[[SkeletonMotion], SkeletonMotion], tmp_path: Path) -> None:
+    motions = {}
+    for num_frames, rate_hz in [*itertools.product((1, 2), RATES_HZ), (530, 120000 / 1001)]:
+        motion = dressed(walk(num_frames, rate_hz))
+        motions[written(motion, tmp_path / f"{num_frames} at {rate_hz:.3f}.fbx")] = motion
+    # Programs that start once read all files.
+    by_path = read_with_three(list(motions))
+    assert by_path.keys() == motions.keys()
+    for path, motion in motions.items():
+        expected_m, found = forward_kinematics(motion), by_path[path]
+        np.testing.assert_allclose(own_m(path), expected_m, atol=1e-5, err_msg=path.name)
+        for index, joint in enumerate(skeleton_of(expected_m.shape[1])):
+            x, y, z = 100.0 * expected_m[:, index].T
+            seen = found.positions[joint.name]
+            np.testing.assert_allclose(seen, np.column_stack([x, z, -y]), atol=1e-2, err_msg=path.name)
+        assert len(expected_m) == 1 or found.frame_rate_hz == pytest.approx(motion.frame_rate_hz, rel=1e-6), path
+        stated = scene_of(path).global_settings
+        assert numbers(stated, "CustomFrameRate", 1) == (motion.frame_rate_hz,)
+        assert numbers(stated, "TimeMode", 1) == (MODES[motion.frame_rate_hz],)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets(preset: Preset, tmp_path: Path) -> None:
+    motion = with_fingers(tumbling(60))
+    path = written(motion, tmp_path / "person.fbx", preset)
+    np.testing.assert_allclose(own_m(path, preset), forward_kinematics(motion), atol=1e-5)
+    scene, convention = scene_of(path), PRESETS[preset]
+    names = [name_of(node) for node in scene.of_kind("Model", "LimbNode").values()]
+    expected = [convention.name(joint.name) for joint in skeleton_of(len(motion.bone_length_m))]
+    assert names == (["root"] if preset == "unreal" else []) + expected
+    unit_cm = numbers(scene.global_settings, "UnitScaleFactor", 1)
+    assert unit_cm == (100.0 if preset == "blender" else 1.0,)
+    assert [numbers(scene.global_settings, f"{axis}Axis", 1) for axis in ("Up", "Front", "Coord")] == [(1,), (2,), (0,)]
+
+
+def test_joints_have_an_order_of_rotations_each_where_one_interpolates_badly(tmp_path: Path) -> None:
+    path = written(tumbling(), tmp_path / "person.fbx")
+    models = scene_of(path).of_kind("Model", "LimbNode").values()
+    orders = {name_of(model): numbers(model, "RotationOrder", 1)[0] for model in models}
+    assert len(set(orders.values())) > 1
+    assert orders["Head"] == 3  # Y, then X, then Z about fixed axes: Z X Y of BVH
+    read_by_three = read_with_three([path])[path]
+    for joint in skeleton_of(24):
+        x, y, z = 100.0 * forward_kinematics(tumbling())[:, INDEX[joint.name]].T
+        np.testing.assert_allclose(read_by_three.positions[joint.name], np.column_stack([x, z, -y]), atol=1e-2)
+
+
+def test_angles_are_continuous_over_many_turns(tmp_path: Path) -> None:
+    """Curves of a spin of three turns, over more frames than a block has."""
+    path = written(walk(700), tmp_path / "person.fbx")
+    scene = scene_of(path)
+    (layer,) = scene.of_kind("AnimationLayer", "")
+    for model in scene.of_kind("Model", "LimbNode"):
+        found = scene.curves(layer, model, "Lcl Rotation")
+        assert found is None or np.abs(np.diff(found[1], axis=1)).max() < 90.0
+
+
+def test_groups_of_joints_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = b"".join(fbx.encode(walk(60), "default", NOWHERE))
+    assert whole == b"".join(fbx.encode(walk(60), "default", NOWHERE))
+    monkeypatch.setattr(fbx, "_GROUP_BYTES", 2 * 60 * 12)
+    assert whole == b"".join(fbx.encode(walk(60), "default", NOWHERE))
+
+
+NAMES = {
+    "José  Peña 2": "José  Peña 2",
+    "撮影-1 👩🏽‍🎤": "撮影-1 👩🏽‍🎤",
+    'a "b" / \\ c: d': 'a "b" / \\ c: d',
+    "Anna\x00\x01Model": "Anna  Model",
+    "\ud800": "person-1",
+    "": "person-1",
+    "Hips": "Hips (1)",
+}
+
+
+def test_names_are_kept_but_for_separators(tmp_path: Path) -> None:
+    motion, paths = walk(2), []
+    for number, (name, in_file) in enumerate(NAMES.items()):
+        path = written(replace(motion, name=name, start_frame=7), tmp_path / f"{number}.fbx")
+        scene = scene_of(path)
+        (top,) = scene.of_kind("Model", "Null").values()
+        assert name_of(top) == in_file
+        assert [name_of(node) for node in scene.of_kind("AnimationStack", "").values()] == [in_file]
+        assert numbers(top, "start_frame", 1) == (7,)
+        np.testing.assert_allclose(own_m(path), forward_kinematics(motion), atol=1e-5)
+        paths.append(path)
+    x, y, z = 100.0 * forward_kinematics(motion)[:, INDEX["LeftHand"]].T
+    for read_by_three in read_with_three(paths).values():
+        np.testing.assert_allclose(read_by_three.positions["LeftHand"], np.column_stack([x, z, -y]), atol=1e-2)
+
+
+def test_a_person_without_frames_has_a_body_at_rest(tmp_path: Path) -> None:
+    motion = walk(1)
+    nobody = replace(motion, root_m=motion.root_m[:0], parent_from_joint=motion.parent_from_joint[:0])
+    path = written(nobody, tmp_path / "person.fbx")
+    assert not list(fbx.read_xyz_m(path, "default"))
+    assert len(scene_of(path).of_kind("Model", "LimbNode")) == 24
+
+
+def test_the_skin_is_bound_in_the_rest_pose(tmp_path: Path) -> None:
+    """Joints in the bind pose are where their offsets place them; feet stand on the floor."""
+    scene = scene_of(written(walk(1), tmp_path / "person.fbx"))
+    (pose,) = scene.of_kind("Pose", "BindPose").values()
+    bound = {}
+    for node in pose.children[3:]:
+        model = node.child("Node")
+        assert model is not None
+        bound[property_of(model, 0, int)] = values(node, "Matrix").reshape(4, 4).T
+    heights = []
+    for limb, stored in scene.of_kind("Model", "LimbNode").items():
+        above = scene.parent(limb, "Model")
+        assert above is not None
+        offset = np.array(numbers(stored, "Lcl Translation", 3))
+        np.testing.assert_allclose(bound[limb][:3, 3], bound[above][:3, 3] + offset, atol=1e-9)
+        heights.append(bound[limb][1, 3])
+    assert min(heights) == pytest.approx(0.0, abs=1e-9)
+    assert max(heights) == pytest.approx(170.0, abs=15.0)
+    clusters = scene.of_kind("Deformer", "Cluster").values()
+    indices = np.concatenate([values(cluster, "Indexes") for cluster in clusters])
+    (mesh,) = scene.of_kind("Geometry", "Mesh").values()
+    assert sorted(indices) == list(range(len(values(mesh, "Vertices")) // 3))
+    for number, cluster in scene.of_kind("Deformer", "Cluster").items():
+        (joint,) = scene.children(number, "Model")
+        np.testing.assert_array_equal(values(cluster, "TransformLink").reshape(4, 4).T, bound[joint])
+        np.testing.assert_allclose(values(cluster, "Transform").reshape(4, 4).T @ bound[joint], np.eye(4), atol=1e-9)
+
+
+def values(node: Node, name: str) -> np.ndarray:
+    stored = node.child(name)
+    assert stored is not None
+    return property_of(stored, 0, ArrayProperty).values()
+
+
+def test_a_file_with_other_contents_is_an_error(tmp_path: Path) -> None:
+    """One of the bytes of a file is another: it is refused, or joints are elsewhere, or the byte has no meaning."""
+    motion = walk(20)
+    content, expected_m = b"".join(fbx.encode(motion, "default", NOWHERE)), forward_kinematics(motion)
+    path, random = tmp_path / "person.fbx", np.random.default_rng(0)
+    refused = 0
+    for place in random.integers(27, len(content) - 200, 60):
+        path.write_bytes(content[:place] + bytes([content[place] ^ (1 << random.integers(8))]) + content[place + 1 :])
+        try:
+            found_m = own_m(path)
+        except FbxError:
+            refused += 1
+        else:
+            assert found_m.shape == expected_m.shape
+    assert refused > 5
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(FbxError):
+        own_m(path)
