@@ -116,6 +116,10 @@ Preset = (
     | Annotated[Literal["unreal"], Value("Unreal Engine, mannequin")]
     | Annotated[Literal["mixamo"], Value("Mixamo")]
 )
+Timeline = (
+    Annotated[Literal["take"], Value("Those of the take, in every file")]
+    | Annotated[Literal["person"], Value("Those in which the person is there")]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +226,15 @@ class JobChoices(MotionChoices):
             group="purpose",
         ),
     ] = "default"
+    timeline: Annotated[
+        Timeline,
+        About(
+            "Frames of the files",
+            "Frames of each person's files: people of a take are in step after the import if all files have those of "
+            "the take.",
+            group="purpose",
+        ),
+    ] = "take"
     report: Annotated[
         bool,
         About(

@@ -21,6 +21,7 @@ SPEC: dict[str, Any] = {
     "output_rate_hz": None,
     "people": "auto",
     "exports": ["bvh"],
+    "timeline": "take",
 }
 
 

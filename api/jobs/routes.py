@@ -69,7 +69,7 @@ def create_job(
         if session.purpose == "calibration":
             message = "The session was sent for a calibration, and its cameras are not calibrated."
             raise ApiError(CONFLICT, message, hint="Send its videos as a session with the calibration's id.")
-        spec = for_session(spec, session.preflight.sync)
+        spec = for_session(spec, session.preflight.sync, session.preflight.timeline)
         errors = [
             *session_errors(spec, session.preflight),
             *spec_errors(spec, session.preflight),

@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
 from pipeline.capture.preflight_record import Preflight
-from pipeline.config import Sync, install_command, networks_of
+from pipeline.config import Sync, Timeline, install_command, networks_of
 from pipeline.findings import CERTAIN
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import FRAMES_TOO_LARGE
@@ -50,9 +50,10 @@ def session_errors(spec: JobSpec, preflight: Preflight) -> list[ErrorItem]:
     ]
 
 
-def for_session(spec: JobSpec, sync: Sync) -> JobSpec:
-    """Spec with the session's synchronisation, unless the client stated one."""
-    return spec if "sync" in spec.model_fields_set else spec.model_copy(update={"sync": sync})
+def for_session(spec: JobSpec, sync: Sync, timeline: Timeline) -> JobSpec:
+    """Spec with the session's synchronisation and frames of the files, unless the client stated them."""
+    of_session = {"sync": sync, "timeline": timeline}
+    return spec.model_copy(update={name: of_session[name] for name in of_session.keys() - spec.model_fields_set})
 
 
 def limit_errors(services: Services, preflight: Preflight) -> list[ErrorItem]:

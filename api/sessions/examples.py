@@ -59,6 +59,7 @@ _SESSION: dict[str, Any] = {
     "proxies_job": None,
     "preflight": _PREFLIGHT,
     "sync": "declared",
+    "timeline": "take",
     "metadata": {"scene": 12},
     "links": {"self": f"/v1/sessions/{SESSION_ID}", "jobs": f"/v1/sessions/{SESSION_ID}/jobs"},
 }

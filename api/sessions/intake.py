@@ -162,12 +162,12 @@ async def check(request: Request, services: Services, records: TenantRecords, se
         errors.extend(await run_in_threadpool(network_errors, arrival.spec, services, (SPEC,)))
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
-    sync = arrival.manifest.sync
+    sync, timeline = arrival.manifest.sync, arrival.manifest.timeline
     return CheckedSession(
         form,
         arrival.manifest,
-        for_session(arrival.spec, sync),
-        replace(preflight, sync=sync),
+        for_session(arrival.spec, sync, timeline),
+        replace(preflight, sync=sync, timeline=timeline),
         record_path,
         arrival.upload_ids,
         thumbnails,
@@ -257,6 +257,7 @@ def _as_before(manifest: Manifest, source: Session) -> Manifest:
         ),
         "clock": preflight.clock,
         "sync": preflight.sync,
+        "timeline": preflight.timeline,
         "pair_by_order": any(finding.code == PAIRED_IN_SORTED_ORDER for finding in preflight.findings),
     }
     if not any(file.kind == TIMESTAMPS for file in source.files):

@@ -126,6 +126,11 @@ class Manifest(BaseModel):
         description="Synchronisation of the session's jobs whose spec does not state `sync`: `auto` measures the "
         "clocks of the cameras from the people.",
     )
+    timeline: Literal["take", "person"] = Field(
+        default="take",
+        description="Frames of the files of the session's jobs whose spec does not state `timeline`: those of the "
+        "take, or those in which the person is there.",
+    )
     metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
         default={}, description="Data of the client, which every response with the session repeats."
     )
@@ -150,8 +155,8 @@ class UploadedSession(UploadedFiles):
     session_id: UUID | None = Field(
         default=None,
         description="Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as "
-        "the session of a calibration. Cameras, clock, rates and `sync` that `manifest` leaves unset are those of the "
-        "session.",
+        "the session of a calibration. Cameras, clock, rates, `sync` and `timeline` that `manifest` leaves unset are "
+        "those of the session.",
     )
     manifest: Manifest = Manifest()
 
@@ -313,6 +318,9 @@ class SessionOut(ResponseModel):
     )
     preflight: PreflightOut = Field(description="Result of the check of the files.")
     sync: Literal["declared", "auto"] = Field(description="Synchronisation of jobs whose spec does not state `sync`.")
+    timeline: Literal["take", "person"] = Field(
+        description="Frames of the files of jobs whose spec does not state `timeline`."
+    )
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
     links: SessionLinks
 
@@ -333,6 +341,7 @@ class SessionOut(ResponseModel):
             proxies_job=NewestJobOut.of(capture.proxies_job),
             preflight=PreflightOut.of(capture),
             sync=session.preflight.sync,
+            timeline=session.preflight.timeline,
             metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from pipeline.config import Sync
+from pipeline.config import Sync, Timeline
 from pipeline.findings import Finding
 
 Clock = Literal["declared", "timecode", "creation_time"]
@@ -95,7 +95,9 @@ class Preflight:
     findings: tuple[Finding, ...] = ()
     clock: Clock = "declared"  # Clock of the videos' starts
     up: str = "z"  # Axis of the calibration that points up, such as "-y"
-    sync: Sync = "declared"  # Synchronisation of jobs of the session that don't state one
+    # Synchronisation, and frames of the files, of jobs of the session that don't state them
+    sync: Sync = "declared"
+    timeline: Timeline = "take"
 
     @property
     def duration_s(self) -> float:
@@ -131,6 +133,7 @@ class Preflight:
                 findings=tuple(Finding.from_json(finding) for finding in document.get("findings", ())),
                 clock=document.get("clock", "declared"),
                 sync=document.get("sync", "declared"),
+                timeline=document.get("timeline", "take"),
             )
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
@@ -147,6 +150,7 @@ class Preflight:
             "findings": [finding.to_json() for finding in self.findings],
             "clock": self.clock,
             "sync": self.sync,
+            "timeline": self.timeline,
             "up": self.up,
         }
 

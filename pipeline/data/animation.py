@@ -73,6 +73,11 @@ class SkeletonMotion:
     parent_from_joint: Float[np.ndarray, "frames joints 4"]
     contacts: tuple[FootContact, ...]  # Contacts of the feet with the floor, in order of their start
 
+    @property
+    def frames(self) -> range:
+        """Output frames of the rows."""
+        return range(self.start_frame, self.start_frame + len(self.root_m))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:

@@ -61,6 +61,11 @@ class Track3D:
         """Length in output frames."""
         return len(self.xyz_m)
 
+    @property
+    def frames(self) -> range:
+        """Output frames of the rows."""
+        return range(self.start_frame, self.start_frame + len(self.xyz_m))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from pipeline.config import Export, Preset
 from pipeline.data.animation import SkeletonMotion
@@ -31,6 +31,8 @@ class PersonContent:
     joints: JointSet
     timebase: Timebase
     file_name: str  # Name of the file
+    frames: range  # Output frames of the file, those of the person among them
+    is_present: Bool[np.ndarray, " frames"]  # Frames of the file in which the person is there
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
     preset: Preset  # Convention of BVH and FBX files
 
@@ -54,34 +56,36 @@ class Format:
 FORMATS: Mapping[Export, Format] = MappingProxyType(
     {
         "bvh": Format(
-            lambda person: bvh.encode(person.motion, PRESETS[person.preset]),
+            lambda person: bvh.encode(person.motion, PRESETS[person.preset], person.frames),
             lambda path, preset: bvh.read_xyz_m(path, PRESETS[preset]),
             lambda person: rotation_orders(person.motion, PRESETS[person.preset]).between,
         ),
         "glb": Format(
-            lambda person: glb.encode(person.motion, person.origin_m),
+            lambda person: glb.encode(person.motion, person.origin_m, person.frames, person.is_present),
             lambda path, _: glb.read_xyz_m(path),
             holds_name=True,
             has_origin=True,
         ),
         "fbx": Format(
-            lambda person: fbx.encode(person.motion, person.preset, person.origin_m),
+            lambda person: fbx.encode(person.motion, person.preset, person.origin_m, person.frames),
             fbx.read_xyz_m,
             lambda person: rotation_orders(person.motion, fbx.convention_of_fbx(person.preset)).between,
             holds_name=True,
             has_origin=True,
         ),
         "trc": Format(
-            lambda person: trc.encode(person.track, person.joints, person.timebase, person.file_name),
+            lambda person: trc.encode(person.track, person.joints, person.timebase, person.file_name, person.frames),
             lambda path, _: trc.read_xyz_m(path),
         ),
         "c3d": Format(
-            lambda person: c3d_file.encode(person.track, person.joints, person.timebase, person.origin_m),
+            lambda person: c3d_file.encode(
+                person.track, person.joints, person.timebase, person.origin_m, person.frames
+            ),
             lambda path, _: c3d_file.read_xyz_m(path),
             has_origin=True,
         ),
         "csv": Format(
-            lambda person: csv_table.encode(person.track, person.joints, person.timebase),
+            lambda person: csv_table.encode(person.track, person.joints, person.timebase, person.frames),
             lambda path, _: csv_table.read_xyz_m(path),
         ),
     }

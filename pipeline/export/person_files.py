@@ -4,13 +4,13 @@ import contextlib
 import errno
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from pipeline.config import FILE_FORMATS, Export, Preset
+from pipeline.config import FILE_FORMATS, Export, Preset, Timeline
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Timebase
@@ -18,6 +18,7 @@ from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.origin import file_origin_m
+from pipeline.export.timelines import held, presence, unknown_outside
 from pipeline.export.writers import skeletons_json
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
@@ -41,13 +42,18 @@ class PersonOfTake:
     joints: JointSet
     timebase: Timebase
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
+    frames: range  # Output frames of the files, those of the track among them
+    # Frames of the files in which the person is there; all in files of the person's own frames
+    is_present: Bool[np.ndarray, " frames"]
 
 
-def people_of(take: Reconstruction) -> Iterator[PersonOfTake]:
+def people_of(take: Reconstruction, timeline: Timeline) -> Iterator[PersonOfTake]:
     """People of a take, in its order."""
     origin_m = file_origin_m(take.cameras)
     for track, motion in zip(take.tracks, take.motions, strict=True):
-        yield PersonOfTake(track, motion, take.joints, take.timebase, origin_m)
+        frames = range(take.timebase.num_frames) if timeline == "take" else track.frames
+        is_present = presence(track, frames) if timeline == "take" else np.ones(len(frames), bool)
+        yield PersonOfTake(track, motion, take.joints, take.timebase, origin_m, frames, is_present)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,14 +122,27 @@ def _written(
     track = person.track
     if name == SKELETONS:
         with replacing(path, skeletons_json.encode_track(track)) as part:
-            return KeptFile(_furthest_mm(path, track.xyz_m, [skeletons_json.read_track_m(part)], on_read))
+            expected = partial(unknown_outside, track.xyz_m, track.frames)
+            return KeptFile(_furthest_mm(path, track.frames, expected, [skeletons_json.read_track_m(part)], on_read))
     export: Export = next(export for export in FILE_FORMATS if export == name)
     if FILE_FORMATS[export].holds == "joints":
         track = without_resting_fingers(track, person.joints)
-    content = PersonContent(track, person.motion, person.joints, person.timebase, path.name, person.origin_m, preset)
-    expected_m = skeleton_m() if FILE_FORMATS[export].holds == "motion" else track.xyz_m
+        expected = partial(unknown_outside, track.xyz_m, track.frames)
+    else:
+        expected = partial(held, skeleton_m(), person.motion.frames)
+    content = PersonContent(
+        track,
+        person.motion,
+        person.joints,
+        person.timebase,
+        path.name,
+        person.frames,
+        person.is_present,
+        person.origin_m,
+        preset,
+    )
     with replacing(path, FORMATS[export].encode(content)) as part:
-        distance_mm = _furthest_mm(path, expected_m, FORMATS[export].read_xyz_m(part, preset), on_read)
+        distance_mm = _furthest_mm(path, person.frames, expected, FORMATS[export].read_xyz_m(part, preset), on_read)
     return KeptFile(distance_mm, FORMATS[export].between_frames(content))
 
 
@@ -163,17 +182,19 @@ def spoilt(path: Path) -> OSError:
 
 def _furthest_mm(
     path: Path,
-    expected_m: Float[np.ndarray, "frames joints 3"],
+    frames: range,
+    expected_m: Callable[[range], Float[np.ndarray, "_ joints 3"]],
     read_m: Iterable[Float[np.ndarray, "_ joints 3"]],
     on_share: OnShare,
 ) -> float | None:
     """Largest distance in mm between positions read from a person's file, block by block, and the expected positions.
 
-    ``None`` if no joint is known in any frame. Raises ``OSError`` if shapes or unknown joints differ.
+    ``expected_m`` gives the positions in a range of ``frames``, which are those of the file. ``None`` if no joint is
+    known in any frame. Raises ``OSError`` if shapes or unknown joints differ.
     """
     num_read, far_m = 0, []
     for block_m in read_m:
-        expected_block_m = expected_m[num_read : num_read + len(block_m)]
+        expected_block_m = expected_m(frames[num_read : num_read + len(block_m)])
         num_read += len(block_m)
         if block_m.shape != expected_block_m.shape:
             raise spoilt(path)
@@ -182,7 +203,7 @@ def _furthest_mm(
             raise spoilt(path)
         if known.any():
             far_m.append(np.linalg.norm((block_m - expected_block_m)[known], axis=-1).max())
-        on_share(num_read / len(expected_m))
-    if num_read != len(expected_m):
+        on_share(num_read / len(frames))
+    if num_read != len(frames):
         raise spoilt(path)
     return float(max(far_m)) * _MM_PER_M if far_m else None

@@ -76,8 +76,11 @@ class Convention:
             if (lowered[[parent, index]].magnitude() > 0.0).any():
                 turn = Rotation.from_quat(quat_xyzw[:, index])
                 turned[:, index] = (lowered[parent] * turn * lowered[index].inv()).as_quat()
-        turned[..., :3] = turned[..., :3] @ self.file_from_world.T
-        return turned
+        return self.file_from_quat(turned)
+
+    def file_from_quat(self, quat_xyzw: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 4"]:
+        """Convert rotations (x, y, z, w) to the file's axes; the rest pose is that of the skeleton."""
+        return np.concatenate([quat_xyzw[..., :3] @ self.file_from_world.T, quat_xyzw[..., 3:]], axis=-1)
 
     def _lowered(self, num_joints: int) -> Rotation:
         """Rotation of each joint's bones from the T-pose to the rest pose, in world axes."""

@@ -11,6 +11,7 @@ from pipeline.config import (
     Export,
     JobChoices,
     Preset,
+    Timeline,
 )
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.errors import PipelineError
@@ -72,6 +73,7 @@ def write_results(
     exports: Collection[Export] = DEFAULT_EXPORTS,
     preset: Preset = "default",
     frame_rate_hz: float | None = None,
+    timeline: Timeline = "take",
 ) -> list[Path]:
     """Write all result files of a reconstruction into a folder, which is created if missing; return their paths.
 
@@ -86,7 +88,7 @@ def write_results(
     """
     folder = Path(folder)
     try:
-        return list(write_files(reconstruction, folder, exports, preset, frame_rate_hz).paths)
+        return list(write_files(reconstruction, folder, exports, preset, frame_rate_hz, timeline).paths)
     except OSError as error:
         raise not_written(folder, error) from error
 
@@ -102,6 +104,7 @@ def write_files(
     exports: Collection[Export] = DEFAULT_EXPORTS,
     preset: Preset = "default",
     frame_rate_hz: float | None = None,
+    timeline: Timeline = "take",
     on_share: OnShare = ignore,
     kept: KeptFiles = NOTHING_KEPT,
     report: ReportOf = quality_report,
@@ -121,6 +124,8 @@ def write_files(
     frame_rate_hz
         Rate of the motion in all files; ``None``: the session's rate. The figures in ``metrics.json`` are always at the
         session's rate.
+    timeline
+        Frames of each person's files: all those of the take, or those in which the person is there.
     on_share
         Called with the progress while files are read back, and after each file.
     kept
@@ -148,11 +153,11 @@ def write_files(
         on_file(path)
 
     written: dict[str, dict[int, KeptFile]] = {name: {} for name in (SKELETONS, *exports)}
-    num_frames = [track.num_frames for track in shown.tracks]
-    on_people = split(part_of(on_share, 0.0, 0.9), num_frames)
+    people = list(people_of(shown, timeline))
+    on_people = split(part_of(on_share, 0.0, 0.9), [len(person.frames) for person in people])
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
-        for person, on_person in zip(people_of(shown), on_people, strict=True):
+        for person, on_person in zip(people, on_people, strict=True):
             of_person = _paths(person, folder, Path(tracks_folder), exports)
             tracks.append(of_person[SKELETONS])
             for name, file in write_person(person, of_person, preset, kept, on_person):
@@ -189,6 +194,7 @@ def keep_people(
     exports: Collection[Export],
     preset: Preset,
     frame_rate_hz: float | None,
+    timeline: Timeline,
     on_share: OnShare,
     kept: KeptFiles,
 ) -> None:
@@ -197,8 +203,8 @@ def keep_people(
     ``rows`` are those of the people among the tracks.
     """
     shown = _at_rate(reconstruction, frame_rate_hz)
-    people = list(people_of(shown))[rows]
-    on_people = split(on_share, [person.track.num_frames for person in people])
+    people = list(people_of(shown, timeline))[rows]
+    on_people = split(on_share, [len(person.frames) for person in people])
     for person, on_person in zip(people, on_people, strict=True):
         paths = _paths(person, folder, folder, exports)
         for _ in write_person(person, paths, preset, kept, on_person):

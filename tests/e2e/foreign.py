@@ -22,6 +22,7 @@ class Animated:
     frame_rate_hz: float
     positions: dict[str, np.ndarray]
     rest: dict[str, np.ndarray]
+    areas_m2: np.ndarray  # Area of each body as it is drawn, (frames, bodies); empty where it was not asked for
 
 
 def _node(script: str, *arguments: object) -> Any:
@@ -35,15 +36,15 @@ def _node(script: str, *arguments: object) -> Any:
     return json.loads(done.stdout)
 
 
-def read_with_three(paths: Sequence[Path]) -> dict[Path, Animated]:
+def read_with_three(paths: Sequence[Path], *, with_areas: bool = False) -> dict[Path, Animated]:
     """Read BVH, GLB and FBX with ``BVHLoader``, ``GLTFLoader`` and ``FBXLoader`` of three.js."""
     found = {}
-    for path, read in _node("three_reader.mjs", *paths).items():
+    for path, read in _node("three_reader.mjs", *(["--areas"] if with_areas else []), *paths).items():
         positions = np.array(read["positions"])
         times = np.array(read["times"])
         rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else np.nan
         by_name = {name: positions[:, number] for number, name in enumerate(read["names"])}
-        found[Path(path)] = Animated(float(rate_hz), by_name, {})
+        found[Path(path)] = Animated(float(rate_hz), by_name, {}, np.array(read["areas"]))
     return found
 
 
@@ -73,6 +74,7 @@ def read_with_blender(
             read["frame_rate_hz"],
             {name: np.array(positions) for name, positions in read["positions"].items()},
             {name: np.array(position) for name, position in read["rest"].items()},
+            np.array(read["areas_m2"]),
         )
         for path, read in json.loads(out.read_text()).items()
     }

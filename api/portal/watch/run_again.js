@@ -7,11 +7,15 @@ import { feed } from "../shared/feed.js";
 import { html } from "../shared/lit.js";
 import { choicesForm } from "../send/choices.js";
 
+// Choices that a session states for its jobs.
+const OF_SESSION = ["sync", "timeline"];
+
 // Choices of a job that differ from the defaults; without a job those of its session.
 export function specOf(job, options, session) {
-  const differs = ({ name, default: usual }) => JSON.stringify(job.spec[name] ?? null) !== JSON.stringify(usual ?? null);
-  return job ? Object.fromEntries(options.choices.filter(differs).map(({ name }) => [name, job.spec[name]]))
-    : session.sync === "auto" ? { sync: "auto" } : {};
+  const stated = job?.spec ?? Object.fromEntries(OF_SESSION.map((name) => [name, session[name]]));
+  const differs = ({ name, default: usual }) => (job || OF_SESSION.includes(name))
+    && JSON.stringify(stated[name] ?? null) !== JSON.stringify(usual ?? null);
+  return Object.fromEntries(options.choices.filter(differs).map(({ name }) => [name, stated[name]]));
 }
 
 export function runAgainForm(view, session) {
@@ -27,8 +31,10 @@ export function runAgainForm(view, session) {
   };
   const submit = (event) => {
     event.preventDefault();
+    // What the form shows counts, also against what the session states.
+    const usual = Object.fromEntries(view.options.choices.filter(({ name }) => OF_SESSION.includes(name)).map((choice) => [choice.name, choice.default]));
     return view.act(session.id, async () => {
-      const job = await call(session.links.jobs, { method: "POST", body: { sync: "declared", ...spec } });
+      const job = await call(session.links.jobs, { method: "POST", body: { ...usual, ...spec } });
       feed.put(job);
       close();
       announce(`Another job of ${session.name} waits.`);

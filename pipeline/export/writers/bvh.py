@@ -2,7 +2,7 @@
 
 A preset defines names, axes, unit, rest pose and the usual order of rotations; ``rotation_orders`` chooses others where
 that one interpolates badly. Lengths are rounded to 0.01 mm and angles to 0.0001 degrees; the frame time has full
-precision. The file begins at the person's first frame.
+precision. Before and after the motion's own frames the nearest pose holds.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import Convention
+from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
@@ -37,30 +38,32 @@ def _depth_first(name: str, children: Mapping[str, tuple[str, ...]]) -> Iterator
 _ROOT = SKELETON[0].name
 
 
-def encode(motion: SkeletonMotion, convention: Convention) -> Iterator[bytes]:
+def encode(motion: SkeletonMotion, convention: Convention, frames: range | None = None) -> Iterator[bytes]:
     """Write a motion as BVH, piece by piece.
 
-    Equal motions give equal bytes.
+    Equal motions give equal bytes. ``frames`` are the output frames of the file, ``None`` those of the motion.
     """
+    own = motion.frames
+    frames = own if frames is None else frames
     orders = rotation_orders(motion, convention).axes
-    yield "".join(f"{line}\n" for line in _head(motion, convention, orders)).encode("utf-8")
+    yield "".join(f"{line}\n" for line in _head(motion, convention, orders, len(frames))).encode("utf-8")
     decimals = _decimals(convention)
     order = [INDEX[name] for name in _depth_first(_ROOT, children_of(len(motion.bone_length_m)))]
     angles_deg = np.zeros((1, len(order), 3))
-    for rows in frame_blocks(len(motion.root_m)):
-        quat = convention.parent_from_joint(motion.parent_from_joint[rows])[:, order]
+    for rows in frame_blocks(len(frames)):
+        quat = convention.parent_from_joint(held(motion.parent_from_joint, own, frames[rows]))[:, order]
         angles_deg = euler_deg(matrices(quat), [orders[index] for index in order], angles_deg[-1])
-        positions = fixed(convention.file_from_xyz_m(motion.root_m[rows]), decimals)
+        positions = fixed(convention.file_from_xyz_m(held(motion.root_m, own, frames[rows])), decimals)
         angles = fixed(angles_deg.reshape(len(quat), -1), _ANGLE_DECIMALS)
         yield "".join(f"{place} {turn}\n" for place, turn in zip(positions, angles, strict=True)).encode("ascii")
 
 
-def _head(motion: SkeletonMotion, convention: Convention, orders: Sequence[str]) -> Iterator[str]:
+def _head(motion: SkeletonMotion, convention: Convention, orders: Sequence[str], num_frames: int) -> Iterator[str]:
     offsets = fixed(convention.rest_offsets(motion.bone_length_m), _decimals(convention))
     yield "HIERARCHY"
     yield from _hierarchy(_ROOT, children_of(len(offsets)), offsets, convention, orders, 0)
     yield "MOTION"
-    yield f"Frames: {len(motion.root_m)}"
+    yield f"Frames: {num_frames}"
     yield f"Frame Time: {np.format_float_positional(1.0 / motion.frame_rate_hz)}"
 
 

@@ -1,8 +1,8 @@
 """C3D files: positions of a person's joints as points, in millimetres and world axes (Z up).
 
-A joint that is unknown in a frame is invalid there (residual -1). The file begins at the person's first frame. Numbers
-have single precision: if the world's origin is far away, the parameter ``WORLD:ORIGIN_M`` has the world position in
-metres that positions are relative to.
+A joint that is unknown in a frame is invalid there (residual -1); so are all joints in frames before and after the
+track. Numbers have single precision: if the world's origin is far away, the parameter ``WORLD:ORIGIN_M`` has the world
+position in metres that positions are relative to.
 """
 
 import tempfile
@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
+from pipeline.export.timelines import unknown_outside
 from pipeline.joints import JointSet
 
 _MM_PER_M = 1000.0
@@ -24,14 +25,25 @@ _PIECE_BYTES = 2**18
 _ORIGIN = ("WORLD", "ORIGIN_M")
 
 
-def encode(track: Track3D, joints: JointSet, timebase: Timebase, origin_m: Float[np.ndarray, " 3"]) -> Iterator[bytes]:
-    """Write a track's positions as C3D, piece by piece; ``origin_m`` is the world position of the file's origin."""
+def encode(
+    track: Track3D,
+    joints: JointSet,
+    timebase: Timebase,
+    origin_m: Float[np.ndarray, " 3"],
+    frames: range | None = None,
+) -> Iterator[bytes]:
+    """Write a track's positions as C3D, piece by piece.
+
+    ``origin_m`` is the world position of the file's origin. ``frames`` are the output frames of the file, ``None``
+    those of the track.
+    """
+    xyz_m = track.xyz_m if frames is None else unknown_outside(track.xyz_m, track.frames, frames)
     content = ezc3d.c3d()
     point = content["parameters"]["POINT"]
     point["RATE"]["value"] = [timebase.frame_rate_hz]
     point["LABELS"]["value"] = list(joints.names)
     point["UNITS"]["value"] = ["mm"]
-    position_mm = np.moveaxis(track.xyz_m - origin_m, 0, -1).swapaxes(0, 1) * _MM_PER_M
+    position_mm = np.moveaxis(xyz_m - origin_m, 0, -1).swapaxes(0, 1) * _MM_PER_M
     content["data"]["points"] = np.concatenate([position_mm, np.ones((1, *position_mm.shape[1:]))])
     unknown = np.isnan(position_mm).any(0, keepdims=True)
     content["data"]["meta_points"]["residuals"] = np.where(unknown, -1.0, 0.0)

@@ -1,7 +1,8 @@
 """CSV files: world positions of a person's joints, a row a frame, for spreadsheets and statistics.
 
 Columns are ``frame`` (output frame of the session), ``time_s`` (on the session's clock), and x, y and z of each joint
-in metres, Z up. Cells of unknown joints are empty. Numbers are rounded to 0.1 mm and 1 us.
+in metres, Z up. Cells of unknown joints are empty; so are those of all joints in frames before and after the track.
+Numbers are rounded to 0.1 mm and 1 us.
 """
 
 from collections.abc import Iterator
@@ -12,19 +13,25 @@ from jaxtyping import Float
 
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
+from pipeline.export.timelines import unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
 from pipeline.joints import JointSet
 
 
-def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[bytes]:
-    """Write a track's positions as CSV (RFC 4180), piece by piece."""
+def encode(track: Track3D, joints: JointSet, timebase: Timebase, frames: range | None = None) -> Iterator[bytes]:
+    """Write a track's positions as CSV (RFC 4180), piece by piece.
+
+    ``frames`` are the output frames of the file, ``None`` those of the track.
+    """
+    frames = track.frames if frames is None else frames
     names = [f"{name}_{axis}_m" for name in joints.names for axis in "xyz"]
     yield (",".join(["frame", "time_s", *names]) + "\r\n").encode("ascii")
-    for rows in frame_blocks(track.num_frames):
-        places = fixed(track.xyz_m[rows].reshape(-1, len(names)), 4, ",")
+    for rows in frame_blocks(len(frames)):
+        xyz_m = unknown_outside(track.xyz_m, track.frames, frames[rows])
+        places = fixed(xyz_m.reshape(-1, len(names)), 4, ",")
         lines = (
             f"{number},{timebase.time_s(number):.6f},{place}\r\n"
-            for number, place in enumerate(places, track.start_frame + rows.start)
+            for number, place in zip(frames[rows], places, strict=True)
         )
         yield "".join(lines).replace("nan", "").encode("ascii")
 

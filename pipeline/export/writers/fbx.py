@@ -5,9 +5,10 @@ centimetre, and a metre for Blender. The rest pose, which is the bind pose of th
 origin. Models are the joints, ends of bones included, below a node with the person's name; joints are aligned with the
 file's axes at rest.
 
-The animation begins at 0 s with the person's first frame and has a key in each frame: of the place of the root, and of
-the rotation of each joint with children. Numbers have single precision: if the world's origin is far away, the node at
-the top has the setting ``origin_m``, the world position in metres that positions are relative to.
+The animation begins at 0 s with the first frame of the file and has a key in each frame: of the place of the root, and
+of the rotation of each joint with children. Before and after the motion's own frames the nearest pose holds. Numbers
+have single precision: if the world's origin is far away, the node at the top has the setting ``origin_m``, the world
+position in metres that positions are relative to.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,6 +25,7 @@ from pipeline.config import Preset
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.colors import color_rgb
 from pipeline.export.presets import PRESETS, Y_UP_FROM_WORLD, Convention
+from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import BodyAtRest, BodyMesh, body_at_rest
 from pipeline.export.writers.euler import euler_deg
@@ -78,32 +80,35 @@ _CONVENTIONS: Mapping[Preset, Convention] = MappingProxyType(
 )
 
 
-def encode(motion: SkeletonMotion, preset: Preset, origin_m: Float[np.ndarray, " 3"]) -> Iterator[bytes]:
-    """Write a motion as FBX, piece by piece; ``origin_m`` is the world position of the file's origin.
+def encode(
+    motion: SkeletonMotion, preset: Preset, origin_m: Float[np.ndarray, " 3"], frames: range | None = None
+) -> Iterator[bytes]:
+    """Write a motion as FBX, piece by piece. Equal motions give equal bytes.
 
-    Equal motions give equal bytes.
+    ``origin_m`` is the world position of the file's origin. ``frames`` are the output frames of the file, ``None``
+    those of the motion.
     """
     convention = convention_of_fbx(preset)
     scene = Scene(motion.frame_rate_hz, convention.units_per_m)
-    _add_person(scene, motion, convention, origin_m)
+    _add_person(scene, motion, convention, origin_m, motion.frames if frames is None else frames)
     yield from write(scene.nodes)
 
 
 def _add_person(
-    scene: Scene, motion: SkeletonMotion, convention: Convention, origin_m: Float[np.ndarray, " 3"]
+    scene: Scene, motion: SkeletonMotion, convention: Convention, origin_m: Float[np.ndarray, " 3"], frames: range
 ) -> None:
     """Add a person with the body and the motion to a scene."""
     body = body_at_rest(motion.bone_length_m, convention)
     orders = rotation_orders(motion, convention).axes
     joints = skeleton_of(len(body.offsets))
     name = _name_of_person(motion, {convention.name(joint.name) for joint in joints})
-    top = _add_top(scene, motion, convention, name, origin_m)
+    top = _add_top(scene, motion, convention, name, origin_m, frames.start)
     models: list[Int64] = []
     for joint, parent, offset, axes in zip(joints, parents_of(len(joints)), body.offsets, orders, strict=True):
         above = models[parent] if models else top
         models.append(_add_joint(scene, convention.name(joint.name), above, offset, axes))
     _add_skin(scene, name, motion.track_id, body, {top: np.zeros(3), **dict(zip(models, body.positions, strict=True))})
-    _animate(scene, scene.add_clip(name, len(motion.root_m)), models, motion, convention, orders, origin_m)
+    _animate(scene, scene.add_clip(name, len(frames)), models, motion, convention, orders, origin_m, frames)
 
 
 def _name_of_person(motion: SkeletonMotion, names_of_joints: set[str]) -> str:
@@ -113,12 +118,17 @@ def _name_of_person(motion: SkeletonMotion, names_of_joints: set[str]) -> str:
 
 
 def _add_top(
-    scene: Scene, motion: SkeletonMotion, convention: Convention, name: str, origin_m: Float[np.ndarray, " 3"]
+    scene: Scene,
+    motion: SkeletonMotion,
+    convention: Convention,
+    name: str,
+    origin_m: Float[np.ndarray, " 3"],
+    start_frame: int,
 ) -> Int64:
     """Add the node above the joints: one with the person's name, or the bone on the floor that software expects."""
     facts = [
         integer("track_id", motion.track_id, "U"),
-        integer("start_frame", motion.start_frame, "U"),
+        integer("start_frame", start_frame, "U"),
         number("frame_rate_hz", motion.frame_rate_hz, "U"),
     ]
     if origin_m.any():
@@ -247,15 +257,16 @@ def _animate(
     convention: Convention,
     orders: tuple[str, ...],
     origin_m: Float[np.ndarray, " 3"],
+    frames: range,
 ) -> None:
     """Add the curves of a motion: of the place of the root, and of the rotation of each joint with children."""
     if not len(motion.root_m):
         return
-    places = convention.file_from_xyz_m(motion.root_m - origin_m)
+    places = convention.file_from_xyz_m(held(motion.root_m, motion.frames, frames) - origin_m)
     scene.animate(clip, models[0], TRANSLATION, places[0], lambda axis: places[:, axis])
     children = children_of(len(models))
     joints = [index for index, joint in enumerate(skeleton_of(len(models))) if children[joint.name]]
-    angles = _Angles(motion, convention, orders, joints)
+    angles = _Angles(motion, convention, orders, joints, frames)
     for index in joints:
         scene.animate(clip, models[index], ROTATION, angles.first(index), partial(angles.of, index))
 
@@ -268,10 +279,11 @@ class _Angles:
     """
 
     def __init__(
-        self, motion: SkeletonMotion, convention: Convention, orders: tuple[str, ...], joints: list[int]
+        self, motion: SkeletonMotion, convention: Convention, orders: tuple[str, ...], joints: list[int], frames: range
     ) -> None:
         self._motion, self._convention, self._orders, self._joints = motion, convention, orders, joints
-        self._size = max(1, _GROUP_BYTES // (_BYTES_OF_ANGLES * len(motion.root_m)))
+        self._frames = frames
+        self._size = max(1, _GROUP_BYTES // (_BYTES_OF_ANGLES * len(frames)))
         self._group: list[int] = []
         self._angles_deg = np.empty((0, 3, 0), np.float32)
 
@@ -287,7 +299,7 @@ class _Angles:
             self._group = self._joints[start : start + self._size]
             # A group is in memory before the next one is made.
             self._angles_deg = np.empty((0, 3, 0), np.float32)
-            angles_deg = np.empty((len(self._group), 3, len(self._motion.root_m)), np.float32)
+            angles_deg = np.empty((len(self._group), 3, len(self._frames)), np.float32)
             for rows, block_deg in zip(frame_blocks(angles_deg.shape[2]), self._blocks(self._group), strict=True):
                 angles_deg[:, :, rows] = np.moveaxis(block_deg, 0, -1)
             self._angles_deg = angles_deg
@@ -299,8 +311,9 @@ class _Angles:
         # Columns of the angles about X, Y and Z among those in the order of the rotations.
         columns = np.array([[axes.index(axis) for axis in "XYZ"] for axes in orders])
         angles_deg = np.zeros((1, len(joints), 3))
-        for rows in frame_blocks(len(self._motion.root_m)):
-            quat = self._convention.parent_from_joint(self._motion.parent_from_joint[rows])[:, joints]
+        own, turns = self._motion.frames, self._motion.parent_from_joint
+        for rows in frame_blocks(len(self._frames)):
+            quat = self._convention.parent_from_joint(held(turns, own, self._frames[rows]))[:, joints]
             angles_deg = euler_deg(matrices(quat), orders, angles_deg[-1])
             yield np.take_along_axis(angles_deg, columns[None], axis=2)
 

@@ -1,23 +1,31 @@
 """GLB files (glTF 2.0, binary): the skeleton with a body mesh, and the motion as an animation.
 
 Axes and unit are those of glTF: Y up, facing +Z, metres. The rest pose is a T-pose that stands on the floor at the
-origin. Joints have the skeleton's names, ends of bones included. The animation begins at 0 s with the person's first
-frame; its ``extras`` contain the number of that output frame. Numbers have single precision: if the world's origin is
-far away, ``extras`` also contain the world position in metres, ``origin_m``, that positions are relative to.
+origin. Joints have the skeleton's names, ends of bones included. The animation begins at 0 s with the first frame of
+the file; its ``extras`` contain the number of that output frame. Before and after the motion's own frames the nearest
+pose holds. Where the person is not there, a morph target, ``absent``, shrinks the body to nothing: importers know morph
+targets, they ignore the scale of a node with a skin, and a scale of the joints would spoil the pose. Numbers have
+single precision: if the world's origin is far away, ``extras`` also contain the world position in metres,
+``origin_m``, that positions are relative to.
 """
 
-from collections.abc import Iterator
+import json
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pygltflib as gltf
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 from scipy.spatial.transform import Rotation
 
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.colors import color_rgb
 from pipeline.export.presets import GLTF
+from pipeline.export.timelines import held
+from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import BodyMesh, body_at_rest
 from pipeline.skeleton.model import INDEX, children_of, skeleton_of
 
@@ -30,90 +38,196 @@ _COMPONENTS: dict[int, np.dtype[Any]] = {
 _NUM_COMPONENTS = {gltf.SCALAR: 1, gltf.VEC3: 3, gltf.VEC4: 4, gltf.MAT4: 16}
 _ALIGNMENT = 4
 _ROOT = 0
-# Number of the first joint's node; the node before it is the parent of the skeleton.
-_FIRST_JOINT = 1
 _GAMMA = 2.2
+# Header of a file: magic number, version, length; and of each chunk: length, type.
+_HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 # Name in the extras of the world position of the file's origin, in metres.
 _ORIGIN = "origin_m"
+# Morph target that shrinks the body of a person who is not there.
+_ABSENT = "absent"
+
+_Array = Shaped[np.ndarray, "rows *columns"]
 
 
 class _Buffer:
-    """Buffer of a file, and the accessors of its arrays."""
+    """Buffer of a file, and the accessors of its arrays, which are made when they are written."""
 
     def __init__(self) -> None:
         self.accessors: list[gltf.Accessor] = []
         self.views: list[gltf.BufferView] = []
-        self.content = bytearray()
+        self.num_bytes = 0
+        self._contents: list[Callable[[], bytes]] = []
 
     def add(
         self,
-        array: Shaped[np.ndarray, "rows *columns"],
+        array: _Array | Callable[[], _Array],
         kind: str,
         component: int = gltf.FLOAT,
         target: int | None = None,
     ) -> int:
-        """Append an array and return the number of its accessor."""
-        values = np.ascontiguousarray(array, _COMPONENTS[component]).reshape(-1, _NUM_COMPONENTS[kind])
-        content = values.tobytes()
-        self.views.append(
-            gltf.BufferView(buffer=0, byteOffset=len(self.content), byteLength=len(content), target=target)
-        )
-        self.content += content.ljust(-(-len(content) // _ALIGNMENT) * _ALIGNMENT, b"\0")
+        """Append an array, or what a function will return once more, and return the number of its accessor."""
+
+        def values() -> _Array:
+            made = array() if callable(array) else array
+            return np.ascontiguousarray(made, _COMPONENTS[component]).reshape(-1, _NUM_COMPONENTS[kind])
+
+        first = values()
+        self.views.append(gltf.BufferView(buffer=0, byteOffset=self.num_bytes, byteLength=first.nbytes, target=target))
+        self.num_bytes += -(-first.nbytes // _ALIGNMENT) * _ALIGNMENT
+        self._contents.append(lambda: values().tobytes())
         self.accessors.append(
             gltf.Accessor(
                 bufferView=len(self.views) - 1,
                 componentType=component,
-                count=len(values),
+                count=len(first),
                 type=kind,
-                min=values.min(0).tolist(),
-                max=values.max(0).tolist(),
+                min=first.min(0).tolist(),
+                max=first.max(0).tolist(),
             )
         )
         return len(self.accessors) - 1
 
+    def contents(self) -> Iterator[bytes]:
+        """Bytes of the arrays, one after the other."""
+        for content in (make() for make in self._contents):
+            yield content.ljust(-(-len(content) // _ALIGNMENT) * _ALIGNMENT, b"\0")
 
-def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"]) -> Iterator[bytes]:
-    """Write a motion as GLB, piece by piece; ``origin_m`` is the world position of the file's origin.
 
-    Equal motions give equal bytes.
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """Values of a property of a node at the times of an animation."""
+
+    node: int
+    path: str
+    output: int  # Number of the accessor of the values
+    interpolation: str = "LINEAR"
+
+
+class _Document:
+    """Content of a file, to which people are added."""
+
+    def __init__(self, origin_m: Float[np.ndarray, " 3"], frames: range, frame_rate_hz: float) -> None:
+        self._origin_m, self._frames, self._frame_rate_hz = origin_m, frames, frame_rate_hz
+        self._buffer = _Buffer()
+        self._file = gltf.GLTF2(asset=gltf.Asset(generator="Multicap"), scene=0, scenes=[gltf.Scene()])
+        self._times: int | None = None
+        self._channels: list[_Channel] = []
+
+    def add_person(self, motion: SkeletonMotion, is_present: Bool[np.ndarray, " frames"]) -> None:
+        """Add the skeleton, the body and the motion of a person."""
+        file, first_joint = self._file, len(self._file.nodes) + 1
+        body = body_at_rest(motion.bone_length_m, GLTF)
+        offsets_m, rest_m, mesh = body.offsets, body.positions, body.mesh
+        of_body = first_joint + len(offsets_m)
+        file.scenes[0].nodes += [first_joint - 1, of_body]
+        file.nodes += [
+            gltf.Node(name=motion.name, children=[first_joint + _ROOT]),
+            *_joint_nodes(offsets_m, first_joint),
+            gltf.Node(name=f"{motion.name} body", mesh=len(file.meshes), skin=len(file.skins)),
+        ]
+        primitive = _primitive(mesh, self._buffer, len(file.materials))
+        shape = gltf.Mesh(name="body", primitives=[primitive])
+        file.meshes.append(shape)
+        file.materials.append(_material(motion.track_id))
+        file.skins.append(_skin(rest_m, self._buffer, first_joint))
+        self._animate(motion, first_joint)
+        if not is_present.all():
+            shrunk = self._buffer.add(rest_m[mesh.joint] - mesh.vertices, gltf.VEC3)
+            primitive.targets = [gltf.Attributes(POSITION=shrunk)]
+            shape.weights, shape.extras = [0.0], {"targetNames": [_ABSENT]}
+            weights = self._buffer.add(~is_present, gltf.SCALAR)
+            self._channels.append(_Channel(of_body, gltf.WEIGHTS, weights, "STEP"))
+
+    def _animate(self, motion: SkeletonMotion, first_joint: int) -> None:
+        """Add a key for each frame: position of the root, and rotation of each joint with children."""
+        buffer, own, frames, origin_m = self._buffer, motion.frames, self._frames, self._origin_m
+        if self._times is None:
+            self._times = buffer.add(np.arange(len(frames)) / self._frame_rate_hz, gltf.SCALAR)
+
+        def root_m() -> Float[np.ndarray, "frames 3"]:
+            return GLTF.file_from_xyz_m(held(motion.root_m, own, frames) - origin_m)
+
+        def turns(joint: int) -> Callable[[], Float[np.ndarray, "frames 4"]]:
+            return lambda: GLTF.file_from_quat(held(motion.parent_from_joint[:, joint], own, frames))
+
+        self._channels.append(_Channel(first_joint + _ROOT, gltf.TRANSLATION, buffer.add(root_m, gltf.VEC3)))
+        children = children_of(len(motion.bone_length_m))
+        for joint in (INDEX[name] for name in children if children[name]):
+            output = buffer.add(turns(joint), gltf.VEC4)
+            self._channels.append(_Channel(first_joint + joint, gltf.ROTATION, output))
+
+    def encode(self, name: str) -> Iterator[bytes]:
+        """Yield the bytes of the file, piece by piece; ``name`` is that of the animation."""
+        file, buffer = self._file, self._buffer
+        if self._channels:
+            file.animations = [self._animation(name)]
+        file.accessors, file.bufferViews = buffer.accessors, buffer.views
+        file.buffers = [gltf.Buffer(byteLength=buffer.num_bytes)]
+        head = file.gltf_to_json(separators=(",", ":"), indent=None).encode()
+        head += b" " * (-len(head) % _ALIGNMENT)
+        yield _HEAD.pack(b"glTF", 2, _HEAD.size + 2 * _CHUNK.size + len(head) + buffer.num_bytes)
+        yield _CHUNK.pack(len(head), b"JSON")
+        yield head
+        yield _CHUNK.pack(buffer.num_bytes, b"BIN\0")
+        yield from buffer.contents()
+
+    def _animation(self, name: str) -> gltf.Animation:
+        return gltf.Animation(
+            name=name,
+            samplers=[
+                gltf.AnimationSampler(input=self._times, output=channel.output, interpolation=channel.interpolation)
+                for channel in self._channels
+            ],
+            channels=[
+                gltf.AnimationChannel(
+                    sampler=number, target=gltf.AnimationChannelTarget(node=channel.node, path=channel.path)
+                )
+                for number, channel in enumerate(self._channels)
+            ],
+            extras={
+                "start_frame": self._frames.start,
+                "frame_rate_hz": self._frame_rate_hz,
+                **({_ORIGIN: self._origin_m.tolist()} if self._origin_m.any() else {}),
+            },
+        )
+
+
+def encode(
+    motion: SkeletonMotion,
+    origin_m: Float[np.ndarray, " 3"],
+    frames: range | None = None,
+    is_present: Bool[np.ndarray, " frames"] | None = None,
+) -> Iterator[bytes]:
+    """Write a motion as GLB, piece by piece. Equal motions give equal bytes.
+
+    Parameters
+    ----------
+    origin_m
+        World position of the file's origin.
+    frames
+        Output frames of the file; ``None``: those of the motion.
+    is_present
+        Frames of the file in which the person is there; ``None``: all.
     """
-    body = body_at_rest(motion.bone_length_m, GLTF)
-    offsets_m = body.offsets
-    buffer = _Buffer()
-    file = gltf.GLTF2(
-        asset=gltf.Asset(generator="Multicap"),
-        scene=0,
-        scenes=[gltf.Scene(nodes=[0, _FIRST_JOINT + len(offsets_m)])],
-        nodes=[
-            gltf.Node(name=motion.name, children=[_FIRST_JOINT + _ROOT]),
-            *_joint_nodes(offsets_m),
-            gltf.Node(name=f"{motion.name} body", mesh=0, skin=0),
-        ],
-        meshes=[gltf.Mesh(name="body", primitives=[_primitive(body.mesh, buffer)])],
-        materials=[_material(motion.track_id)],
-        skins=[_skin(body.positions, buffer)],
-        animations=[_animation(motion, origin_m, buffer)],
-        accessors=buffer.accessors,
-        bufferViews=buffer.views,
-        buffers=[gltf.Buffer(byteLength=len(buffer.content))],
-    )
-    file.set_binary_blob(bytes(buffer.content))
-    yield from file.save_to_bytes()
+    frames = motion.frames if frames is None else frames
+    document = _Document(origin_m, frames, motion.frame_rate_hz)
+    document.add_person(motion, np.ones(len(frames), bool) if is_present is None else is_present)
+    yield from document.encode(motion.name)
 
 
-def _joint_nodes(offsets_m: Float[np.ndarray, "joints 3"]) -> list[gltf.Node]:
+def _joint_nodes(offsets_m: Float[np.ndarray, "joints 3"], first_joint: int) -> list[gltf.Node]:
     children = children_of(len(offsets_m))
     return [
         gltf.Node(
             name=GLTF.name(joint.name),
             translation=offset_m.tolist(),
-            children=[_FIRST_JOINT + INDEX[child] for child in children[joint.name]],
+            children=[first_joint + INDEX[child] for child in children[joint.name]],
         )
         for joint, offset_m in zip(skeleton_of(len(offsets_m)), offsets_m, strict=True)
     ]
 
 
-def _primitive(mesh: BodyMesh, buffer: _Buffer) -> gltf.Primitive:
+def _primitive(mesh: BodyMesh, buffer: _Buffer, material: int) -> gltf.Primitive:
     joints, weights = np.zeros((len(mesh.joint), 4)), np.zeros((len(mesh.joint), 4))
     joints[:, 0], weights[:, 0] = mesh.joint, 1.0
     return gltf.Primitive(
@@ -124,7 +238,7 @@ def _primitive(mesh: BodyMesh, buffer: _Buffer) -> gltf.Primitive:
             WEIGHTS_0=buffer.add(weights, gltf.VEC4, target=gltf.ARRAY_BUFFER),
         ),
         indices=buffer.add(mesh.triangles.reshape(-1), gltf.SCALAR, gltf.UNSIGNED_SHORT, gltf.ELEMENT_ARRAY_BUFFER),
-        material=0,
+        material=material,
     )
 
 
@@ -137,73 +251,75 @@ def _material(track_id: int) -> gltf.Material:
     return gltf.Material(name="body", pbrMetallicRoughness=surface)
 
 
-def _skin(rest_m: Float[np.ndarray, "joints 3"], buffer: _Buffer) -> gltf.Skin:
+def _skin(rest_m: Float[np.ndarray, "joints 3"], buffer: _Buffer, first_joint: int) -> gltf.Skin:
     """Skin whose joints are aligned with the file's axes in the rest pose."""
     joint_from_file = np.tile(np.eye(4), (len(rest_m), 1, 1))
     joint_from_file[:, :3, 3] = -rest_m
     # Matrices are stored column by column.
     matrices = buffer.add(joint_from_file.swapaxes(1, 2), gltf.MAT4)
-    nodes = list(range(_FIRST_JOINT, _FIRST_JOINT + len(rest_m)))
-    return gltf.Skin(inverseBindMatrices=matrices, joints=nodes, skeleton=0)
+    nodes = list(range(first_joint, first_joint + len(rest_m)))
+    return gltf.Skin(inverseBindMatrices=matrices, joints=nodes, skeleton=first_joint - 1)
 
 
-def _animation(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"], buffer: _Buffer) -> gltf.Animation:
-    """Animation with a key for each frame: position of the root, and rotation of each joint with children."""
-    times = buffer.add(np.arange(len(motion.root_m)) / motion.frame_rate_hz, gltf.SCALAR)
-    paths = [(_ROOT, gltf.TRANSLATION, buffer.add(GLTF.file_from_xyz_m(motion.root_m - origin_m), gltf.VEC3))]
-    quat_xyzw = GLTF.parent_from_joint(motion.parent_from_joint)
-    children = children_of(len(motion.bone_length_m))
-    paths += [
-        (INDEX[name], gltf.ROTATION, buffer.add(quat_xyzw[:, INDEX[name]], gltf.VEC4))
-        for name in children
-        if children[name]
-    ]
-    return gltf.Animation(
-        name=motion.name,
-        samplers=[gltf.AnimationSampler(input=times, output=output, interpolation="LINEAR") for *_, output in paths],
-        channels=[
-            gltf.AnimationChannel(
-                sampler=number, target=gltf.AnimationChannelTarget(node=_FIRST_JOINT + index, path=path)
-            )
-            for number, (index, path, _) in enumerate(paths)
-        ],
-        extras={
-            "start_frame": motion.start_frame,
-            "frame_rate_hz": motion.frame_rate_hz,
-            **({_ORIGIN: origin_m.tolist()} if origin_m.any() else {}),
-        },
-    )
+class _Reader:
+    """Accessors of an open file, read range by range."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        file.seek(_HEAD.size)
+        length, _ = _CHUNK.unpack(file.read(_CHUNK.size))
+        self.document: dict[str, Any] = json.loads(file.read(length))
+        self._file, self._start = file, _HEAD.size + 2 * _CHUNK.size + length
+
+    def num_rows(self, number: int) -> int:
+        """Length of an accessor."""
+        return int(self.document["accessors"][number]["count"])
+
+    def rows(self, number: int, rows: slice) -> Float[np.ndarray, "rows columns"]:
+        """Rows of an accessor."""
+        accessor = self.document["accessors"][number]
+        columns, kind = _NUM_COMPONENTS[accessor["type"]], _COMPONENTS[accessor["componentType"]]
+        start = self.document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        row_bytes = columns * kind.itemsize
+        self._file.seek(self._start + start + rows.start * row_bytes)
+        content = self._file.read((rows.stop - rows.start) * row_bytes)
+        return np.frombuffer(content, kind).reshape(-1, columns).astype(np.float64)
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """Read world positions (metres) of the skeleton's joints from the animation in a file of ``encode``."""
-    file = gltf.GLTF2.load_binary(str(path))
-    content = file.binary_blob()
+    """Read world positions (metres) of the skeleton's joints from a file of ``encode``, block by block."""
+    with path.open("rb") as file:
+        reader = _Reader(file)
+        yield from _positions_m(reader, 0)
 
-    def array(number: int) -> Float[np.ndarray, "rows columns"]:
-        accessor = file.accessors[number]
-        view, columns = file.bufferViews[accessor.bufferView], _NUM_COMPONENTS[accessor.type]
-        values = np.frombuffer(content, _COMPONENTS[accessor.componentType], accessor.count * columns, view.byteOffset)
-        return values.reshape(-1, columns).astype(np.float64)
 
-    animation = file.animations[0]
-    animated = {
-        (channel.target.node, channel.target.path): array(animation.samplers[channel.sampler].output)
-        for channel in animation.channels
+def _positions_m(reader: _Reader, skin: int) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """World positions (metres) of the joints of a skin in the frames of the animation, block by block."""
+    document = reader.document
+    nodes, animation = document["nodes"], document["animations"][0]
+    outputs = {
+        (channel["target"]["node"], channel["target"]["path"]): animation["samplers"][channel["sampler"]]["output"]
+        for channel in animation["channels"]
     }
-    positions_m: dict[int, np.ndarray] = {}
-    file_from_node: dict[int, Rotation] = {}
-    parents = {child: number for number, node in enumerate(file.nodes) for child in node.children or ()}
-    num_frames = len(array(animation.samplers[0].input))
-    # Parents come before their children.
-    for number in file.skins[0].joints:
-        still = np.tile(file.nodes[number].translation, (num_frames, 1))
-        offsets_m = animated.get((number, gltf.TRANSLATION), still)
-        turn = Rotation.from_quat(animated.get((number, gltf.ROTATION), np.tile([0.0, 0.0, 0.0, 1.0], (num_frames, 1))))
-        parent = parents[number]
-        if parent in positions_m:
-            offsets_m = positions_m[parent] + file_from_node[parent].apply(offsets_m)
-            turn = file_from_node[parent] * turn
-        positions_m[number], file_from_node[number] = offsets_m, turn
-    origin_m = np.array((animation.extras or {}).get(_ORIGIN, (0.0, 0.0, 0.0)))
-    yield GLTF.xyz_m_from_file(np.stack(list(positions_m.values()), axis=1)) + origin_m
+    parents = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}
+    origin_m = np.array(animation.get("extras", {}).get(_ORIGIN, (0.0, 0.0, 0.0)))
+    joints = document["skins"][skin]["joints"]
+    for rows in frame_blocks(reader.num_rows(animation["samplers"][0]["input"])):
+        num_frames = rows.stop - rows.start
+        positions_m: dict[int, Float[np.ndarray, "frames 3"]] = {}
+        file_from_node: dict[int, Float[np.ndarray, "frames 3 3"]] = {}
+        # Parents come before their children.
+        for number in joints:
+            place, turned = outputs.get((number, gltf.TRANSLATION)), outputs.get((number, gltf.ROTATION))
+            if place is None:
+                offsets_m = np.tile(nodes[number]["translation"], (num_frames, 1))
+            else:
+                offsets_m = reader.rows(place, rows)
+            turn = np.eye(3) if turned is None else Rotation.from_quat(reader.rows(turned, rows)).as_matrix()
+            turn = np.broadcast_to(turn, (num_frames, 3, 3))
+            parent = parents[number]
+            if parent in positions_m:
+                of_parent = file_from_node[parent]
+                offsets_m = positions_m[parent] + (of_parent @ offsets_m[..., None])[..., 0]
+                turn = of_parent @ turn
+            positions_m[number], file_from_node[number] = offsets_m, turn
+        yield GLTF.xyz_m_from_file(np.stack(list(positions_m.values()), axis=1)) + origin_m

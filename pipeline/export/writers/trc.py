@@ -1,7 +1,8 @@
 """TRC files for OpenSim: positions of a person's joints as markers, in metres, Y up.
 
 x, y, z are the world's x, z, -y, as in BVH. A joint that is unknown in a frame is ``nan``, because some readers skip
-empty cells. Times are on the session's clock. Numbers are rounded to 0.01 mm and 1 us.
+empty cells; so are all joints in frames before and after the track. Times are on the session's clock. Numbers are
+rounded to 0.01 mm and 1 us.
 """
 
 from collections.abc import Iterator
@@ -13,16 +14,23 @@ from jaxtyping import Float
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.export.presets import Y_UP_FROM_WORLD
+from pipeline.export.timelines import unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
 from pipeline.joints import JointSet
 
 _HEAD_LINES = 6
 
 
-def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str) -> Iterator[bytes]:
-    """Write a track's positions as TRC, piece by piece. ``file_name`` is part of its header."""
+def encode(
+    track: Track3D, joints: JointSet, timebase: Timebase, file_name: str, frames: range | None = None
+) -> Iterator[bytes]:
+    """Write a track's positions as TRC, piece by piece.
+
+    ``file_name`` is part of the header. ``frames`` are the output frames of the file, ``None`` those of the track.
+    """
+    frames = track.frames if frames is None else frames
     rate = np.format_float_positional(timebase.frame_rate_hz)
-    num_frames, num_joints = track.xyz_m.shape[:2]
+    num_frames, num_joints = len(frames), track.xyz_m.shape[1]
     head = (
         f"PathFileType\t4\t(X/Y/Z)\t{file_name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
@@ -33,9 +41,10 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str)
     )
     yield "".join(f"{line}\n" for line in head).encode("utf-8")
     for rows in frame_blocks(num_frames):
-        places = fixed((track.xyz_m[rows] @ Y_UP_FROM_WORLD.T).reshape(-1, 3 * num_joints), 5, "\t")
+        xyz_m = unknown_outside(track.xyz_m, track.frames, frames[rows])
+        places = fixed((xyz_m @ Y_UP_FROM_WORLD.T).reshape(-1, 3 * num_joints), 5, "\t")
         lines = (
-            f"{number + 1}\t{timebase.time_s(track.start_frame + number):.6f}\t{place}\n"
+            f"{number + 1}\t{timebase.time_s(frames[number]):.6f}\t{place}\n"
             for number, place in enumerate(places, rows.start)
         )
         yield "".join(lines).encode("ascii")

@@ -65,6 +65,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "sync": "declared",
         "exports": ["bvh"],
         "bvh": "default",
+        "timeline": "take",
         "cutoff_hz": 6.0,
         "frame_range": None,
         "output_rate_hz": None,
@@ -127,6 +128,22 @@ def test_jobs_have_the_synchronisation_of_their_session_unless_they_state_one(li
     usual = live.client.get(f"/v1/sessions/{live.session_id()}").json()
     assert usual["sync"] == "declared"
     assert live.client.post(usual["links"]["jobs"]).json()["spec"]["sync"] == "declared"
+
+
+def test_jobs_have_the_timeline_of_their_session_unless_they_state_one(live: Live) -> None:
+    manifest = ("manifest", (None, b'{"timeline": "person"}'))
+    session = live.client.post("/v1/sessions", files=[*form(), manifest]).json()
+    assert session["timeline"] == "person"
+    for spec, timeline in (({}, "person"), ({"exports": ["glb"]}, "person"), ({"timeline": "take"}, "take")):
+        assert live.client.post(session["links"]["jobs"], json=spec).json()["spec"]["timeline"] == timeline
+    at_once = [*form(), manifest, ("spec", (None, b'{"timeline": "take"}'))]
+    assert live.client.post("/v1/jobs", files=at_once).json()["spec"]["timeline"] == "take"
+    wrong = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, b'{"timeline": "people"}'))])
+    (item,) = problem_of(wrong, 422, "invalid_request")["errors"]
+    assert item["pointer"] == "/manifest/timeline"
+    usual = live.client.get(f"/v1/sessions/{live.session_id()}").json()
+    assert usual["timeline"] == "take"
+    assert live.client.post(usual["links"]["jobs"]).json()["spec"]["timeline"] == "take"
 
 
 def test_one_call_names_all_problems_of_spec_manifest_and_files(live: Live) -> None:

@@ -1,4 +1,4 @@
-"""Program for Blender's Python: world positions of all bones in every frame of BVH and GLB files, and a picture.
+"""Program for Blender's Python: bones in every frame of BVH and GLB files, areas of bodies, and a picture.
 
     python blender_reader.py JOB.json
 
@@ -38,19 +38,33 @@ def load(path: str, options: Mapping[str, Any]) -> Any:
     return next(one for one in bpy.data.objects if one not in before and one.type == "ARMATURE")
 
 
+def area_m2(body: Any) -> float:
+    """Area of a body as it is drawn in the frame."""
+    mesh = body.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+    return sum(face.area for face in mesh.polygons)
+
+
 def read(file: Mapping[str, Any]) -> dict[str, Any]:
-    """Positions of the heads of bones, in the rest pose and in every frame."""
+    """Positions of the heads of bones, in the rest pose and in every frame, and areas of bodies in every frame."""
     scene = empty(file["frame_rate_hz"])
     armature = load(file["path"], file["import"])
     action = armature.animation_data.action
     first, last = (round(frame) for frame in action.frame_range)
     rest = {bone.name: list(armature.matrix_world @ bone.head_local) for bone in armature.data.bones}
     positions: dict[str, list[list[float]]] = {bone.name: [] for bone in armature.pose.bones}
+    bodies = [body for body in armature.children if body.type == "MESH"]
+    areas_m2 = []
     for frame in range(first, last + 1):
         scene.frame_set(frame)
+        areas_m2.append([area_m2(body) for body in bodies])
         for bone in armature.pose.bones:
             positions[bone.name].append(list(armature.matrix_world @ bone.head))
-    return {"frame_rate_hz": scene.render.fps / scene.render.fps_base, "rest": rest, "positions": positions}
+    return {
+        "frame_rate_hz": scene.render.fps / scene.render.fps_base,
+        "rest": rest,
+        "positions": positions,
+        "areas_m2": areas_m2,
+    }
 
 
 def material(name: str, rgb: tuple[float, float, float], roughness: float) -> Any:

@@ -1,6 +1,7 @@
 // World positions of all bones in every frame of BVH, GLB and FBX files, as three.js finds them: JSON on stdout.
+// After the argument --areas also the area of each body as it is drawn, in every frame.
 import { readFileSync } from "node:fs";
-import { AnimationMixer, LoopOnce, Vector3 } from "three";
+import { AnimationMixer, LoopOnce, Triangle, Vector3 } from "three";
 import { BVHLoader } from "three/examples/jsm/loaders/BVHLoader.js";
 import { FBXLoader } from "three/examples/jsm/loaders/FBXLoader.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
@@ -20,8 +21,18 @@ async function open(path) {
   return { root: gltf.scene, top: gltf.scene, clip: gltf.animations[0], scene: gltf.scene };
 }
 
+// Area of the triangles of a body as they are drawn.
+function areaOf(mesh) {
+  const corners = Array.from({ length: mesh.geometry.attributes.position.count }, (_, vertex) => mesh.getVertexPosition(vertex, new Vector3()));
+  const { array } = mesh.geometry.index;
+  let area = 0;
+  for (let start = 0; start < array.length; start += 3) area += new Triangle(...[0, 1, 2].map((k) => corners[array[start + k]])).getArea();
+  return area;
+}
+
+const withAreas = process.argv.includes("--areas");
 const read = {};
-for (const path of process.argv.slice(2)) {
+for (const path of process.argv.slice(2).filter((argument) => argument !== "--areas")) {
   const { root, top, clip, scene } = await open(path);
   const times = Array.from(clip.tracks[0].times);
   const bones = [];
@@ -32,12 +43,14 @@ for (const path of process.argv.slice(2)) {
   const action = mixer.clipAction(clip).setLoop(LoopOnce);
   action.clampWhenFinished = true;
   action.play();
+  const areas = [];
   const positions = times.map((time) => {
     mixer.setTime(time);
     top.updateMatrixWorld(true);
+    if (withAreas) areas.push(skinned.map(areaOf));
     return bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray());
   });
-  read[path] = { names: bones.map((bone) => bone.userData.name ?? bone.name), times, positions };
+  read[path] = { names: bones.map((bone) => bone.userData.name ?? bone.name), times, positions, areas };
   if (scene) {
     // Of the last frame: the lowest and highest point of the body as it is drawn.
     const heights = skinned.flatMap((mesh) => {

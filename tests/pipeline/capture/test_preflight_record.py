@@ -28,7 +28,7 @@ def test_json_is_the_same_after_reading() -> None:
         added = f'"media_start_s": {start_s}, "thumbnails": [], "more_files": []}}'
         of_today = of_today.replace(f'"media_start_s": {start_s}}}', added)
     of_today = of_today.replace('"frame_rate_hz": null}', '"frame_rate_hz": null, "more_files": []}')
-    assert again == of_today[:-1] + ', "clock": "declared", "sync": "declared", "up": "z"}'
+    assert again == of_today[:-1] + ', "clock": "declared", "sync": "declared", "timeline": "take", "up": "z"}'
 
 
 def test_fields_are_those_of_the_json() -> None:

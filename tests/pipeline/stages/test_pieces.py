@@ -17,7 +17,7 @@ from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
 from pipeline.export.formats import FORMATS as FORMATS_BY_NAME
 from pipeline.export.formats import PersonContent
-from pipeline.export.person_files import PersonOfTake, people_of
+from pipeline.export.person_files import people_of
 from pipeline.export.results import keep_people, write_files
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, skeletons_json, trc
 from pipeline.progress import ignore
@@ -146,10 +146,12 @@ def test_a_name_changes_no_report_and_no_motion_for_viewers(
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_formats_say_whether_their_files_hold_names(session: KeypointSession, cache: Path, name: Export) -> None:
-    (one, *_) = people_of(edited(session, cache))
+    (one, *_) = people_of(edited(session, cache), "take")
 
     def content(motion: SkeletonMotion) -> bytes:
-        of_person = PersonContent(one.track, motion, one.joints, one.timebase, "f", one.origin_m, "default")
+        of_person = PersonContent(
+            one.track, motion, one.joints, one.timebase, "f", one.frames, one.is_present, one.origin_m, "default"
+        )
         return b"".join(FORMATS_BY_NAME[name].encode(of_person))
 
     holds_name = content(one.motion) != content(dataclasses.replace(one.motion, name="Somebody else"))
@@ -183,7 +185,7 @@ def test_parts_of_the_people_are_written_ahead_at_any_rate(
         folder = tmp_path / f"part-{number}"
         folder.mkdir()
         kept = FilesInPieces(pieces, tmp_path)
-        keep_people(take, slice(number, None, PERSON_PARTS), folder, FORMATS, "default", rate_hz, ignore, kept)
+        keep_people(take, slice(number, None, PERSON_PARTS), folder, FORMATS, "default", rate_hz, "take", ignore, kept)
         assert not list(folder.iterdir())
     monkeypatch.setattr(bvh, "encode", fail)
     assert files(take, tmp_path / "found", pieces, rate_hz) == fresh
@@ -198,11 +200,13 @@ def test_stages_that_write_and_find_files_name_their_pieces_alike(session: Keypo
     unedited = piece_keys()
     edits = piece_keys(edits=(Rename(person=1, name="Anna"), Split(person=1, frame=HALF)))
     assert edits == unedited * (PERSON_PARTS + 1)
-    assert len({*unedited, *piece_keys(exports=("bvh", "glb")), *piece_keys(output_rate_hz=10.0)}) == 3
+    others: list[dict[str, Any]] = [{"exports": ("bvh", "glb")}, {"output_rate_hz": 10.0}, {"timeline": "person"}]
+    assert len({*unedited, *(key for choices in others for key in piece_keys(**choices))}) == 4
+    assert piece_keys(exports=(), timeline="person") == piece_keys(exports=())
 
 
 def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> None:
-    one, other = list(people_of(edited(session, cache)))[:2]
+    one, other = list(people_of(edited(session, cache), "take"))[:2]
     pieces = KeptPieces()
     moved = one.track.xyz_m.copy()
     moved[0, 0, 0] += 1e-12
@@ -214,7 +218,9 @@ def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> 
         dataclasses.replace(one, motion=dataclasses.replace(one.motion, contacts=())),
         dataclasses.replace(one, timebase=dataclasses.replace(one.timebase, start_time_s=1.0)),
         dataclasses.replace(one, origin_m=one.origin_m + 1.0),
+        dataclasses.replace(one, frames=one.track.frames[1:]),
+        dataclasses.replace(one, is_present=~one.is_present),
     ]
     keys = [pieces.key(person) for person in people]
     assert len(set(keys)) == len(keys)
-    assert pieces.key(PersonOfTake(one.track, one.motion, one.joints, one.timebase, one.origin_m)) == keys[0]
+    assert pieces.key(dataclasses.replace(one)) == keys[0]
