@@ -42,7 +42,8 @@ class Convention:
     rotation_order: str = "ZXY"  # Axes of the intrinsic rotations of the Euler angles
     is_order_demanded: bool = False  # Whether software reads no other order; other files may have one for each joint
     arms_lowered_deg: float = 0.0  # Angle by which the arms of the rest pose are lowered from a T-pose
-    top_bone: str | None = None  # Name of a bone on the floor above the root, which software expects in FBX files
+    # Name of the node above the root in FBX files, where software expects one; else it has the person's name
+    top: str | None = None
 
     def name(self, joint: str) -> str:
         """Name of a joint in the file."""
@@ -193,7 +194,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
             # Rotates about the same axes of the body as Z X Y where Y is up.
             rotation_order="YXZ",
             arms_lowered_deg=45.0,
-            top_bone="root",
+            top="root",
         ),
         # The collar bones are children of the third bone of the spine.
         "mixamo": Convention(

@@ -125,7 +125,7 @@ def _add_top(
     origin_m: Float[np.ndarray, " 3"],
     start_frame: int,
 ) -> Int64:
-    """Add the node above the joints: one with the person's name, or the bone on the floor that software expects."""
+    """Add the node above the joints, on the floor."""
     facts = [
         integer("track_id", motion.track_id, "U"),
         integer("start_frame", start_frame, "U"),
@@ -133,21 +133,15 @@ def _add_top(
     ]
     if origin_m.any():
         facts.append(vector(ORIGIN, origin_m, flags="U"))
-    if convention.top_bone is not None:
-        return _add_bone(scene, convention.top_bone, SCENE, *facts)
-    top = scene.add_model(name, "Null", SCENE, *facts)
+    top = scene.add_model(convention.top or name, "Null", SCENE, *facts)
     scene.connect(scene.add("NodeAttribute", name, "NodeAttribute", "Null", Node("TypeFlags", ("Null",))), top)
     return top
 
 
 def _add_joint(scene: Scene, name: str, parent: Int64, offset: Float[np.ndarray, " 3"], axes: str) -> Int64:
-    order = ROTATION_ORDERS.index(axes)
-    turns = setting("RotationActive", "bool", "", 1), choice("RotationOrder", order)
-    return _add_bone(scene, name, parent, *turns, local(TRANSLATION, offset), local(ROTATION, np.zeros(3)))
-
-
-def _add_bone(scene: Scene, name: str, parent: Int64, *nodes: Node) -> Int64:
-    bone = scene.add_model(name, _LIMB, parent, *nodes)
+    turns = setting("RotationActive", "bool", "", 1), choice("RotationOrder", ROTATION_ORDERS.index(axes))
+    places = local(TRANSLATION, offset), local(ROTATION, np.zeros(3))
+    bone = scene.add_model(name, _LIMB, parent, *turns, *places)
     scene.connect(scene.add("NodeAttribute", name, "NodeAttribute", _LIMB, Node("TypeFlags", ("Skeleton",))), bone)
     return bone
 

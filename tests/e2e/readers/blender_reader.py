@@ -1,4 +1,4 @@
-"""Program for Blender's Python: bones in every frame of BVH and GLB files, areas of bodies, and a picture.
+"""Program for Blender's Python: bones in every frame of BVH, GLB and FBX files, areas of bodies, and a picture.
 
     python blender_reader.py JOB.json
 
@@ -33,6 +33,8 @@ def load(path: str, options: Mapping[str, Any]) -> Any:
     before = set(bpy.data.objects)
     if path.endswith(".bvh"):
         bpy.ops.import_anim.bvh(filepath=path, update_scene_fps=True, update_scene_duration=True, **options)
+    elif path.endswith(".fbx"):
+        bpy.ops.import_scene.fbx(filepath=path, **options)
     else:
         bpy.ops.import_scene.gltf(filepath=path, **options)
     return next(one for one in bpy.data.objects if one not in before and one.type == "ARMATURE")
@@ -49,13 +51,16 @@ def read(file: Mapping[str, Any]) -> dict[str, Any]:
     scene = empty(file["frame_rate_hz"])
     armature = load(file["path"], file["import"])
     action = armature.animation_data.action
-    first, last = (round(frame) for frame in action.frame_range)
+    first, last = action.frame_range
+    # The importer of FBX counts in whole frames a second: at 29.97 Hz a key lies at each 29.97th of a 30th.
+    step = scene.render.fps_base if file["path"].endswith(".fbx") else 1.0
+    frames = [first + number * step for number in range(round((last - first) / step) + 1)]
     rest = {bone.name: list(armature.matrix_world @ bone.head_local) for bone in armature.data.bones}
     positions: dict[str, list[list[float]]] = {bone.name: [] for bone in armature.pose.bones}
     bodies = [body for body in armature.children if body.type == "MESH"]
     areas_m2 = []
-    for frame in range(first, last + 1):
-        scene.frame_set(frame)
+    for frame in frames:
+        scene.frame_set(math.floor(frame), subframe=frame - math.floor(frame))
         areas_m2.append([area_m2(body) for body in bodies])
         for bone in armature.pose.bones:
             positions[bone.name].append(list(armature.matrix_world @ bone.head))

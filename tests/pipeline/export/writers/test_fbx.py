@@ -66,7 +66,9 @@ def test_presets(preset: Preset, tmp_path: Path) -> None:
     scene, convention = scene_of(path), PRESETS[preset]
     names = [name_of(node) for node in scene.of_kind("Model", "LimbNode").values()]
     expected = [convention.name(joint.name) for joint in skeleton_of(len(motion.bone_length_m))]
-    assert names == (["root"] if preset == "unreal" else []) + expected
+    assert names == expected
+    (top,) = scene.of_kind("Model", "Null").values()
+    assert name_of(top) == ("root" if preset == "unreal" else motion.name)
     unit_cm = numbers(scene.global_settings, "UnitScaleFactor", 1)
     assert unit_cm == (100.0 if preset == "blender" else 1.0,)
     assert [numbers(scene.global_settings, f"{axis}Axis", 1) for axis in ("Up", "Front", "Coord")] == [(1,), (2,), (0,)]
