@@ -115,6 +115,7 @@ Preset = (
     | Annotated[Literal["unity-humanoid"], Value("Unity, humanoid")]
     | Annotated[Literal["unreal"], Value("Unreal Engine, mannequin")]
     | Annotated[Literal["mixamo"], Value("Mixamo")]
+    | Annotated[Literal["humanik"], Value("HumanIK of MotionBuilder and Maya")]
 )
 Timeline = (
     Annotated[Literal["take"], Value("Those of the take, in every file")]

@@ -44,6 +44,7 @@ class Convention:
     arms_lowered_deg: float = 0.0  # Angle by which the arms of the rest pose are lowered from a T-pose
     # Name of the node above the root in FBX files, where software expects one; else it has the person's name
     top: str | None = None
+    has_rest_take: bool = False  # Whether FBX files have the rest pose as an animation too
 
     def name(self, joint: str) -> str:
         """Name of a joint in the file."""
@@ -103,9 +104,10 @@ def _fingers(pattern: str, fingers: Mapping[str, str], parts: tuple[str, str, st
     }
 
 
-def _mixamo(joint: str) -> str:
-    """Name of a joint in Mixamo's rigs, which number the ends of fingers too."""
-    return f"mixamorig:{'Spine2' if joint == 'Chest' else joint.replace('3End', '4')}"
+def _numbered(chest: str, head_end: str = "HeadEnd", prefix: str = "") -> dict[str, str]:
+    """Names of all joints where spines and the ends of fingers have numbers, and toes are joints."""
+    names = {joint.name: joint.name.replace("3End", "4").replace("FootEnd", "ToeBase") for joint in WHOLE_SKELETON}
+    return {joint: prefix + name for joint, name in (names | {"Chest": chest, "HeadEnd": head_end}).items()}
 
 
 def _sided(names: Mapping[str, str]) -> dict[str, str]:
@@ -139,6 +141,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                     "{Side}UpLeg": "thigh.{S}",
                     "{Side}Leg": "shin.{S}",
                     "{Side}Foot": "foot.{S}",
+                    "{Side}FootEnd": "toe.{S}",
                     **_fingers(
                         "{finger}.{part}.{S}",
                         {"Thumb": "thumb"} | {finger: f"f_{finger.lower()}" for finger in _FINGERS},
@@ -157,6 +160,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                     "{Side}ForeArm": "{Side}LowerArm",
                     "{Side}UpLeg": "{Side}UpperLeg",
                     "{Side}Leg": "{Side}LowerLeg",
+                    "{Side}FootEnd": "{Side}Toes",
                     **_fingers(
                         "{Side}{finger}{part}",
                         {finger: finger for finger in ("Thumb", *_FINGERS)} | {"Pinky": "Little"},
@@ -167,7 +171,8 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
             units_per_m=1.0,
             is_order_demanded=True,
         ),
-        # Names of the Unreal mannequin, whose collar bones are children of the third bone of the spine.
+        # Names that the mannequins Manny and Quinn, MetaHumans and the mannequin of Unreal Engine 4 have alike. Collar
+        # bones are children of the third bone of the spine, in the later ones of the fifth.
         "unreal": Convention(
             names=_sided(
                 {
@@ -183,6 +188,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                     "{Side}UpLeg": "thigh_{s}",
                     "{Side}Leg": "calf_{s}",
                     "{Side}Foot": "foot_{s}",
+                    "{Side}FootEnd": "ball_{s}",
                     **_fingers(
                         "{finger}_{part}_{s}",
                         {finger: finger.lower() for finger in ("Thumb", *_FINGERS)},
@@ -198,7 +204,9 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
         ),
         # The collar bones are children of the third bone of the spine.
         "mixamo": Convention(
-            names={joint.name: _mixamo(joint.name) for joint in WHOLE_SKELETON},
+            names=_numbered("Spine2", "HeadTop_End", "mixamorig:"),
         ),
+        # Names by which MotionBuilder and Maya characterise skeletons, standing in a T-pose.
+        "humanik": Convention(names=_numbered("Spine1"), top="Reference", has_rest_take=True),
     }
 )

@@ -42,6 +42,7 @@ IN_FILE: dict[Preset, tuple[np.ndarray, float]] = {
     "unity-humanoid": (Y_UP, 1.0),
     "unreal": (WORLD, 100.0),
     "mixamo": (Y_UP, 100.0),
+    "humanik": (Y_UP, 100.0),
 }
 # Settings of Blender's importer.
 IN_BLENDER: dict[Preset, dict[str, object]] = {
@@ -50,6 +51,7 @@ IN_BLENDER: dict[Preset, dict[str, object]] = {
     "unity-humanoid": {},
     "unreal": {"global_scale": 0.01, "axis_forward": "Y", "axis_up": "Z"},
     "mixamo": {"global_scale": 0.01},
+    "humanik": {"global_scale": 0.01},
 }
 
 

@@ -56,6 +56,7 @@ from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, children_of, paren
 _GROUP_BYTES = 2**26
 _BYTES_OF_ANGLES = 12
 _LIMB, _MESH = "LimbNode", "Mesh"
+_REST_TAKE = "T-pose"
 ORIGIN = "origin_m"
 """Setting of the node at the top: the world position of the file's origin, in metres."""
 
@@ -109,6 +110,8 @@ def _add_person(
         models.append(_add_joint(scene, convention.name(joint.name), above, offset, axes))
     _add_skin(scene, name, motion.track_id, body, {top: np.zeros(3), **dict(zip(models, body.positions, strict=True))})
     _animate(scene, scene.add_clip(name, len(frames)), models, motion, convention, orders, origin_m, frames)
+    if convention.has_rest_take:
+        _animate_rest(scene, scene.add_clip(_REST_TAKE, 1), models, body)
 
 
 def _name_of_person(motion: SkeletonMotion, names_of_joints: set[str]) -> str:
@@ -258,11 +261,23 @@ def _animate(
         return
     places = convention.file_from_xyz_m(held(motion.root_m, motion.frames, frames) - origin_m)
     scene.animate(clip, models[0], TRANSLATION, places[0], lambda axis: places[:, axis])
-    children = children_of(len(models))
-    joints = [index for index, joint in enumerate(skeleton_of(len(models))) if children[joint.name]]
+    joints = _with_children(len(models))
     angles = _Angles(motion, convention, orders, joints, frames)
     for index in joints:
         scene.animate(clip, models[index], ROTATION, angles.first(index), partial(angles.of, index))
+
+
+def _animate_rest(scene: Scene, clip: Clip, models: list[Int64], body: BodyAtRest) -> None:
+    """Add curves of the rest pose, so that programs stand the skeleton in it, whatever pose it was in before."""
+    scene.animate(clip, models[0], TRANSLATION, body.offsets[0], lambda axis: body.offsets[:1, axis])
+    for index in _with_children(len(models)):
+        scene.animate(clip, models[index], ROTATION, np.zeros(3), lambda _: np.zeros(1))
+
+
+def _with_children(num_joints: int) -> list[int]:
+    """Joints that turn."""
+    children = children_of(num_joints)
+    return [index for index, joint in enumerate(skeleton_of(num_joints)) if children[joint.name]]
 
 
 class _Angles:
@@ -352,16 +367,14 @@ class _StoredSkeleton:
         self.places = _curves(scene, layer, models[0], TRANSLATION, rate_hz)
         self.num_frames = len(self.places[0]) if self.places else 0
         self.rotations = {}
-        children = children_of(num_joints)
-        for index, joint in enumerate(skeleton_of(num_joints)):
-            if self.num_frames and children[joint.name]:
-                (order,) = numbers(scene.objects[models[index]], "RotationOrder", 1)
-                if order not in range(len(ROTATION_ORDERS)):
-                    raise FbxError(f"rotations have the order {order}")
-                curves = _curves(scene, layer, models[index], ROTATION, rate_hz)
-                if not curves or len(curves[0]) != self.num_frames:
-                    raise FbxError("curves have different numbers of frames")
-                self.rotations[index] = ROTATION_ORDERS[int(order)], curves
+        for index in _with_children(num_joints) if self.num_frames else ():
+            (order,) = numbers(scene.objects[models[index]], "RotationOrder", 1)
+            if order not in range(len(ROTATION_ORDERS)):
+                raise FbxError(f"rotations have the order {order}")
+            curves = _curves(scene, layer, models[index], ROTATION, rate_hz)
+            if not curves or len(curves[0]) != self.num_frames:
+                raise FbxError("curves have different numbers of frames")
+            self.rotations[index] = ROTATION_ORDERS[int(order)], curves
 
 
 def _curves(

@@ -19,6 +19,7 @@ SOME_NAMES: dict[Preset, set[str]] = {
     "blender": {"hips", "chest", "upper_arm.L", "forearm.R", "thigh.L", "foot.R"},
     "unity-humanoid": {"Hips", "Chest", "LeftUpperArm", "RightLowerArm", "LeftUpperLeg", "RightFoot"},
     "unreal": {"pelvis", "spine_03", "upperarm_l", "lowerarm_r", "thigh_l", "foot_r"},
+    "humanik": {"Hips", "Spine1", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot"},
     "mixamo": {f"mixamorig:{name}" for name in ("Hips", "Spine2", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot")},
 }
 
@@ -35,6 +36,7 @@ FINGERS: dict[Preset, list[str]] = {
         "RightLittleDistal",
     ],
     "unreal": ["thumb_01_l", "thumb_02_l", "thumb_03_l", "pinky_01_r", "pinky_03_r"],
+    "humanik": ["LeftHandThumb1", "LeftHandThumb2", "LeftHandThumb3", "RightHandPinky1", "RightHandPinky3"],
     "mixamo": [
         "mixamorig:LeftHandThumb1",
         "mixamorig:LeftHandThumb2",

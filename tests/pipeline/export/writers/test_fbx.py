@@ -68,10 +68,38 @@ def test_presets(preset: Preset, tmp_path: Path) -> None:
     expected = [convention.name(joint.name) for joint in skeleton_of(len(motion.bone_length_m))]
     assert names == expected
     (top,) = scene.of_kind("Model", "Null").values()
-    assert name_of(top) == ("root" if preset == "unreal" else motion.name)
+    assert name_of(top) == {"unreal": "root", "humanik": "Reference"}.get(preset, motion.name)
     unit_cm = numbers(scene.global_settings, "UnitScaleFactor", 1)
     assert unit_cm == (100.0 if preset == "blender" else 1.0,)
     assert [numbers(scene.global_settings, f"{axis}Axis", 1) for axis in ("Up", "Front", "Coord")] == [(1,), (2,), (0,)]
+
+
+def test_feet_end_in_toes_of_the_target_software(tmp_path: Path) -> None:
+    scene = scene_of(written(walk(1), tmp_path / "person.fbx", "unreal"))
+    limbs = {name_of(node): limb for limb, node in scene.of_kind("Model", "LimbNode").items()}
+    assert scene.parent(limbs["ball_l"], "Model") == limbs["foot_l"]
+    names = {preset: PRESETS[preset].name("RightFootEnd") for preset in PRESETS}
+    assert names == {
+        **{"default": "RightFootEnd", "blender": "toe.R", "unity-humanoid": "RightToes", "unreal": "ball_r"},
+        **{"mixamo": "mixamorig:RightToeBase", "humanik": "RightToeBase"},
+    }
+
+
+def test_humanik_has_a_take_in_which_the_skeleton_stands_in_the_rest_pose(tmp_path: Path) -> None:
+    path = written(tumbling(), tmp_path / "person.fbx", "humanik")
+    scene = scene_of(path)
+    assert [name_of(node) for node in scene.of_kind("AnimationStack", "").values()] == ["person-1", "T-pose"]
+    motion, rest = scene.of_kind("AnimationLayer", "")
+    for model, node in scene.of_kind("Model", "LimbNode").items():
+        for name in ("Lcl Translation", "Lcl Rotation"):
+            moving, still = scene.curves(motion, model, name), scene.curves(rest, model, name)
+            assert (moving is None) == (still is None)
+            if still is not None:
+                np.testing.assert_array_equal(still[0], 0)
+                np.testing.assert_allclose(np.concatenate(still[1]), numbers(node, name, 3), rtol=1e-6)
+    read_by_three = read_with_three([path])[path]
+    x, y, z = 100.0 * forward_kinematics(tumbling())[:, INDEX["LeftFoot"]].T
+    np.testing.assert_allclose(read_by_three.positions["LeftFoot"], np.column_stack([x, z, -y]), atol=1e-2)
 
 
 def test_joints_have_an_order_of_rotations_each_where_one_interpolates_badly(tmp_path: Path) -> None:
