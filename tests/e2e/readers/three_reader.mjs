@@ -50,7 +50,7 @@ for (const path of process.argv.slice(2).filter((argument) => argument !== "--ar
     if (withAreas) areas.push(skinned.map(areaOf));
     return bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray());
   });
-  read[path] = { names: bones.map((bone) => bone.userData.name ?? bone.name), times, positions, areas };
+  read[path] = { names: bones.map((bone) => bone.userData.originalName ?? bone.userData.name ?? bone.name), times, positions, areas };
   if (scene) {
     // Of the last frame: the lowest and highest point of the body as it is drawn.
     const heights = skinned.flatMap((mesh) => {

@@ -1,0 +1,56 @@
+"""Program for Python with ``pufbx``: world positions of all bones in every frame of FBX files, as ufbx finds them.
+
+    python ufbx_reader.py FILE...
+
+Prints JSON: by file the names of the bones, the times of the keys and the positions (frames, bones, 3) in the file's
+axes and unit.
+"""
+
+import json
+import sys
+from typing import Any
+
+import numpy as np
+import pufbx
+
+
+def matrices(places: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
+    """Transforms (frames, 4, 4) of places and rotations."""
+    x, y, z, w = quat_xyzw.T
+    transforms = np.tile(np.eye(4), (len(places), 1, 1))
+    transforms[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1)
+    transforms[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1)
+    transforms[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1)
+    transforms[:, :3, 3] = places
+    return transforms
+
+
+def read(path: str) -> dict[str, Any]:
+    """Read the bones of a file."""
+    scene = pufbx.load_fbx(path)
+    keys = [key.time for key in scene.anim_curves[0].keyframes]
+    rate_hz = (len(keys) - 1) / (keys[-1] - keys[0]) if len(keys) > 1 else 30.0
+    baked, _, names = pufbx.anim_to_array(path, anim_index=0, resample_rate=rate_hz)
+    # Of a single frame nothing is baked that is as at rest.
+    animated = dict(zip(names, baked, strict=True))
+    found: dict[str, np.ndarray] = {}
+    file_from_node: dict[str, np.ndarray] = {}
+    for node in scene.nodes:
+        still = node.local_transform
+        channels = animated.get(node.name)
+        if channels is None:
+            place = [still.translation.x, still.translation.y, still.translation.z]
+            turn = [still.rotation.x, still.rotation.y, still.rotation.z, still.rotation.w]
+            channels = np.tile([*place, *turn, 1.0, 1.0, 1.0], (len(keys), 1))
+        parent = file_from_node[node.parent.name] if node.parent is not None else np.eye(4)
+        file_from_node[node.name] = parent @ matrices(channels[:, :3], channels[:, 3:7])
+        if node.bone is not None:
+            found[node.name] = file_from_node[node.name][:, :3, 3]
+    return {
+        "names": list(found),
+        "times": keys,
+        "positions": np.stack(list(found.values()), axis=1).tolist(),
+    }
+
+
+sys.stdout.write(json.dumps({path: read(path) for path in sys.argv[1:]}))
