@@ -4,7 +4,18 @@ from typing import Any
 
 from api.contract.examples import JOB_ID, SESSION_ID
 from pipeline.stages.plan import STAGE_BY_NAME
-from pipeline.stages.stage import ASSOCIATE, DETECT, EXPECT, EXPORT, FIT, IDENTIFY, LOOK, REDETECT
+from pipeline.stages.stage import (
+    ASSOCIATE,
+    DETECT,
+    EXPECT,
+    EXPECT_AGAIN,
+    EXPORT,
+    FIT,
+    IDENTIFY,
+    LOOK,
+    REDETECT,
+    REDETECT_AGAIN,
+)
 
 SPEC: dict[str, Any] = {
     "method": "tracking",
@@ -62,6 +73,8 @@ JOB: dict[str, Any] = {
         stage(ASSOCIATE, "waiting", 0, 1),
         stage(EXPECT, "waiting", 0, 1),
         stage(REDETECT, "waiting", 0, 60),
+        stage(EXPECT_AGAIN, "waiting", 0, 1),
+        stage(REDETECT_AGAIN, "waiting", 0, 12),
         stage(IDENTIFY, "waiting", 0, 1),
         stage(FIT, "waiting", 0, 1),
         stage(EXPORT, "waiting", 0, 1),

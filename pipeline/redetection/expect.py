@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
@@ -74,7 +74,8 @@ def expect_leaning(
             for camera in cameras
         ]
     joined = concatenate(found, [camera.name for camera in cameras], len(COCO_17.names))
-    return tuple(_by_frame(joined[camera.name]) for camera in cameras)
+    ordered = (joined[camera.name] for camera in cameras)
+    return tuple(selected(bodies, np.argsort(bodies.frame, kind="stable")) for bodies in ordered)
 
 
 def _trunk(body: Float[np.ndarray, "*batch 17 axes"]) -> Float[np.ndarray, "*batch axes"]:
@@ -128,13 +129,12 @@ def _leans_in_picture(
     return np.asarray(leans & (inside.sum(-1) >= _LEAST_INSIDE))
 
 
-def _by_frame(bodies: Detections) -> Detections:
-    """Bodies sorted by frame."""
-    order = np.argsort(bodies.frame, kind="stable")
+def selected(bodies: Detections, rows: Int[np.ndarray, " rows"]) -> Detections:
+    """Expected bodies in the order of their rows."""
     return replace(
         bodies,
-        frame=bodies.frame[order],
-        keypoints_px=bodies.keypoints_px[order],
-        score=bodies.score[order],
-        box_px=bodies.box_px[order],
+        frame=bodies.frame[rows],
+        keypoints_px=bodies.keypoints_px[rows],
+        score=bodies.score[rows],
+        box_px=bodies.box_px[rows],
     )

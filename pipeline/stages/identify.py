@@ -6,6 +6,7 @@ from pipeline.stages.stage import (
     DETECT,
     IDENTIFY,
     REDETECT,
+    REDETECT_AGAIN,
     REFINE,
     SYNCHRONIZE,
     Context,
@@ -37,6 +38,11 @@ def identify(task: Task, context: Context) -> Output:
     del colour
     if is_redetecting(context.facts, context.config):
         people = accept_redetected(session, people, context.records(REDETECT, Detections), body, context.config)
+        found_elsewhere = tuple(context.records(REDETECT_AGAIN, Detections))
+        if any(len(bodies.frame) for bodies in found_elsewhere):
+            # They were expected of people whose limbs were assigned.
+            people = assign_limbs(session, people, body, context.config)
+            people = accept_redetected(session, people, found_elsewhere, body, context.config)
     people = assign_limbs(session, people, body, context.config)
     people = follow_by_one_camera(session, people, tracked.people.leftovers, context.config)
     if has_hands(joints):
@@ -53,6 +59,6 @@ STAGE = Stage(
     "Tell people apart",
     identify,
     cut="whole",
-    follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE, REDETECT),
+    follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE, REDETECT, REDETECT_AGAIN),
     choices=("people",),
 )

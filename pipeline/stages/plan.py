@@ -38,6 +38,8 @@ _MODULES = (
     "associate",
     "expect_bodies",
     "redetect",
+    "expect_again",
+    "redetect_again",
     "identify",
     "fit",
     "edit",

@@ -9,6 +9,11 @@ from pipeline.stages.stage import EXPECT, LOOK, REDETECT, SYNCHRONIZE, Context, 
 
 def redetect(task: Task, context: Context) -> Output:
     """Read the joints of expected bodies in crops; nothing is decoded where nobody leans."""
+    return read_expected(task, context, EXPECT)
+
+
+def read_expected(task: Task, context: Context, stage: str) -> Output:
+    """Read the joints of the bodies that a stage expects in a range of a camera's frames."""
     from pipeline.data.detections import Detections
     from pipeline.detect.profiles.detection import load_landmarks
     from pipeline.joints import without_hands
@@ -17,7 +22,7 @@ def redetect(task: Task, context: Context) -> Output:
     from pipeline.video.timeline import frames_in, span_s
 
     session, camera, networks = context.videos(), task.one_camera, networks_of(context.config)
-    (expected,) = context.outputs(EXPECT)
+    (expected,) = context.outputs(stage)
     number = list(context.facts.camera_rates_hz).index(camera)
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
     bodies = decode(tuple[Detections, ...], expected)[number].within(frames_in(session.times[camera], *span))

@@ -23,6 +23,7 @@ else:
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
 EXPECT, REDETECT = "expect_bodies", "redetect"
+EXPECT_AGAIN, REDETECT_AGAIN = "expect_again", "redetect_again"
 IDENTIFY, FIT, EDIT, REFIT = "identify", "fit", "edit", "refit"
 WRITE, EXPORT = "write_people", "export"
 OVERLAY, REPORT = "draw_overlay", "write_report"

@@ -22,6 +22,7 @@ from pipeline.stages.stage import (
     CHECK,
     DETECT,
     EXPECT,
+    EXPECT_AGAIN,
     EXPORT,
     FIT,
     IDENTIFY,
@@ -31,6 +32,7 @@ from pipeline.stages.stage import (
     POSES,
     PROXY,
     REDETECT,
+    REDETECT_AGAIN,
     REFINE,
     REPORT,
     FrameCut,
@@ -99,6 +101,8 @@ def test_the_stages_and_their_sizes() -> None:
         (ASSOCIATE, 1),
         (EXPECT, 1),
         (REDETECT, 6),
+        (EXPECT_AGAIN, 1),
+        (REDETECT_AGAIN, 6),
         (IDENTIFY, 1),
         (FIT, 1),
         (EXPORT, 1),
@@ -115,8 +119,8 @@ def test_a_cutoff_counts_where_it_is_used() -> None:
     assert {name for name in low if low[name] != high[name]} == {FIT, EXPORT}
 
 
-FROM_PLACES = {EXPECT, REDETECT, IDENTIFY, FIT, EXPORT}
-VIDEO_STAGES = (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT, EXPORT)
+FROM_PLACES = {EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, EXPORT}
+VIDEO_STAGES = (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, EXPORT)
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 

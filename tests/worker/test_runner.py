@@ -5,7 +5,20 @@ import time
 from pathlib import Path
 from typing import Any
 
-from pipeline.stages.stage import ASSOCIATE, CHECK, DETECT, EXPECT, EXPORT, FIT, IDENTIFY, LOOK, REDETECT, Output
+from pipeline.stages.stage import (
+    ASSOCIATE,
+    CHECK,
+    DETECT,
+    EXPECT,
+    EXPECT_AGAIN,
+    EXPORT,
+    FIT,
+    IDENTIFY,
+    LOOK,
+    REDETECT,
+    REDETECT_AGAIN,
+    Output,
+)
 from tests.worker.conftest import (
     NUM_FRAMES,
     RESULT,
@@ -45,11 +58,24 @@ def begin_endless_job(bench: RunnerBench, **choices: Any) -> tuple[JobRecord, th
 
 def test_a_job_runs_to_its_results(bench: RunnerBench) -> None:
     job = bench.create_job()
-    assert bench.runner().work(60.0) == 1 + 4 + 2 + 1 + 4 + 3
+    assert bench.runner().work(60.0) == 1 + 4 + 2 + 1 + 4 + 1 + 4 + 3
     job = bench.store.jobs.get(job.id)
     assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
     assert [(stage.name, stage.state) for stage in job.stages] == [
-        (name, ChunkState.DONE) for name in (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT, EXPORT)
+        (name, ChunkState.DONE)
+        for name in (
+            LOOK,
+            DETECT,
+            CHECK,
+            ASSOCIATE,
+            EXPECT,
+            REDETECT,
+            EXPECT_AGAIN,
+            REDETECT_AGAIN,
+            IDENTIFY,
+            FIT,
+            EXPORT,
+        )
     ]
     assert not any(stage.reused for stage in job.stages)
     (result,) = bench.store.results.of_job(job.id)
@@ -92,7 +118,7 @@ def test_workers_side_by_side_leave_the_same(bench: RunnerBench) -> None:
 def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    for name in (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT):
+    for name in (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT):
         bench.stages[name] = fail_with(AssertionError("must not run"))
     again = bench.create_job()
     bench.runner().work(60.0)
@@ -105,6 +131,8 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -
         ASSOCIATE: True,
         EXPECT: True,
         REDETECT: True,
+        EXPECT_AGAIN: True,
+        REDETECT_AGAIN: True,
         IDENTIFY: True,
         FIT: True,
         EXPORT: False,

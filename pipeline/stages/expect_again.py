@@ -1,0 +1,50 @@
+"""Expect leaning bodies once more, by what the first look at them found. The output is a ``Detections`` a camera."""
+
+from pipeline.stages.redetect import is_redetecting
+from pipeline.stages.stage import (
+    ASSOCIATE,
+    EXPECT,
+    EXPECT_AGAIN,
+    LOOK,
+    REDETECT,
+    REFINE,
+    SYNCHRONIZE,
+    Context,
+    Output,
+    Stage,
+    Task,
+)
+
+
+def expect_again(task: Task, context: Context) -> Output:
+    """Find the pictures in which leaning people are elsewhere than they were looked for; none if nobody was found."""
+    from pipeline.data.detections import Detections
+    from pipeline.joints import without_hands
+    from pipeline.redetection.elsewhere import expected_elsewhere
+    from pipeline.redetection.expect import expect_leaning
+    from pipeline.stages.association import accept_redetected, assign_identities, assign_limbs
+    from pipeline.stages.codec import decode, encode
+
+    (content,) = context.outputs(EXPECT)
+    looked_for = decode(tuple[Detections, ...], content)
+    found = tuple(context.records(REDETECT, Detections))
+    if not any(len(bodies.frame) for bodies in found):
+        return Output(encode(tuple(bodies.within(range(0)) for bodies in looked_for)))
+    session, detections, config = context.wanted(context.outline()), context.detections, context.config
+    joints = without_hands(detections.joints(session))
+    people = assign_identities(session, context.people(ASSOCIATE).people, joints, config)
+    people = assign_limbs(session, accept_redetected(session, people, found, joints, config), joints, config)
+    cameras = session.cameras, session.times, session.timebase
+    expected = expect_leaning(people.tracks, *cameras, joints, detections.turns_deg)
+    return Output(encode(expected_elsewhere(expected, looked_for, detections.turns_deg)))
+
+
+STAGE = Stage(
+    EXPECT_AGAIN,
+    "Find leaning bodies that are elsewhere",
+    expect_again,
+    cut="whole",
+    follows=(LOOK, SYNCHRONIZE, REFINE, ASSOCIATE, EXPECT, REDETECT),
+    choices=("people",),
+    is_planned=is_redetecting,
+)
