@@ -66,6 +66,7 @@ SLOW = (
     "worker/jobs/backup/",
     "worker/jobs/test_concurrency.py",
     "worker/jobs/test_damaged_database.py",
+    "worker/jobs/test_dropped_connections.py",
     "worker/test_faults.py",
     "worker/test_outages.py",
 )

@@ -47,6 +47,7 @@ def test_they_move_as_they_do_in_the_whole(session: KeypointSession, method: Met
         assert min(distances_m) < 0.005
 
 
+@pytest.mark.slow
 def test_all_of_them_are_the_whole(session: KeypointSession) -> None:
     frames = 0, session.timebase.num_frames
     whole, same = (reconstruct(session, ReconstructionConfig(frame_range=one)) for one in (None, frames))

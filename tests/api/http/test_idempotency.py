@@ -163,6 +163,7 @@ def test_allowed_idempotency_keys(live: Live, key: str, status: int) -> None:
     assert answer.status_code == status
 
 
+@pytest.mark.slow
 def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: Callable[..., Settings]) -> None:
     """The API process is killed during the check of the files, and started again on the same folder."""
     settings, lease_s = make_settings(), 15.0

@@ -146,6 +146,7 @@ def test_a_damaged_output_of_detection_is_detected_anew_with_its_colours(
     np.testing.assert_array_equal(again.colour, first.colour)
 
 
+@pytest.mark.slow
 def test_the_cut_into_chunks_changes_no_byte(
     session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D]
 ) -> None:

@@ -87,6 +87,7 @@ def test_people_are_found_without_neighbours_in_time(
     write_results(take, tmp_path / "out", tuple(FILE_FORMATS))
 
 
+@pytest.mark.slow
 @METHODS
 def test_pauses_of_a_minute_leave_the_people_between_them(
     simulation: Simulation, filmed: Path, tmp_path: Path, method: Method
@@ -97,6 +98,7 @@ def test_pauses_of_a_minute_leave_the_people_between_them(
     assert recall(take, simulation, frames, times_s) > 0.98
 
 
+@pytest.mark.slow
 def test_joints_that_nobody_saw_pull_none_that_was_seen(tmp_path: Path) -> None:
     """Pictures once a second, in which three cameras miss a third of the bodies and 40 % of the joints."""
     scene = find_scene("room")

@@ -83,6 +83,7 @@ def test_of_one_person_to_keep_the_one_who_moves_is_kept(with_poster: KeypointSe
     assert track.start_frame == 0
 
 
+@pytest.mark.slow
 def test_a_picture_moves_no_world(with_poster: KeypointSession) -> None:
     take = reconstruct(with_poster, ReconstructionConfig(smoothing="none", refine_calibration="auto"))
     assert take.refinement is not None

@@ -106,6 +106,7 @@ def test_cameras_without_poses_are_refused_before_any_work(session: KeypointSess
     assert refused(unposed, CONFIG) == (["calibration_unposed"], "")
 
 
+@pytest.mark.slow
 def test_a_camera_that_refinement_mends_is_no_error_of_a_job_that_refines(session: KeypointSession) -> None:
     bumped = turned(session, 3.0)
     assert refused(bumped, CONFIG) == (["camera_disagrees"], CHECK)
@@ -161,6 +162,7 @@ def eleven() -> Simulation:
     )
 
 
+@pytest.mark.slow
 def test_eleven_cameras_in_natural_order_are_right_and_in_alphabetical_order_refused(tmp_path: Path) -> None:
     simulation = eleven()
     write_simulation(simulation, tmp_path)

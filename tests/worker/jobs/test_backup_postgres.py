@@ -116,6 +116,7 @@ def test_a_restore_that_fails_leaves_no_rows(postgres_url_empty: str, tmp_path: 
     assert not (tmp_path / "second").exists()
 
 
+@pytest.mark.slow
 def test_it_is_consistent_while_others_write(postgres_url_empty: str, tmp_path: Path) -> None:
     with (
         opened_data(tmp_path / "data", postgres_url_empty) as data,

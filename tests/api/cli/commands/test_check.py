@@ -126,6 +126,7 @@ def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_what_the_check_calls_an_error_reconstruct_and_batch_refuse_unless_they_are_forced(
     session: Path, tmp_path: Path
 ) -> None:

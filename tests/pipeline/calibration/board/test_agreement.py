@@ -68,6 +68,7 @@ def scores(made: CalibrationResult, cameras: tuple[Camera, ...]) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_a_late_camera_is_named_and_bends_no_lens() -> None:
     made = calibrate_board(filmed(0, (0.0, 0.0, -0.04, 0.0)), BOARD, None, 4.0)
     for found, truth in zip(made.cameras, CAMERAS, strict=True):

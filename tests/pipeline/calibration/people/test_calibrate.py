@@ -39,6 +39,7 @@ def problems_of(simulation: Simulation, **changes: object) -> dict[str, str | No
     return {problem.code: problem.camera for problem in refused.value.problems}
 
 
+@pytest.mark.slow
 def test_people_place_cameras_in_a_level_world_of_their_scale(walk: Simulation) -> None:
     shares: list[float] = []
     made = calibrate_people(
