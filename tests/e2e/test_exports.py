@@ -89,7 +89,7 @@ def exported(name: str, reconstruction: Reconstruction, folder: Path) -> Exporte
 @pytest.fixture(scope="session")
 def walk(tmp_path_factory: pytest.TempPathFactory) -> ExportedCapture:
     folder = tmp_path_factory.mktemp("walk")
-    for name, content in simulation_files(record(replace(find_scene("walk"), duration_s=8.0), seed=0)):
+    for name, content in simulation_files(record(replace(find_scene("walk"), duration_s=3.0), seed=0)):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
     session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv", None)
