@@ -186,6 +186,7 @@ def test_a_tenant_s_checks_that_hang_do_not_delay_another_s_session(make_setting
         assert {answer.result().status_code for answer in hanging} == {422}
 
 
+@pytest.mark.slow
 def test_without_keys_clients_take_turns_by_address(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(preflight_timeout_s=6.0)) as live, concurrent.futures.ThreadPoolExecutor(4) as pool:
         hanging = [pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!")) for _ in range(4)]

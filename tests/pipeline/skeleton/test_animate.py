@@ -87,7 +87,7 @@ def test_nothing_flips() -> None:
         np.testing.assert_allclose(np.linalg.norm(quat, axis=-1), 1.0)
 
 
-@pytest.mark.parametrize("hard", [False, True])
+@pytest.mark.parametrize("hard", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_feet_of_a_walk_stand_still(hard: bool) -> None:
     simulation, _ = recorded("walk", 10.0, hard)
     off, auto = (animated("walk", 10.0, hard, feet=feet) for feet in ("off", "auto"))
@@ -107,7 +107,7 @@ def test_feet_of_a_walk_stand_still(hard: bool) -> None:
     assert floor.tilt_deg < 1.0
 
 
-@pytest.mark.parametrize("hard", [False, True])
+@pytest.mark.parametrize("hard", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_no_contact_is_invented_in_running_and_jumping(hard: bool) -> None:
     simulation, _ = recorded("sports", 6.0, hard)
     animation = animated("sports", 6.0, hard)

@@ -123,6 +123,7 @@ def test_a_constant_of_contacts_counts_for_the_fit(sources: Path) -> None:
     assert changed(sources) == {FIT, REFIT}
 
 
+@pytest.mark.slow
 def test_what_a_function_imports_inside_counts(sources: Path) -> None:
     """``detect.registry`` imports the conversions of networks where it needs them."""
     append(sources / "pipeline/detect/conversion/onnx_graph.py")
@@ -144,6 +145,7 @@ def test_the_stage_s_own_function_and_its_helpers_count(sources: Path) -> None:
     assert changed(sources) == {LENGTHS, DETECT}
 
 
+@pytest.mark.slow
 def test_a_declaration_counts_for_no_code(sources: Path) -> None:
     """Choices and cuts are in the keys themselves, and ``detect`` names the stage ``look``."""
     edit(sources / "pipeline/stages/look.py", '"Look at people"', '"Look"')

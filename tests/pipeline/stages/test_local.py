@@ -73,6 +73,7 @@ def test_paths_may_be_texts(session: KeypointSession, tmp_path: Path) -> None:
     assert {path.parent for path in written_later} == {tmp_path / "written"}
 
 
+@pytest.mark.slow
 def test_a_parameter_of_a_method_counts(session: KeypointSession, tmp_path: Path) -> None:
     run(session, TRACKING, tmp_path)
     _, units = run(session, replace(TRACKING, tracking={"alpha_3d_m": 0.3}), tmp_path)

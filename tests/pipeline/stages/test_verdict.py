@@ -116,6 +116,7 @@ def test_a_camera_that_refinement_mends_is_no_error_of_a_job_that_refines(sessio
     assert refinement.moved[0].rotation_deg > 1.0
 
 
+@pytest.mark.slow
 def test_an_error_that_refinement_leaves_refuses_the_job_after_it(session: KeypointSession) -> None:
     assert refused(turned(session, 40.0), REFINING) == (["camera_disagrees"], REFINE)
 

@@ -95,7 +95,7 @@ def test_sound_that_begins_after_the_first_frame(tmp_path: Path) -> None:
     assert found == pytest.approx([one + 0.25 for one in CLICKS_S], abs=0.002)
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.137, 0.6])
+@pytest.mark.parametrize("late_s", [0.137, *(pytest.param(late_s, marks=pytest.mark.slow) for late_s in (0.0, 0.6))])
 def test_lag_of_two_files(tmp_path: Path, late_s: float) -> None:
     first = filmed(tmp_path / "a.mp4", clicks(4.0, CLICKS_S, 1))
     second = filmed(tmp_path / "b.mp4", clicks(4.0, tuple(one - late_s for one in CLICKS_S), 2))
