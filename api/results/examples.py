@@ -19,7 +19,21 @@ _RESULTS: dict[str, Any] = {
             "sha256": SHA256,
             "revision": 0,
             "link": f"/v1/jobs/{JOB_ID}/results/person-1.bvh",
-        }
+        },
+        {
+            "name": "take.glb",
+            "kind": "glb",
+            "person": None,
+            "person_name": None,
+            "format": "glb",
+            "preset": None,
+            "download_name": "handshake-take-3_take.glb",
+            "media_type": "model/gltf-binary",
+            "num_bytes": 3145728,
+            "sha256": SHA256,
+            "revision": 0,
+            "link": f"/v1/jobs/{JOB_ID}/results/take.glb",
+        },
     ]
 }
 

@@ -16,6 +16,7 @@ from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.export.presets import PRESETS
+from pipeline.export.scene import TakeScene
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc
 from pipeline.export.writers.rotation_orders import BetweenFrames, rotation_orders
 from pipeline.joints import JointSet
@@ -38,6 +39,16 @@ class PersonContent:
 
 
 @dataclass(frozen=True, slots=True)
+class TakeFormat:
+    """Writer and reader of files of a format with the scene of a whole take."""
+
+    encode: Callable[[TakeScene, Preset], Iterator[bytes]]  # Yields the bytes of a file, piece by piece
+    # Yields blocks of frames of a person of a file, as of ``Format.read_xyz_m``, by the place among the scene's people
+    read_xyz_m: Callable[[Path, Preset, int], Iterator[Float[np.ndarray, "_ joints 3"]]]
+    fits: Callable[[TakeScene], bool]  # Whether a file can be as large as a scene needs
+
+
+@dataclass(frozen=True, slots=True)
 class Format:
     """Writer and reader of a format."""
 
@@ -51,6 +62,7 @@ class Format:
     holds_name: bool = False
     # Whether numbers have single precision, and positions are relative to the origin of ``PersonContent``
     has_origin: bool = False
+    of_take: TakeFormat | None = None  # Files of a whole take; ``None`` for formats that hold one person
 
 
 FORMATS: Mapping[Export, Format] = MappingProxyType(
@@ -65,6 +77,11 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
             lambda path, _: glb.read_xyz_m(path),
             holds_name=True,
             has_origin=True,
+            of_take=TakeFormat(
+                lambda scene, _: glb.encode_take(scene),
+                lambda path, _, person: glb.read_xyz_m(path, person),
+                glb.fits,
+            ),
         ),
         "fbx": Format(
             lambda person: fbx.encode(person.motion, person.preset, person.origin_m, person.frames),

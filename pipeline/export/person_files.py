@@ -123,7 +123,7 @@ def _written(
     if name == SKELETONS:
         with replacing(path, skeletons_json.encode_track(track)) as part:
             expected = partial(unknown_outside, track.xyz_m, track.frames)
-            return KeptFile(_furthest_mm(path, track.frames, expected, [skeletons_json.read_track_m(part)], on_read))
+            return KeptFile(furthest_mm(path, track.frames, expected, [skeletons_json.read_track_m(part)], on_read))
     export: Export = next(export for export in FILE_FORMATS if export == name)
     if FILE_FORMATS[export].holds == "joints":
         track = without_resting_fingers(track, person.joints)
@@ -142,7 +142,7 @@ def _written(
         preset,
     )
     with replacing(path, FORMATS[export].encode(content)) as part:
-        distance_mm = _furthest_mm(path, person.frames, expected, FORMATS[export].read_xyz_m(part, preset), on_read)
+        distance_mm = furthest_mm(path, person.frames, expected, FORMATS[export].read_xyz_m(part, preset), on_read)
     return KeptFile(distance_mm, FORMATS[export].between_frames(content))
 
 
@@ -180,14 +180,14 @@ def spoilt(path: Path) -> OSError:
     return OSError(errno.EIO, f"{path.name} does not hold what was written to it")
 
 
-def _furthest_mm(
+def furthest_mm(
     path: Path,
     frames: range,
     expected_m: Callable[[range], Float[np.ndarray, "_ joints 3"]],
     read_m: Iterable[Float[np.ndarray, "_ joints 3"]],
     on_share: OnShare,
 ) -> float | None:
-    """Largest distance in mm between positions read from a person's file, block by block, and the expected positions.
+    """Largest distance in mm between a person's positions read from a file, block by block, and the expected positions.
 
     ``expected_m`` gives the positions in a range of ``frames``, which are those of the file. ``None`` if no joint is
     known in any frame. Raises ``OSError`` if shapes or unknown joints differ.

@@ -2,9 +2,14 @@
 
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from jaxtyping import Float
 
 from pipeline.calibration.write import encode as encode_calibration
 from pipeline.config import (
@@ -13,6 +18,7 @@ from pipeline.config import (
     Preset,
     Timeline,
 )
+from pipeline.data.animation import SkeletonMotion
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.errors import PipelineError
 from pipeline.export.formats import FORMATS
@@ -22,18 +28,23 @@ from pipeline.export.person_files import (
     KeptFile,
     KeptFiles,
     PersonOfTake,
+    furthest_mm,
     people_of,
     replacing,
     spoilt,
     write_person,
 )
 from pipeline.export.resample import resample
+from pipeline.export.scene import scene_of
+from pipeline.export.timelines import held
 from pipeline.export.writers import skeletons_json
 from pipeline.paths import StrPath
+from pipeline.problem_codes.warnings import TAKE_TOO_LARGE
 from pipeline.progress import OnShare, ignore, part_of, split
 from pipeline.quality.report import encode as encode_metrics
 from pipeline.quality.report import quality_report
 from pipeline.rules import file_problems, require
+from pipeline.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
 NOTHING_KEPT = KeptFiles()
@@ -41,6 +52,8 @@ ReportOf = Callable[[Reconstruction], dict[str, Any]]
 OnFile = Callable[[Path], None]
 """Callback for the path of a result file that is complete."""
 METRICS = "metrics.json"
+TAKE = "take"
+"""Name, without the ending, of the files with a whole take."""
 CALIBRATION = "calibration.json"
 """Refined cameras, in the format that ``pipeline.calibration.write`` writes and every command reads."""
 
@@ -153,11 +166,10 @@ def write_files(
         on_file(path)
 
     written: dict[str, dict[int, KeptFile]] = {name: {} for name in (SKELETONS, *exports)}
-    people = list(people_of(shown, timeline))
-    on_people = split(part_of(on_share, 0.0, 0.9), [len(person.frames) for person in people])
+    on_people = split(part_of(on_share, 0.0, 0.8), _num_frames(shown, timeline))
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
-        for person, on_person in zip(people, on_people, strict=True):
+        for person, on_person in zip(people_of(shown, timeline), on_people, strict=True):
             of_person = _paths(person, folder, Path(tracks_folder), exports)
             tracks.append(of_person[SKELETONS])
             for name, file in write_person(person, of_person, preset, kept, on_person):
@@ -167,9 +179,14 @@ def write_files(
         path = folder / "skeletons.json"
         with replacing(path, skeletons_json.join(shown, tracks)) as part:
             _require_equal(part, path, skeletons_json.join(shown, tracks))
-    on_share(0.95)
+    on_share(0.85)
     complete(path)
-    check = {export: _found_in(of_people) for export, of_people in written.items()}
+    of_takes = _TakeFiles(shown, folder, preset)
+    for export, on_take in zip(exports, split(part_of(on_share, 0.85, 0.95), [1] * len(exports)), strict=True):
+        if of_takes.write(export, on_take):
+            complete(of_takes.path(export))
+        on_take(1.0)
+    check = {export: _found_in(of_people, of_takes.distances_mm.get(export)) for export, of_people in written.items()}
     origin_m = file_origin_m(shown.cameras)
     for export in exports:
         if FORMATS[export].has_origin and origin_m.any():
@@ -180,6 +197,8 @@ def write_files(
             pass
         complete(path)
     path, metrics = folder / METRICS, report(reconstruction) | {"exports": check}
+    if of_takes.too_large:
+        metrics["capture_checks"] = [*metrics["capture_checks"], *of_takes.too_large]
     with replacing(path, [encode_metrics(metrics)]):
         pass
     on_share(1.0)
@@ -203,14 +222,60 @@ def keep_people(
     ``rows`` are those of the people among the tracks.
     """
     shown = _at_rate(reconstruction, frame_rate_hz)
-    people = list(people_of(shown, timeline))[rows]
-    on_people = split(on_share, [len(person.frames) for person in people])
+    people = islice(people_of(shown, timeline), rows.start, rows.stop, rows.step)
+    on_people = split(on_share, _num_frames(shown, timeline)[rows])
     for person, on_person in zip(people, on_people, strict=True):
         paths = _paths(person, folder, folder, exports)
         for _ in write_person(person, paths, preset, kept, on_person):
             pass
         for path in paths.values():
             path.unlink()
+
+
+def _num_frames(take: Reconstruction, timeline: Timeline) -> list[int]:
+    """Number of frames of the files of each person."""
+    return [take.timebase.num_frames if timeline == "take" else track.num_frames for track in take.tracks]
+
+
+class _TakeFiles:
+    """Files with a whole take, of the formats that have them; without people there are none."""
+
+    def __init__(self, take: Reconstruction, folder: Path, preset: Preset) -> None:
+        self._scene, self._folder, self._preset = scene_of(take), folder, preset
+        self.distances_mm: dict[str, float] = {}  # Largest distance in the file of each format
+        self.too_large: list[dict[str, str]] = []  # Checks of files that their format does not allow
+
+    def path(self, export: Export) -> Path:
+        """Path of the file of a format."""
+        return self._folder / f"{TAKE}.{export}"
+
+    def write(self, export: Export, on_share: OnShare) -> bool:
+        """Write the file of a format and read it back; return whether there is one."""
+        form, scene, preset, path = FORMATS[export].of_take, self._scene, self._preset, self.path(export)
+        if form is None or not scene.people:
+            return False
+        if not form.fits(scene):
+            message = (
+                f"{path.name} is left out: with {len(scene.people)} people it would be larger than its format allows."
+            )
+            self.too_large.append({"code": TAKE_TOO_LARGE, "message": message})
+            return False
+        with replacing(path, form.encode(scene, preset)) as part:
+            for number, (person, on_person) in enumerate(
+                zip(scene.people, split(on_share, [1] * len(scene.people)), strict=True)
+            ):
+                expected_m = partial(_skeleton_m, person.motion)
+                read_m = form.read_xyz_m(part, preset, number)
+                distance_mm = furthest_mm(path, scene.frames, expected_m, read_m, on_person)
+                if distance_mm is not None:
+                    self.distances_mm[export] = max(self.distances_mm.get(export, 0.0), distance_mm)
+        return True
+
+
+def _skeleton_m(motion: SkeletonMotion, frames: range) -> Float[np.ndarray, "frames joints 3"]:
+    """World positions (metres) of the skeleton's joints in some frames, of the nearest pose where there is none."""
+    root_m, turns = (held(values, motion.frames, frames) for values in (motion.root_m, motion.parent_from_joint))
+    return forward_kinematics(replace(motion, root_m=root_m, parent_from_joint=turns))
 
 
 def _at_rate(reconstruction: Reconstruction, frame_rate_hz: float | None) -> Reconstruction:
@@ -231,9 +296,13 @@ def _require_equal(part: Path, path: Path, pieces: Iterable[bytes]) -> None:
             raise spoilt(path)
 
 
-def _found_in(of_people: Mapping[int, KeptFile]) -> dict[str, Any]:
-    """Entry of ``metrics.json`` about the files of a format, by the number of the person's track."""
-    distances_mm = [file.distance_mm for file in of_people.values() if file.distance_mm is not None]
+def _found_in(of_people: Mapping[int, KeptFile], of_take_mm: float | None) -> dict[str, Any]:
+    """Entry of ``metrics.json`` about the files of a format, by the number of the person's track.
+
+    ``of_take_mm`` is the largest distance in the file of the take; ``None``: there is no such file.
+    """
+    found_mm = [*(file.distance_mm for file in of_people.values()), of_take_mm]
+    distances_mm = [distance_mm for distance_mm in found_mm if distance_mm is not None]
     entry: dict[str, Any] = {"max_distance_mm": round(max(distances_mm), _DECIMALS_MM) if distances_mm else None}
     between = [(file.between, track_id) for track_id, file in of_people.items() if file.between is not None]
     if between:

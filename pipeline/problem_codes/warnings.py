@@ -25,6 +25,12 @@ EVERYBODY_REMOVED = WARNINGS.code(
     "Edits removed everybody who was found.",
     "Undo an edit: `PATCH /v1/jobs/{id}/people` with the list without it.",
 )
+TAKE_TOO_LARGE = WARNINGS.code(
+    "take_too_large",
+    _WARNING,
+    "A file with the whole take would be larger than its format allows; the files of the people are there.",
+    "Ask for fewer frames by `frame_range`, or for a lower `output_rate_hz`.",
+)
 TOO_FEW_CAMERAS = WARNINGS.code(
     "too_few_cameras", ("422", *_ERROR), "The session has fewer than three cameras.", "Add a camera."
 )

@@ -41,10 +41,14 @@ def export(task: Task, context: Context) -> Output:
 
 
 def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
-    """Result file by its path; ``names`` are those of people, by their numbers in names of files."""
+    """Result file by its path; ``names`` are those of people, by their numbers in names of files.
+
+    A file of a format that is no person's is of the whole take.
+    """
     for name, file_format in FILE_FORMATS.items():
         if path.suffix == f".{name}":
-            return ResultFile(path.name, name, path.stem, file_format.media_type, path, names[path.stem])
+            person = path.stem if path.stem in names else None
+            return ResultFile(path.name, name, person, file_format.media_type, path, names.get(path.stem))
     return ResultFile(path.name, path.stem, None, "application/json", path)
 
 

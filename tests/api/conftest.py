@@ -135,13 +135,19 @@ class Live:
         motion: Mapping[str, bytes] = MappingProxyType({}),
         people: Sequence[PersonSpan] | None = None,
         overlays: Mapping[str, bytes] = MappingProxyType({}),
+        scenes: Mapping[str, bytes] = MappingProxyType({}),
     ) -> None:
-        """Finish a job as a worker would; ``motion`` and ``overlays`` are files for viewers and videos by name."""
+        """Finish a job as a worker would; ``motion``, ``overlays`` and ``scenes`` are other files by name.
+
+        They are files for viewers, videos, and GLB files of everybody.
+        """
         revision = self.services.store.jobs.get(job_id).revision
         result = self._put(job_id, "person-1.bvh", "bvh", content, revision)
         files = [result, *(self._put(job_id, name, "viewer", one, revision) for name, one in motion.items())]
         videos = [self._put(job_id, name, "overlay", one, revision) for name, one in overlays.items()]
         files += [replace(video, media_type="video/mp4") for video in videos]
+        of_all = [self._put(job_id, name, "glb", one, revision) for name, one in scenes.items()]
+        files += [replace(scene, media_type="model/gltf-binary") for scene in of_all]
         while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
             results, said, found = (files, warnings, people) if claim.stage == "export" else ([], (), None)

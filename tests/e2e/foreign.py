@@ -68,6 +68,20 @@ def _animated(read_by_path: Mapping[str, Any]) -> dict[Path, Animated]:
     return found
 
 
+def read_take_with_three(path: Path) -> Any:
+    """GLB of a take, read with ``GLTFLoader``.
+
+    ``names`` of all bones, ``tops``, the names of the nodes at the top above them, ``positions`` (frames, bones, 3),
+    ``times``, ``areas`` (frames, bodies), and by name boxes of ``meshes`` without a skin, and ``cameras``.
+    """
+    return _node("three_reader.mjs", "--areas", path)[str(path)]
+
+
+def read_take_with_blender(path: Path, frame_rate_hz: float, folder: Path) -> Any:
+    """GLB of a take, opened in Blender: ``people``, positions (frames, 3) by bone; ``cameras``; ``floor``."""
+    return _in_blender([(path, frame_rate_hz, {})], folder, None)[str(path)]
+
+
 def validate_with_khronos(paths: Sequence[Path]) -> dict[Path, dict[str, Any]]:
     """Issues that the glTF validator reports for each file."""
     return {Path(path): report["issues"] for path, report in _node("validate_glb.mjs", *paths).items()}
@@ -82,13 +96,6 @@ def read_with_blender(
     files: Sequence[tuple[Path, float, dict[str, object]]], folder: Path, picture: Path | None = None
 ) -> dict[Path, Animated]:
     """Open files with settings of Blender's importer at a frame rate; render the files with bodies."""
-    if not BLENDER.is_file():
-        pytest.skip("Blender is not installed (`make verify-exports` does it)")
-    job, out = folder / "job.json", folder / "found.json"
-    listed = [{"path": str(path), "frame_rate_hz": rate_hz, "import": options} for path, rate_hz, options in files]
-    job.write_text(json.dumps({"files": listed, "out": str(out), "picture": str(picture) if picture else None}))
-    done = subprocess.run([BLENDER, READERS / "blender_reader.py", job], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
     return {
         Path(path): Animated(
             read["frame_rate_hz"],
@@ -96,5 +103,20 @@ def read_with_blender(
             {name: np.array(position) for name, position in read["rest"].items()},
             np.array(read["areas_m2"]),
         )
-        for path, read in json.loads(out.read_text()).items()
+        for path, read in _in_blender(files, folder, picture).items()
     }
+
+
+def _in_blender(
+    files: Sequence[tuple[Path, float, dict[str, object]]], folder: Path, picture: Path | None
+) -> dict[str, Any]:
+    """Output of the program for Blender by path."""
+    if not BLENDER.is_file():
+        pytest.skip("Blender is not installed (`make verify-exports` does it)")
+    job, out = folder / "job.json", folder / "found.json"
+    listed = [{"path": str(path), "frame_rate_hz": rate_hz, "import": options} for path, rate_hz, options in files]
+    job.write_text(json.dumps({"files": listed, "out": str(out), "picture": str(picture) if picture else None}))
+    done = subprocess.run([BLENDER, READERS / "blender_reader.py", job], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(out.read_text())
+    return found

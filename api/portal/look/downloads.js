@@ -16,9 +16,10 @@ const OF_ALL = {
 const ORDER = Object.keys(OF_ALL);
 
 /** What a file is: its format, and the application that it is written for. */
-function wordsOf({ kind, format, preset }, options) {
+function wordsOf({ kind, format, preset, person }, options) {
   const label = (name, value) => options?.choices.find((choice) => choice.name === name)?.values.find((one) => one.name === value)?.label ?? value;
   if (!format) return OF_ALL[kind] ?? kind;
+  if (person === null) return `${label("exports", format)}, in one scene with cameras and floor`;
   return preset && preset !== "default" ? `${label("exports", format)} for ${label("bvh", preset)}` : label("exports", format);
 }
 

@@ -1,4 +1,6 @@
-"""GLB files (glTF 2.0, binary): the skeleton with a body mesh, and the motion as an animation.
+"""GLB files (glTF 2.0, binary): skeletons with a body mesh, and their motion as an animation.
+
+A file holds a person, or the scene of a take: everybody, the cameras and the floor.
 
 Axes and unit are those of glTF: Y up, facing +Z, metres. The rest pose is a T-pose that stands on the floor at the
 origin. Joints have the skeleton's names, ends of bones included. The animation begins at 0 s with the first frame of
@@ -9,10 +11,12 @@ single precision: if the world's origin is far away, ``extras`` also contain the
 ``origin_m``, that positions are relative to.
 """
 
+import errno
 import json
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from math import tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,8 +26,9 @@ from jaxtyping import Bool, Float, Shaped
 from scipy.spatial.transform import Rotation
 
 from pipeline.data.animation import SkeletonMotion
-from pipeline.export.colors import color_rgb
+from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import GLTF
+from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import BodyMesh, body_at_rest
@@ -39,8 +44,16 @@ _NUM_COMPONENTS = {gltf.SCALAR: 1, gltf.VEC3: 3, gltf.VEC4: 4, gltf.MAT4: 16}
 _ALIGNMENT = 4
 _ROOT = 0
 _GAMMA = 2.2
+_FLOOR_RGB: Rgb = (150, 150, 150)
+# Distances between which programs show what a camera sees.
+_NEAR_M, _FAR_M = 0.05, 1000.0
+# Cameras of glTF look along -z, with y up.
+_CV_FROM_GLTF_CAMERA = np.diag([1.0, -1.0, -1.0])
 # Header of a file: magic number, version, length; and of each chunk: length, type.
 _HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_MAX_BYTES = 2**32
+# More than the body of a person and the description of its nodes take.
+_MAX_BODY_BYTES = 2**20
 # Name in the extras of the world position of the file's origin, in metres.
 _ORIGIN = "origin_m"
 # Morph target that shrinks the body of a person who is not there.
@@ -128,7 +141,7 @@ class _Document:
         primitive = _primitive(mesh, self._buffer, len(file.materials))
         shape = gltf.Mesh(name="body", primitives=[primitive])
         file.meshes.append(shape)
-        file.materials.append(_material(motion.track_id))
+        file.materials.append(_material("body", color_rgb(motion.track_id)))
         file.skins.append(_skin(rest_m, self._buffer, first_joint))
         self._animate(motion, first_joint)
         if not is_present.all():
@@ -155,6 +168,46 @@ class _Document:
         for joint in (INDEX[name] for name in children if children[name]):
             output = buffer.add(turns(joint), gltf.VEC4)
             self._channels.append(_Channel(first_joint + joint, gltf.ROTATION, output))
+
+    def add_camera(self, shown: SceneCamera) -> None:
+        """Add a camera, with the lens as extras."""
+        file, place = self._file, shown.world_from_cam
+        across_rad, upright_rad = shown.fov_rad
+        lens = gltf.Perspective(
+            aspectRatio=tan(across_rad / 2) / tan(upright_rad / 2), yfov=upright_rad, znear=_NEAR_M, zfar=_FAR_M
+        )
+        name = shown.camera.name
+        turn = Rotation.from_matrix(GLTF.file_from_world @ place.rotation @ _CV_FROM_GLTF_CAMERA)
+        file.scenes[0].nodes.append(len(file.nodes))
+        file.nodes.append(
+            gltf.Node(
+                name=name,
+                camera=len(file.cameras),
+                translation=GLTF.file_from_xyz_m(place.translation_m - self._origin_m).tolist(),
+                rotation=turn.as_quat().tolist(),
+            )
+        )
+        file.cameras.append(gltf.Camera(name=name, type="perspective", perspective=lens, extras=shown.facts))
+
+    def add_floor(self, corners_m: Float[np.ndarray, "4 3"]) -> None:
+        """Add the floor, a quadrilateral with its corners counterclockwise from above."""
+        file, buffer = self._file, self._buffer
+        corners = GLTF.file_from_xyz_m(corners_m - self._origin_m)
+        up = np.cross(corners[1] - corners[0], corners[3] - corners[0])
+        primitive = gltf.Primitive(
+            attributes=gltf.Attributes(
+                POSITION=buffer.add(corners, gltf.VEC3, target=gltf.ARRAY_BUFFER),
+                NORMAL=buffer.add(np.tile(up / np.linalg.norm(up), (4, 1)), gltf.VEC3, target=gltf.ARRAY_BUFFER),
+            ),
+            indices=buffer.add(
+                np.array([0, 1, 2, 0, 2, 3]), gltf.SCALAR, gltf.UNSIGNED_SHORT, gltf.ELEMENT_ARRAY_BUFFER
+            ),
+            material=len(file.materials),
+        )
+        file.scenes[0].nodes.append(len(file.nodes))
+        file.nodes.append(gltf.Node(name=FLOOR, mesh=len(file.meshes)))
+        file.meshes.append(gltf.Mesh(name=FLOOR, primitives=[primitive]))
+        file.materials.append(_material(FLOOR, _FLOOR_RGB))
 
     def encode(self, name: str) -> Iterator[bytes]:
         """Yield the bytes of the file, piece by piece; ``name`` is that of the animation."""
@@ -215,6 +268,23 @@ def encode(
     yield from document.encode(motion.name)
 
 
+def fits(scene: TakeScene) -> bool:
+    """Whether the scene of a take is small enough for a file: it states its size in 32 bits."""
+    keys = (len(scene.frames) * (4 * len(person.motion.bone_length_m) + 4) for person in scene.people)
+    return sum(keys) * _COMPONENTS[gltf.FLOAT].itemsize + len(scene.people) * _MAX_BODY_BYTES < _MAX_BYTES
+
+
+def encode_take(scene: TakeScene) -> Iterator[bytes]:
+    """Write the scene of a take as GLB, piece by piece. Equal scenes give equal bytes."""
+    document = _Document(scene.origin_m, scene.frames, scene.frame_rate_hz)
+    for person in scene.people:
+        document.add_person(person.motion, person.is_present)
+    for camera in scene.cameras:
+        document.add_camera(camera)
+    document.add_floor(scene.floor_m)
+    yield from document.encode("take")
+
+
 def _joint_nodes(offsets_m: Float[np.ndarray, "joints 3"], first_joint: int) -> list[gltf.Node]:
     children = children_of(len(offsets_m))
     return [
@@ -242,13 +312,13 @@ def _primitive(mesh: BodyMesh, buffer: _Buffer, material: int) -> gltf.Primitive
     )
 
 
-def _material(track_id: int) -> gltf.Material:
-    """Matt material in the person's colour."""
-    linear = (np.array(color_rgb(track_id)) / 255.0) ** _GAMMA
+def _material(name: str, rgb: Rgb) -> gltf.Material:
+    """Matt material in a colour."""
+    linear = (np.array(rgb) / 255.0) ** _GAMMA
     surface = gltf.PbrMetallicRoughness(
         baseColorFactor=[*np.round(linear, 4).tolist(), 1.0], metallicFactor=0.0, roughnessFactor=0.8
     )
-    return gltf.Material(name="body", pbrMetallicRoughness=surface)
+    return gltf.Material(name=name, pbrMetallicRoughness=surface)
 
 
 def _skin(rest_m: Float[np.ndarray, "joints 3"], buffer: _Buffer, first_joint: int) -> gltf.Skin:
@@ -282,14 +352,18 @@ class _Reader:
         row_bytes = columns * kind.itemsize
         self._file.seek(self._start + start + rows.start * row_bytes)
         content = self._file.read((rows.stop - rows.start) * row_bytes)
+        if len(content) < (rows.stop - rows.start) * row_bytes:
+            raise OSError(errno.EIO, f"{Path(self._file.name).name} is cut off")
         return np.frombuffer(content, kind).reshape(-1, columns).astype(np.float64)
 
 
-def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """Read world positions (metres) of the skeleton's joints from a file of ``encode``, block by block."""
+def read_xyz_m(path: Path, person: int = 0) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """Read world positions (metres) of a skeleton's joints from a file, block by block.
+
+    ``person`` is the person's place among those of a scene; a file of one person has one.
+    """
     with path.open("rb") as file:
-        reader = _Reader(file)
-        yield from _positions_m(reader, 0)
+        yield from _positions_m(_Reader(file), person)
 
 
 def _positions_m(reader: _Reader, skin: int) -> Iterator[Float[np.ndarray, "_ joints 3"]]:

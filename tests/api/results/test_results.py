@@ -158,6 +158,18 @@ def test_videos_are_in_a_folder_of_the_archive_as_they_are(live: Live) -> None:
     assert (packed.compress_type, packed.file_size) == (zipfile.ZIP_STORED, 1000)
 
 
+def test_a_file_of_everybody_is_no_person_s(live: Live) -> None:
+    job_id = live.job_id()
+    live.finish(job_id, scenes={"take.glb": b"glTF"})
+    (listed,) = (
+        one for one in live.client.get(f"/v1/jobs/{job_id}/results").json()["results"] if one["name"] == "take.glb"
+    )
+    assert (listed["kind"], listed["format"], listed["person"], listed["preset"]) == ("glb", "glb", None, None)
+    assert live.client.get(listed["link"]).headers["content-type"] == "model/gltf-binary"
+    with zipfile.ZipFile(io.BytesIO(live.client.get(f"/v1/jobs/{job_id}/results.zip").content)) as archive:
+        assert archive.read(listed["download_name"]) == b"glTF"
+
+
 @pytest.mark.parametrize(
     ("name", "kept"),
     [("take", "take"), ('Größe "2"; 撮影 / ..\\a', "größe-2-撮影-a"), ("a" * 150, "a" * 120), ("?", "take")],

@@ -56,18 +56,31 @@ def read(file: Mapping[str, Any]) -> dict[str, Any]:
     step = scene.render.fps_base if file["path"].endswith(".fbx") else 1.0
     frames = [first + number * step for number in range(round((last - first) / step) + 1)]
     rest = {bone.name: list(armature.matrix_world @ bone.head_local) for bone in armature.data.bones}
-    positions: dict[str, list[list[float]]] = {bone.name: [] for bone in armature.pose.bones}
+    armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+    people: dict[str, dict[str, list[list[float]]]] = {
+        one.name: {bone.name: [] for bone in one.pose.bones} for one in armatures
+    }
     bodies = [body for body in armature.children if body.type == "MESH"]
     areas_m2 = []
     for frame in frames:
         scene.frame_set(math.floor(frame), subframe=frame - math.floor(frame))
         areas_m2.append([area_m2(body) for body in bodies])
-        for bone in armature.pose.bones:
-            positions[bone.name].append(list(armature.matrix_world @ bone.head))
+        for one in armatures:
+            for bone in one.pose.bones:
+                people[one.name][bone.name].append(list(one.matrix_world @ bone.head))
+    cameras = {
+        thing.name: {"angle_y": thing.data.angle_y, "matrix": [list(row) for row in thing.matrix_world]}
+        for thing in bpy.data.objects
+        if thing.type == "CAMERA"
+    }
+    floor = bpy.data.objects.get("floor")
     return {
+        "people": people,
+        "cameras": cameras,
+        "floor": floor and [list(floor.matrix_world @ vertex.co) for vertex in floor.data.vertices],
         "frame_rate_hz": scene.render.fps / scene.render.fps_base,
         "rest": rest,
-        "positions": positions,
+        "positions": people[armature.name],
         "areas_m2": areas_m2,
     }
 

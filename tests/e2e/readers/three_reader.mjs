@@ -1,7 +1,8 @@
 // World positions of all bones in every frame of BVH, GLB and FBX files, as three.js finds them: JSON on stdout.
-// After the argument --areas also the area of each body as it is drawn, in every frame.
+// After the argument --areas also the area of each body as it is drawn, in every frame. Of scenes also the nodes at the top
+// above bones, boxes of meshes without a skin, and cameras.
 import { readFileSync } from "node:fs";
-import { AnimationMixer, LoopOnce, Triangle, Vector3 } from "three";
+import { AnimationMixer, Box3, LoopOnce, Triangle, Vector3 } from "three";
 import { BVHLoader } from "three/examples/jsm/loaders/BVHLoader.js";
 import { FBXLoader } from "three/examples/jsm/loaders/FBXLoader.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
@@ -50,7 +51,13 @@ for (const path of process.argv.slice(2).filter((argument) => argument !== "--ar
     if (withAreas) areas.push(skinned.map(areaOf));
     return bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray());
   });
-  read[path] = { names: bones.map((bone) => bone.userData.originalName ?? bone.userData.name ?? bone.name), times, positions, areas };
+  const topOf = (node) => (node.parent === scene || !node.parent ? node : topOf(node.parent));
+  const meshes = {}, cameras = {};
+  scene?.traverse((node) => {
+    if (node.isCamera) cameras[node.userData.name ?? node.name] = { fov: node.fov, aspect: node.aspect, matrix: node.matrixWorld.toArray(), facts: node.userData };
+    else if (node.isMesh && !node.isSkinnedMesh) meshes[node.name] = new Box3().setFromObject(node);
+  });
+  read[path] = { names: bones.map((bone) => bone.userData.originalName ?? bone.userData.name ?? bone.name), times, positions, areas, tops: bones.map((bone) => topOf(bone).userData.name ?? topOf(bone).name), meshes, cameras };
   if (scene) {
     // Of the last frame: the lowest and highest point of the body as it is drawn.
     const heights = skinned.flatMap((mesh) => {

@@ -130,4 +130,4 @@ def test_a_single_frame_keeps_its_rotations() -> None:
 
 def test_all_formats_hold_it(take: Reconstruction, tmp_path: Path) -> None:
     # Each file is read back and compared as it is written.
-    assert len(write_results(take, tmp_path, ("bvh", "glb", "trc", "c3d", "csv"), frame_rate_hz=48.0)) == 17
+    assert len(write_results(take, tmp_path, ("bvh", "glb", "trc", "c3d", "csv"), frame_rate_hz=48.0)) == 18

@@ -17,6 +17,7 @@ from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError
+from pipeline.export.formats import FORMATS
 from pipeline.export.results import write_files, write_results
 from pipeline.export.writers import c3d_file, csv_table, fbx_nodes, trc
 from pipeline.export.writers.fbx_stored import StoredScene, numbers
@@ -29,6 +30,8 @@ from tests.pipeline.quality.test_report import CAMERAS, observe
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 EXPORTS = tuple(FILE_FORMATS)
+# Files with a whole take.
+OF_TAKE = {f"take.{name}" for name, form in FORMATS.items() if form.of_take}
 CSV: tuple[Export, ...] = ("csv",)
 LEGS = [index for index, name in enumerate(COCO_17.names) if name.endswith(("knee", "ankle"))]
 
@@ -52,7 +55,7 @@ def test_every_file_reports_progress(tmp_path: Path) -> None:
     done: list[float] = []
     write_files(take(*people), tmp_path, EXPORTS, on_share=shares.append, on_file=lambda _: done.append(shares[-1]))
     assert shares == sorted(shares)
-    assert len(set(done)) == len(done) == 2 + 2 * len(EXPORTS)
+    assert len(set(done)) == len(done) == 2 + len(OF_TAKE) + 2 * len(EXPORTS)
     assert done[-1] == 1.0
 
 
@@ -75,6 +78,7 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
         "skeletons.json",
         "metrics.json",
         *(f"person-1.{export}" for export in EXPORTS),
+        *OF_TAKE,
     }
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in paths}
     assert paths[-1].name == "metrics.json"

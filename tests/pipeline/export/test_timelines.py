@@ -57,8 +57,12 @@ def of_take(two_people: Reconstruction, tmp_path_factory: pytest.TempPathFactory
 
 def nearest_m(made: Reconstruction) -> Mapping[str, np.ndarray]:
     """World positions of the skeletons' joints in all frames of the take: the nearest pose where there is none."""
-    rows = {name: np.clip(np.arange(NUM_FRAMES) - own.start, 0, len(own) - 1) for name, own in OF_PERSON.items()}
-    return {motion.name: forward_kinematics(motion)[rows[motion.name]] for motion in made.motions}
+    found = {}
+    for motion in made.motions:
+        own = OF_PERSON[f"person-{motion.track_id}"]
+        rows = np.clip(np.arange(NUM_FRAMES) - own.start, 0, len(own) - 1)
+        found[motion.name] = forward_kinematics(motion)[rows]
+    return found
 
 
 def joints_m(made: Reconstruction) -> Mapping[str, np.ndarray]:

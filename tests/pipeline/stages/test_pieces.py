@@ -121,7 +121,8 @@ def test_files_are_written_once_and_renamed_people_anew(
         monkeypatch.setattr(format_, "encode", partial(noted, format_.encode))
     assert files(renamed, tmp_path / "kept", pieces) == fresh
     assert written == ["Zoë", "Zoë"]
-    assert {name for name in fresh if fresh[name] != first[name]} == {"skeletons.json", "person-2.fbx", "person-2.glb"}
+    changed = {name for name in fresh if fresh[name] != first[name]}
+    assert changed == {"skeletons.json", "person-2.fbx", "person-2.glb", "take.glb"}
 
 
 def test_a_name_changes_no_report_and_no_motion_for_viewers(

@@ -1,0 +1,106 @@
+"""Scene of a take, for files that hold everybody: people with their presence, cameras, and the floor.
+
+Places are in world coordinates, metres; each format turns and scales them to its own axes and unit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import atan
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.data.animation import Floor, SkeletonMotion
+from pipeline.data.cameras import Camera
+from pipeline.data.people import Track3D
+from pipeline.data.reconstruction import Reconstruction
+from pipeline.data.rigid import Rigid3
+from pipeline.export.origin import file_origin_m
+from pipeline.export.timelines import presence
+
+FLOOR = "floor"
+"""Name of the floor in a scene."""
+
+# Distance from the paths of people's hips to the edge of the floor.
+_MARGIN_M = 1.0
+_LEVEL = Floor(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScenePerson:
+    """Person of a scene; before and after the motion's own frames the nearest pose holds."""
+
+    motion: SkeletonMotion
+    track: Track3D  # Joints of the person in the same frames
+    frames: range  # Output frames of the scene
+
+    @property
+    def is_present(self) -> Bool[np.ndarray, " frames"]:
+        """Frames of the scene in which the person is there."""
+        return presence(self.track, self.frames)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneCamera:
+    """Camera of a scene: a pinhole in the middle of its picture, without distortion, as scenes have it."""
+
+    camera: Camera
+
+    @property
+    def world_from_cam(self) -> Rigid3:
+        """Place and orientation of the camera: x right, y down, z forward."""
+        return self.camera.cam_from_world.inverse()
+
+    @property
+    def fov_rad(self) -> tuple[float, float]:
+        """Angles of view across and upright, of a picture of the camera's size with its focal lengths."""
+        (width, height), matrix = self.camera.size_px, self.camera.matrix
+        return 2 * atan(width / (2 * matrix[0, 0])), 2 * atan(height / (2 * matrix[1, 1]))
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """Properties that a scene's camera can't have, as JSON: the calibration of the lens."""
+        camera = self.camera
+        return {
+            "size_px": list(camera.size_px),
+            "focal_length_px": camera.matrix[[0, 1], [0, 1]].tolist(),
+            "principal_point_px": camera.matrix[:2, 2].tolist(),
+            "lens": camera.lens,
+            "distortion": camera.distortion.tolist(),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakeScene:
+    """Scene of a take."""
+
+    people: tuple[ScenePerson, ...]
+    cameras: tuple[SceneCamera, ...]
+    floor_m: Float[np.ndarray, "4 3"]  # Corners of the floor, counterclockwise from above
+    frames: range  # Output frames of the take
+    frame_rate_hz: float
+    origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
+
+
+def scene_of(take: Reconstruction) -> TakeScene:
+    """Scene of a take with its people, in its order, its cameras and the floor under the people."""
+    frames = range(take.timebase.num_frames)
+    return TakeScene(
+        people=tuple(
+            ScenePerson(motion, track, frames) for motion, track in zip(take.motions, take.tracks, strict=True)
+        ),
+        cameras=tuple(map(SceneCamera, take.cameras)),
+        floor_m=_corners_m(take.animation.floor or _LEVEL, take.motions),
+        frames=frames,
+        frame_rate_hz=take.timebase.frame_rate_hz,
+        origin_m=file_origin_m(take.cameras),
+    )
+
+
+def _corners_m(floor: Floor, motions: Sequence[SkeletonMotion]) -> Float[np.ndarray, "4 3"]:
+    """Corners of the part of the floor on which people were; around the world's origin without people."""
+    low_m = np.min([motion.root_m[:, :2].min(0) for motion in motions] or [np.zeros(2)], axis=0) - _MARGIN_M
+    high_m = np.max([motion.root_m[:, :2].max(0) for motion in motions] or [np.zeros(2)], axis=0) + _MARGIN_M
+    flat_m = np.array([(low_m[0], low_m[1]), (high_m[0], low_m[1]), (high_m[0], high_m[1]), (low_m[0], high_m[1])])
+    heights_m = -floor.height_m(np.column_stack([flat_m, np.zeros(4)]))
+    return np.column_stack([flat_m, heights_m])

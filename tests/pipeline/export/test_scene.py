@@ -1,0 +1,216 @@
+"""Files with a whole take: people in step, cameras and floor, read by independent software."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.config import Export
+from pipeline.data.animation import Floor
+from pipeline.data.reconstruction import Reconstruction
+from pipeline.data.rigid import Rigid3
+from pipeline.export.results import write_files, write_results
+from pipeline.export.scene import TakeScene, scene_of
+from pipeline.export.writers import glb
+from pipeline.geometry.camera import center_in_world
+from pipeline.skeleton.model import INDEX, SKELETON
+from tests.e2e.foreign import read_take_with_blender, read_take_with_three, validate_with_khronos
+from tests.pipeline.export.test_timelines import (
+    NUM_FRAMES,
+    RATE_HZ,
+    joints_m,
+    nearest_m,
+    two_people,
+    y_up,
+)
+
+GLB: tuple[Export, ...] = ("glb",)
+__all__ = ["two_people"]
+
+
+@pytest.fixture(scope="module")
+def named(two_people: Reconstruction) -> Reconstruction:
+    """The take with a floor that rises along x, a person with a name, and a fisheye camera with its axis aside."""
+    first, second = two_people.motions
+    camera, *others = two_people.cameras
+    matrix = np.array([[900.0, 0.0, 700.0], [0.0, 950.0, 300.0], [0.0, 0.0, 1.0]])
+    fisheye = replace(camera, name="Süd 1", matrix=matrix, lens="fisheye", distortion=np.array([0.1, 0.0, 0.0, 0.0]))
+    animation = replace(
+        two_people.animation, motions=(first, replace(second, name="Zoë K.")), floor=Floor(0.1, 0.05, 0.0)
+    )
+    return replace(two_people, animation=animation, cameras=(fisheye, *others))
+
+
+@pytest.fixture(scope="module")
+def path(named: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    paths = write_results(named, tmp_path_factory.mktemp("scene"), GLB)
+    assert [path.name for path in paths] == [
+        "person-1.glb",
+        "person-2.glb",
+        "skeletons.json",
+        "take.glb",
+        "metrics.json",
+    ]
+    return paths[3]
+
+
+NAMES = {"person-1": "person-1", "Zoë K.": "person-2"}
+
+
+def test_a_take_in_three(named: Reconstruction, path: Path) -> None:
+    issues = validate_with_khronos([path])[path]
+    assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
+    read = read_take_with_three(path)
+    np.testing.assert_allclose(read["times"], np.arange(NUM_FRAMES) / RATE_HZ, atol=1e-6)
+    positions_m = np.array(read["positions"])
+    assert len(read["names"]) == 2 * len(SKELETON)
+    areas_m2 = np.array(read["areas"])
+    for column, (name, numbered) in enumerate(NAMES.items()):
+        expected_m = y_up(nearest_m(named)[name])
+        for joint in SKELETON:
+            (place,) = (
+                place
+                for place, found in enumerate(zip(read["tops"], read["names"], strict=True))
+                if found == (name, joint.name)
+            )
+            np.testing.assert_allclose(positions_m[:, place], expected_m[:, INDEX[joint.name]], atol=1e-4)
+        is_there = np.isfinite(joints_m(named)[numbered]).any((1, 2))
+        assert (areas_m2[is_there, column] > 1.0).all()
+        assert (areas_m2[~is_there, column] < 1e-6).all()
+
+
+def test_cameras_in_three(named: Reconstruction, path: Path) -> None:
+    found = read_take_with_three(path)["cameras"]
+    assert list(found) == [camera.name for camera in named.cameras]
+    for camera in named.cameras:
+        read = found[camera.name]
+        (width, height), (f_x, f_y) = camera.size_px, np.diag(camera.matrix)[:2]
+        assert read["fov"] == pytest.approx(2 * np.degrees(np.arctan(height / 2 / f_y)), abs=1e-4)
+        assert read["aspect"] == pytest.approx((width / f_x) / (height / f_y), rel=1e-6)
+        matrix = np.array(read["matrix"]).reshape(4, 4).T
+        np.testing.assert_allclose(matrix[:3, 3], y_up(center_in_world(camera)), atol=1e-6)
+        right, down, forward = camera.cam_from_world.rotation
+        np.testing.assert_allclose(matrix[:3, :3].T, [y_up(right), -y_up(down), -y_up(forward)], atol=1e-6)
+    facts = stored(path)["cameras"][0]["extras"]
+    assert facts == {
+        "size_px": list(named.cameras[0].size_px),
+        "focal_length_px": [900.0, 950.0],
+        "principal_point_px": [700.0, 300.0],
+        "lens": "fisheye",
+        "distortion": [0.1, 0.0, 0.0, 0.0],
+    }
+
+
+def stored(path: Path) -> dict[str, list[dict[str, object]]]:
+    """Description of a file."""
+    content = path.read_bytes()
+    described: dict[str, list[dict[str, object]]] = json.loads(
+        content[20 : 20 + int.from_bytes(content[12:16], "little")]
+    )
+    return described
+
+
+def test_the_floor_is_where_people_stand(named: Reconstruction, path: Path) -> None:
+    box = read_take_with_three(path)["meshes"]["floor"]
+    (low_x, low_y, low_z), (high_x, high_y, high_z) = box["min"], box["max"]
+    roots_m = np.concatenate([motion.root_m for motion in named.motions])
+    np.testing.assert_allclose([low_x, high_x], [roots_m[:, 0].min() - 1.0, roots_m[:, 0].max() + 1.0], atol=1e-5)
+    np.testing.assert_allclose([-high_z, -low_z], [roots_m[:, 1].min() - 1.0, roots_m[:, 1].max() + 1.0], atol=1e-5)
+    np.testing.assert_allclose([low_y, high_y], [0.1 + 0.05 * low_x, 0.1 + 0.05 * high_x], atol=1e-5)
+    level = scene_of(replace(named, animation=replace(named.animation, floor=None)))
+    np.testing.assert_array_equal(level.floor_m[:, 2], 0.0)
+
+
+@pytest.mark.blender
+def test_a_take_in_blender(named: Reconstruction, path: Path, tmp_path: Path) -> None:
+    read = read_take_with_blender(path, RATE_HZ, tmp_path)
+    assert set(read["people"]) == set(NAMES)
+    for name in NAMES:
+        expected_m = nearest_m(named)[name]
+        for joint in SKELETON:
+            found_m = np.array(read["people"][name][joint.name])
+            np.testing.assert_allclose(found_m, expected_m[:, INDEX[joint.name]], atol=1e-4)
+    assert set(read["cameras"]) == {camera.name for camera in named.cameras}
+    for camera in named.cameras:
+        matrix = np.array(read["cameras"][camera.name]["matrix"])
+        np.testing.assert_allclose(matrix[:3, 3], center_in_world(camera), atol=1e-5)
+        np.testing.assert_allclose(-matrix[:3, 2], camera.cam_from_world.rotation[2], atol=1e-5)
+        upright_rad = 2 * np.arctan(camera.size_px[1] / 2 / camera.matrix[1, 1])
+        assert read["cameras"][camera.name]["angle_y"] == pytest.approx(upright_rad, abs=1e-4)
+    floor_m = np.array(read["floor"])
+    np.testing.assert_allclose(floor_m[:, 2], 0.1 + 0.05 * floor_m[:, 0], atol=1e-5)
+
+
+def test_our_reader_finds_each_person(named: Reconstruction, path: Path) -> None:
+    for number, name in enumerate(NAMES):
+        found_m = np.concatenate(list(glb.read_xyz_m(path, number)))
+        np.testing.assert_allclose(found_m, nearest_m(named)[name], atol=1e-5)
+
+
+def test_a_take_has_its_frames_whatever_the_timeline_of_people(
+    named: Reconstruction, path: Path, tmp_path: Path
+) -> None:
+    write_results(named, tmp_path, GLB, timeline="person")
+    assert (tmp_path / "take.glb").read_bytes() == path.read_bytes()
+
+
+def test_a_person_is_the_same_in_both_files(named: Reconstruction, path: Path) -> None:
+    """Nodes, body and animation of the first person are those of the person's own file."""
+    alone, together = stored(path.with_name("person-1.glb")), stored(path)
+    num_nodes = len(alone["nodes"])
+    assert together["nodes"][:num_nodes] == alone["nodes"]
+    assert together["accessors"][: len(alone["accessors"])] == alone["accessors"]
+    assert together["meshes"][0] == alone["meshes"][0]
+
+
+def test_survey_coordinates_have_the_origin_of_the_people_s_files(named: Reconstruction, tmp_path: Path) -> None:
+    away_m = np.array([500_123.4, 5_412_345.6, 312.7])
+    cameras = tuple(
+        replace(camera, cam_from_world=camera.cam_from_world @ Rigid3(np.eye(3), -away_m)) for camera in named.cameras
+    )
+    motions = tuple(replace(motion, root_m=motion.root_m + away_m) for motion in named.motions)
+    moved = replace(named, cameras=cameras, animation=replace(named.animation, motions=motions))
+    write_files(moved, tmp_path, GLB, report=lambda _: {})
+    check = json.loads((tmp_path / "metrics.json").read_bytes())["exports"]["glb"]
+    assert check["max_distance_mm"] < 0.1
+    (animation,) = stored(tmp_path / "take.glb")["animations"]
+    assert animation["extras"] == {
+        "start_frame": 0,
+        "frame_rate_hz": RATE_HZ,
+        "origin_m": check["origin_m"],
+    }
+    for node, camera in zip(
+        (node for node in stored(tmp_path / "take.glb")["nodes"] if "camera" in node), cameras, strict=True
+    ):
+        expected_m = y_up(center_in_world(camera) - np.array(check["origin_m"]))
+        np.testing.assert_allclose(np.array(node["translation"]), expected_m, atol=1e-6)
+
+
+def test_a_take_that_is_too_large_is_left_out_with_a_warning(
+    named: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert glb.fits(scene_of(named))
+    assert not glb.fits(replace(scene_of(named), frames=range(6_000_000)))
+    monkeypatch.setattr(glb, "_MAX_BYTES", 2**20)
+    paths = write_results(named, tmp_path, GLB)
+    assert "take.glb" not in {path.name for path in paths}
+    checks = json.loads((tmp_path / "metrics.json").read_bytes())["capture_checks"]
+    assert [check["code"] for check in checks if check["code"] == "take_too_large"] == ["take_too_large"]
+
+
+def test_a_take_whose_file_is_cut_off_is_no_result(
+    named: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encode = glb.encode_take
+
+    def cut(scene: TakeScene) -> Iterator[bytes]:
+        content = b"".join(encode(scene))
+        yield content[: len(content) * 2 // 3]
+
+    monkeypatch.setattr(glb, "encode_take", cut)
+    with pytest.raises(OSError, match=r"take\.glb"):
+        write_files(named, tmp_path, GLB)
+    assert not (tmp_path / "take.glb").exists()
