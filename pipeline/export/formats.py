@@ -84,11 +84,12 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
             ),
         ),
         "fbx": Format(
-            lambda person: fbx.encode(person.motion, person.preset, person.origin_m, person.frames),
+            lambda person: fbx.encode(person.motion, person.preset, person.origin_m, person.frames, person.is_present),
             fbx.read_xyz_m,
             lambda person: rotation_orders(person.motion, fbx.convention_of_fbx(person.preset)).between,
             holds_name=True,
             has_origin=True,
+            of_take=TakeFormat(fbx.encode_take, fbx.read_xyz_m, lambda _: True),
         ),
         "trc": Format(
             lambda person: trc.encode(person.track, person.joints, person.timebase, person.file_name, person.frames),

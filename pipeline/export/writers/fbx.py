@@ -1,4 +1,6 @@
-"""FBX files (binary, 7.4): the skeleton with a body as its skin, and the motion as an animation.
+"""FBX files (binary, 7.4): skeletons with a body as their skin, and their motion as an animation.
+
+A file holds a person, or the scene of a take: everybody, the cameras and the floor.
 
 A preset defines the names and the rest pose. Axes are those of Maya: Y up, facing +Z, right-handed; the unit is a
 centimetre, and a metre for Blender. The rest pose, which is the bind pose of the skin too, stands on the floor at the
@@ -6,28 +8,32 @@ origin. Models are the joints, ends of bones included, below a node with the per
 file's axes at rest.
 
 The animation begins at 0 s with the first frame of the file and has a key in each frame: of the place of the root, and
-of the rotation of each joint with children. Before and after the motion's own frames the nearest pose holds. Numbers
+of the rotation of each joint with children. Before and after the motion's own frames the nearest pose holds; in frames
+in which the person is not there, the body is not visible. Numbers
 have single precision: if the world's origin is far away, the node at the top has the setting ``origin_m``, the world
 position in metres that positions are relative to.
 """
 
+import errno
+import json
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import Preset
 from pipeline.data.animation import SkeletonMotion
-from pipeline.export.colors import color_rgb
+from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import PRESETS, Y_UP_FROM_WORLD, Convention
+from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
-from pipeline.export.writers.body_mesh import BodyAtRest, BodyMesh, body_at_rest
+from pipeline.export.writers.body_mesh import BodyAtRest, body_at_rest
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, array, read, write
 from pipeline.export.writers.fbx_scene import (
@@ -47,6 +53,7 @@ from pipeline.export.writers.fbx_scene import (
     settings,
     ticks,
     vector,
+    visible,
 )
 from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
@@ -57,6 +64,13 @@ _GROUP_BYTES = 2**26
 _BYTES_OF_ANGLES = 12
 _LIMB, _MESH = "LimbNode", "Mesh"
 _REST_TAKE = "T-pose"
+_FLOOR_RGB: Rgb = (150, 150, 150)
+# Distances between which programs show what a camera sees.
+_NEAR_M, _FAR_M = 0.05, 1000.0
+# Film of cameras, whose unit is an inch; the angle of view follows from the focal length.
+_FILM_WIDTH_MM, _MM_PER_INCH, _FOCAL_LENGTH_MODE = 36.0, 25.4, 3
+# Cameras of FBX look along x, with y up.
+_CV_FROM_FBX_CAMERA = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 ORIGIN = "origin_m"
 """Setting of the node at the top: the world position of the file's origin, in metres."""
 
@@ -82,51 +96,94 @@ _CONVENTIONS: Mapping[Preset, Convention] = MappingProxyType(
 
 
 def encode(
-    motion: SkeletonMotion, preset: Preset, origin_m: Float[np.ndarray, " 3"], frames: range | None = None
+    motion: SkeletonMotion,
+    preset: Preset,
+    origin_m: Float[np.ndarray, " 3"],
+    frames: range | None = None,
+    is_present: Bool[np.ndarray, " frames"] | None = None,
 ) -> Iterator[bytes]:
     """Write a motion as FBX, piece by piece. Equal motions give equal bytes.
 
-    ``origin_m`` is the world position of the file's origin. ``frames`` are the output frames of the file, ``None``
-    those of the motion.
+    Parameters
+    ----------
+    origin_m
+        World position of the file's origin.
+    frames
+        Output frames of the file, ``None`` those of the motion.
+    is_present
+        Frames of the file in which the person is there, ``None`` for all of them.
     """
-    convention = convention_of_fbx(preset)
-    scene = Scene(motion.frame_rate_hz, convention.units_per_m)
-    _add_person(scene, motion, convention, origin_m, motion.frames if frames is None else frames)
-    yield from write(scene.nodes)
+    frames = motion.frames if frames is None else frames
+    people = _People(motion.frame_rate_hz, convention_of_fbx(preset), origin_m, frames)
+    name = people.name_of(motion)
+    clip = people.scene.add_clip(name, len(frames))
+    people.add(motion, clip, people.convention.top or name, is_present)
+    people.add_rest_take()
+    yield from write(people.scene.nodes)
 
 
-def _add_person(
-    scene: Scene, motion: SkeletonMotion, convention: Convention, origin_m: Float[np.ndarray, " 3"], frames: range
-) -> None:
-    """Add a person with the body and the motion to a scene."""
-    body = body_at_rest(motion.bone_length_m, convention)
-    orders = rotation_orders(motion, convention).axes
-    joints = skeleton_of(len(body.offsets))
-    name = _name_of_person(motion, {convention.name(joint.name) for joint in joints})
-    top = _add_top(scene, motion, convention, name, origin_m, frames.start)
-    models: list[Int64] = []
-    for joint, parent, offset, axes in zip(joints, parents_of(len(joints)), body.offsets, orders, strict=True):
-        above = models[parent] if models else top
-        models.append(_add_joint(scene, convention.name(joint.name), above, offset, axes))
-    _add_skin(scene, name, motion.track_id, body, {top: np.zeros(3), **dict(zip(models, body.positions, strict=True))})
-    _animate(scene, scene.add_clip(name, len(frames)), models, motion, convention, orders, origin_m, frames)
-    if convention.has_rest_take:
-        _animate_rest(scene, scene.add_clip(_REST_TAKE, 1), models, body)
+def encode_take(scene: TakeScene, preset: Preset) -> Iterator[bytes]:
+    """Write the scene of a take as FBX, piece by piece. Equal scenes give equal bytes."""
+    people = _People(scene.frame_rate_hz, convention_of_fbx(preset), scene.origin_m, scene.frames)
+    clip = people.scene.add_clip("take", len(scene.frames))
+    for person in scene.people:
+        people.add(person.motion, clip, people.name_of(person.motion), person.is_present)
+    people.add_rest_take()
+    for camera in scene.cameras:
+        _add_camera(people.scene, camera, people.convention, scene.origin_m)
+    corners = people.convention.file_from_xyz_m(scene.floor_m - scene.origin_m)
+    up = np.cross(corners[1] - corners[0], corners[3] - corners[0])
+    floor = _add_mesh(people.scene, FLOOR, corners, np.arange(4)[None], np.tile(up / np.linalg.norm(up), (4, 1)))
+    people.scene.connect(_add_material(people.scene, FLOOR, _FLOOR_RGB), floor.model)
+    yield from write(people.scene.nodes)
 
 
-def _name_of_person(motion: SkeletonMotion, names_of_joints: set[str]) -> str:
-    """Name of a person in a file: some programs find models by their names, so that it is never that of a joint."""
-    name = safe_name(motion.name) or f"person-{motion.track_id}"
-    return f"{name} ({motion.track_id})" if name in names_of_joints else name
+class _People:
+    """Scene of a file, to which people are added."""
+
+    def __init__(
+        self, frame_rate_hz: float, convention: Convention, origin_m: Float[np.ndarray, " 3"], frames: range
+    ) -> None:
+        self.scene, self.convention = Scene(frame_rate_hz, convention.units_per_m), convention
+        self._origin_m, self._frames = origin_m, frames
+        self._at_rest: list[tuple[list[Int64], BodyAtRest]] = []
+
+    def name_of(self, motion: SkeletonMotion) -> str:
+        """Name of a person in the file, never that of a joint: some programs find models by their names."""
+        name = safe_name(motion.name) or f"person-{motion.track_id}"
+        is_of_joint = name in {self.convention.name(joint.name) for joint in WHOLE_SKELETON}
+        return f"{name} ({motion.track_id})" if is_of_joint else name
+
+    def add(
+        self, motion: SkeletonMotion, clip: Clip, top_name: str, is_present: Bool[np.ndarray, " frames"] | None
+    ) -> None:
+        """Add a person with the body and the motion, below a node with a name."""
+        scene, convention = self.scene, self.convention
+        body = body_at_rest(motion.bone_length_m, convention)
+        orders = rotation_orders(motion, convention).axes
+        joints = skeleton_of(len(body.offsets))
+        top = _add_top(scene, motion, top_name, self._origin_m, self._frames.start)
+        models: list[Int64] = []
+        for joint, parent, offset, axes in zip(joints, parents_of(len(joints)), body.offsets, orders, strict=True):
+            above = models[parent] if models else top
+            models.append(_add_joint(scene, convention.name(joint.name), above, offset, axes))
+        places = {top: np.zeros(3), **dict(zip(models, body.positions, strict=True))}
+        skin = _add_skin(scene, self.name_of(motion), motion.track_id, body, places)
+        if is_present is not None and not is_present.all():
+            scene.show(clip, skin, is_present)
+        _animate(scene, clip, models, motion, convention, orders, self._origin_m, self._frames)
+        self._at_rest.append((models, body))
+
+    def add_rest_take(self) -> None:
+        """Add the rest pose of everybody as an animation, if software needs it."""
+        if self.convention.has_rest_take:
+            clip = self.scene.add_clip(_REST_TAKE, 1)
+            for models, body in self._at_rest:
+                _animate_rest(self.scene, clip, models, body)
 
 
 def _add_top(
-    scene: Scene,
-    motion: SkeletonMotion,
-    convention: Convention,
-    name: str,
-    origin_m: Float[np.ndarray, " 3"],
-    start_frame: int,
+    scene: Scene, motion: SkeletonMotion, name: str, origin_m: Float[np.ndarray, " 3"], start_frame: int
 ) -> Int64:
     """Add the node above the joints, on the floor."""
     facts = [
@@ -136,7 +193,7 @@ def _add_top(
     ]
     if origin_m.any():
         facts.append(vector(ORIGIN, origin_m, flags="U"))
-    top = scene.add_model(convention.top or name, "Null", SCENE, *facts)
+    top = scene.add_model(name, "Null", SCENE, *facts)
     scene.connect(scene.add("NodeAttribute", name, "NodeAttribute", "Null", Node("TypeFlags", ("Null",))), top)
     return top
 
@@ -150,20 +207,17 @@ def _add_joint(scene: Scene, name: str, parent: Int64, offset: Float[np.ndarray,
 
 
 def _add_skin(
-    scene: Scene,
-    name: str,
-    track_id: int,
-    body: BodyAtRest,
-    models: Mapping[Int64, Float[np.ndarray, " 3"]],
-) -> None:
-    """Add the body of a person; ``models`` are the node at the top and those of the joints, with their places."""
+    scene: Scene, name: str, track_id: int, body: BodyAtRest, models: Mapping[Int64, Float[np.ndarray, " 3"]]
+) -> Int64:
+    """Add the body of a person; ``models`` are the node at the top and those of the joints, with their places.
+
+    Returns the model of the body.
+    """
     mesh, (_, *joints) = body.mesh, models
-    model = scene.add_model(f"{name} body", _MESH, SCENE)
-    geometry = _add_geometry(scene, name, mesh)
-    scene.connect(geometry, model)
-    scene.connect(_add_material(scene, name, track_id), model)
+    drawn = _add_mesh(scene, f"{name} body", mesh.vertices, mesh.triangles, mesh.normals)
+    scene.connect(_add_material(scene, f"{name} body", color_rgb(track_id)), drawn.model)
     skin = scene.add("Deformer", name, "Deformer", "Skin", Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)))
-    scene.connect(skin, geometry)
+    scene.connect(skin, drawn.geometry)
     for index, joint in enumerate(joints):
         (vertices,) = np.nonzero(mesh.joint == index)
         if len(vertices):
@@ -179,8 +233,9 @@ def _add_skin(
             )
             scene.connect(cluster, skin)
             scene.connect(joint, cluster)
-    places = {**models, model: np.zeros(3)}
-    scene.add_bind_pose(name, {number_of_model: _moved(place) for number_of_model, place in places.items()})
+    places = {**models, drawn.model: np.zeros(3)}
+    scene.add_bind_pose(name, {model: _moved(place) for model, place in places.items()})
+    return drawn.model
 
 
 def _moved(place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
@@ -190,18 +245,34 @@ def _moved(place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
     return transform
 
 
-def _add_geometry(scene: Scene, name: str, mesh: BodyMesh) -> Int64:
-    corners = mesh.triangles.copy()
-    corners[:, 2] = ~corners[:, 2]  # The last corner of each polygon is marked so.
-    return scene.add(
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """Ids of a mesh."""
+
+    model: Int64
+    geometry: Int64
+
+
+def _add_mesh(
+    scene: Scene,
+    name: str,
+    vertices: Float[np.ndarray, "vertices 3"],
+    polygons: Int[np.ndarray, "polygons corners"],
+    normals: Float[np.ndarray, "vertices 3"],
+) -> _Drawn:
+    """Add a mesh; ``polygons`` are indices of ``vertices``, counterclockwise from outside."""
+    corners = polygons.copy()
+    corners[:, -1] = ~corners[:, -1]  # The last corner of each polygon is marked so.
+    model = scene.add_model(name, _MESH, SCENE, visible(True))
+    geometry = scene.add(
         *("Geometry", name, "Geometry", _MESH),
         Node("GeometryVersion", (124,)),
-        Node("Vertices", (array("d", mesh.vertices.reshape(-1)),)),
+        Node("Vertices", (array("d", vertices.reshape(-1)),)),
         Node("PolygonVertexIndex", (array("i", corners.reshape(-1)),)),
         _layer_element(
             "LayerElementNormal",
             *(102, "ByPolygonVertex", "Direct"),
-            Node("Normals", (array("d", mesh.normals[mesh.triangles].reshape(-1)),)),
+            Node("Normals", (array("d", normals[polygons].reshape(-1)),)),
         ),
         _layer_element(
             "LayerElementMaterial", *(101, "AllSame", "IndexToDirect"), Node("Materials", (array("i", [0]),))
@@ -218,6 +289,8 @@ def _add_geometry(scene: Scene, name: str, mesh: BodyMesh) -> Int64:
             ),
         ),
     )
+    scene.connect(geometry, model)
+    return _Drawn(model, geometry)
 
 
 def _layer_element(kind: str, version: int, mapping: str, reference: str, *content: Node) -> Node:
@@ -234,16 +307,56 @@ def _layer_element(kind: str, version: int, mapping: str, reference: str, *conte
     )
 
 
-def _add_material(scene: Scene, name: str, track_id: int) -> Int64:
-    """Add a matt material in the person's colour."""
-    color = np.array(color_rgb(track_id)) / 255.0
+def _add_material(scene: Scene, name: str, rgb: Rgb) -> Int64:
+    """Add a matt material of a colour."""
+    color = np.array(rgb) / 255.0
     return scene.add(
-        *("Material", f"{name} body", "Material", ""),
+        *("Material", name, "Material", ""),
         Node("Version", (102,)),
         Node("ShadingModel", ("lambert",)),
         Node("MultiLayer", (0,)),
         settings(vector("DiffuseColor", color, "Color", ""), number("DiffuseFactor", 1.0)),
     )
+
+
+def _add_camera(scene: Scene, shown: SceneCamera, convention: Convention, origin_m: Float[np.ndarray, " 3"]) -> None:
+    """Add a camera: its place, focal length and film, and the calibration of the lens as a text."""
+    name, camera = safe_name(shown.camera.name), shown.camera
+    place = shown.world_from_cam
+    turn = convention.file_from_world @ place.rotation @ _CV_FROM_FBX_CAMERA
+    (((z_deg, y_deg, x_deg),),) = euler_deg(turn[None, None], ROTATION_ORDERS[:1], np.zeros((1, 3)))
+    width, height = camera.size_px
+    focal_length_mm = _FILM_WIDTH_MM * camera.matrix[0, 0] / width
+    film_height_mm = focal_length_mm * height / camera.matrix[1, 1]
+    across_deg, upright_deg = np.degrees(shown.fov_rad)
+    model = scene.add_model(
+        *(name, "Camera", SCENE),
+        local(TRANSLATION, convention.file_from_xyz_m(place.translation_m - origin_m)),
+        local(ROTATION, (x_deg, y_deg, z_deg)),
+        setting("calibration", "KString", "", json.dumps(shown.facts), flags="U"),
+    )
+    lens = scene.add(
+        *("NodeAttribute", name, "NodeAttribute", "Camera"),
+        settings(
+            setting("AspectWidth", "double", "Number", float(width)),
+            setting("AspectHeight", "double", "Number", float(height)),
+            choice("ResolutionMode", 0),
+            choice("ApertureMode", _FOCAL_LENGTH_MODE),
+            choice("GateFit", 0),
+            number("FilmWidth", _FILM_WIDTH_MM / _MM_PER_INCH),
+            number("FilmHeight", film_height_mm / _MM_PER_INCH),
+            number("FilmAspectRatio", _FILM_WIDTH_MM / film_height_mm),
+            number("FocalLength", focal_length_mm),
+            number("FieldOfView", across_deg),
+            number("FieldOfViewX", across_deg),
+            number("FieldOfViewY", upright_deg),
+            number("NearPlane", _NEAR_M * convention.units_per_m),
+            number("FarPlane", _FAR_M * convention.units_per_m),
+        ),
+        Node("TypeFlags", ("Camera",)),
+        Node("GeometryVersion", (124,)),
+    )
+    scene.connect(lens, model)
 
 
 def _animate(
@@ -312,7 +425,11 @@ class _Angles:
             for rows, block_deg in zip(frame_blocks(angles_deg.shape[2]), self._blocks(self._group), strict=True):
                 angles_deg[:, :, rows] = np.moveaxis(block_deg, 0, -1)
             self._angles_deg = angles_deg
-        return self._angles_deg[self._group.index(joint), axis]
+        values: np.ndarray = self._angles_deg[self._group.index(joint), axis]
+        if (joint, axis) == (self._joints[-1], 2):
+            # Of a take, one person's angles are in memory at a time.
+            self._group, self._angles_deg = [], np.empty((0, 3, 0), np.float32)
+        return values
 
     def _blocks(self, joints: list[int]) -> Iterator[Float[np.ndarray, "frames joints 3"]]:
         """Angles of some joints, continuous from block to block."""
@@ -327,16 +444,22 @@ class _Angles:
             yield np.take_along_axis(angles_deg, columns[None], axis=2)
 
 
-def read_xyz_m(path: Path, preset: Preset) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """Read world positions (metres) of the skeleton's joints from a file of ``encode``, block by block.
+def read_xyz_m(path: Path, preset: Preset, person: int = 0) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """Read world positions (metres) of a skeleton's joints from a file, block by block.
+
+    ``person`` is the person's place among those of a take; a file of one person has one.
 
     Raises
     ------
-    FbxError
+    OSError
         If the file is no FBX or is damaged, lacks a joint or a curve, or has keys at other times than its frames.
     """
     convention = convention_of_fbx(preset)
-    skeleton = _StoredSkeleton(StoredScene(read(np.memmap(path, np.uint8, "r").data)), convention)
+    try:
+        stored = StoredScene(read(np.memmap(path, np.uint8, "r").data))
+        skeleton = _StoredSkeleton(stored, person, convention)
+    except FbxError as error:
+        raise OSError(errno.EIO, f"{path.name} is damaged: {error}") from error
     for rows in frame_blocks(skeleton.num_frames):
         turns = np.broadcast_to(np.eye(3), (rows.stop - rows.start, len(skeleton.offsets), 3, 3)).copy()
         for joint, (axes, curves) in skeleton.rotations.items():
@@ -349,18 +472,20 @@ def read_xyz_m(path: Path, preset: Preset) -> Iterator[Float[np.ndarray, "_ join
 class _StoredSkeleton:
     """Skeleton of a file of ``encode``, and its curves."""
 
-    def __init__(self, scene: StoredScene, convention: Convention) -> None:
-        limbs = {name_of(node): number for number, node in scene.of_kind("Model", _LIMB).items()}
+    def __init__(self, scene: StoredScene, person: int, convention: Convention) -> None:
         names = [convention.name(joint.name) for joint in WHOLE_SKELETON]
+        tops = list(scene.of_kind("Model", "Null"))
+        top = tops[person] if person < len(tops) else -1
+        limbs = _limbs_below(scene, top)
         num_joints = len(limbs.keys() & set(names))
         if num_joints not in (len(SKELETON), len(WHOLE_SKELETON)) or not limbs.keys() >= set(names[:num_joints]):
             raise FbxError("the skeleton has other joints")
         models = [limbs[name] for name in names[:num_joints]]
         above = [scene.parent(model, "Model") for model in models]
-        if above[1:] != [models[parent] for parent in parents_of(num_joints)[1:]]:
+        if above != [top, *(models[parent] for parent in parents_of(num_joints)[1:])]:
             raise FbxError("joints have other parents")
-        top = scene.objects[above[0]] if above[0] is not None else Node("")
-        self.origin_m = np.array(numbers(top, ORIGIN, 3) if has_setting(top, ORIGIN) else (0.0, 0.0, 0.0))
+        facts = scene.objects[top]
+        self.origin_m = np.array(numbers(facts, ORIGIN, 3) if has_setting(facts, ORIGIN) else (0.0, 0.0, 0.0))
         self.offsets = np.array([numbers(scene.objects[model], TRANSLATION, 3) for model in models])
         (rate_hz,) = numbers(scene.global_settings, "CustomFrameRate", 1)
         layer = next(iter(scene.of_kind("AnimationLayer", "")), 0)
@@ -375,6 +500,16 @@ class _StoredSkeleton:
             if not curves or len(curves[0]) != self.num_frames:
                 raise FbxError("curves have different numbers of frames")
             self.rotations[index] = ROTATION_ORDERS[int(order)], curves
+
+
+def _limbs_below(scene: StoredScene, top: int) -> dict[str, int]:
+    """Joints below a node, by name; parents come before their children."""
+    below, limbs = {top}, {}
+    for model, node in scene.of_kind("Model", _LIMB).items():
+        if scene.parent(model, "Model") in below:
+            below.add(model)
+            limbs[name_of(node)] = model
+    return limbs
 
 
 def _curves(

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from unicodedata import category
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pipeline.export.writers.fbx_nodes import (
     CREATED,
@@ -43,6 +43,9 @@ SETTINGS = "Properties70"
 TRANSLATION, ROTATION = "Lcl Translation", "Lcl Rotation"
 """Settings of a model: its place and rotation in its parent."""
 
+VISIBILITY = "Visibility"
+"""Setting of a model: 1 if it is drawn, else 0."""
+
 _CREATOR = "Multicap"
 _FIRST_ID = 1_000_000
 _AXES = "XYZ"
@@ -55,8 +58,10 @@ _TIME_MODES: Mapping[float, int] = MappingProxyType(
     }
 )
 _CUSTOM_TIME_MODE, _SAME_RATE = 14, 1e-9
-# Flags of linear interpolation, and numbers of the unused tangents, as the FBX SDK writes them.
-_LINEAR_FLAGS, _LINEAR_DATA = 0x6104, (0.0, 0.0, 9.419963346924634e-30, 0.0)
+# Flags of values that are interpolated linearly or hold until the next key, and numbers of the unused tangents, as the
+# FBX SDK writes them.
+_LINEAR_FLAGS, _CONSTANT_FLAGS = 0x6104, 0x6102
+_TANGENTS = (0.0, 0.0, 9.419963346924634e-30, 0.0)
 # Names of the nodes of curves.
 _CURVES_OF = {TRANSLATION: "T", ROTATION: "R"}
 
@@ -91,6 +96,11 @@ def local(name: str, xyz: Iterable[float]) -> Node:
     return vector(name, xyz, name, "", "A")
 
 
+def visible(is_visible: bool) -> Node:
+    """Setting of a model: whether it is drawn."""
+    return setting(VISIBILITY, VISIBILITY, "", float(is_visible), flags="A")
+
+
 def settings(*nodes: Node) -> Node:
     """All settings of an object."""
     return Node(SETTINGS, (), nodes)
@@ -112,7 +122,7 @@ class Clip:
 
     name: str
     layer: Int64  # Object to which curves belong
-    last: int  # Time of the last frame in ticks
+    ticks: Int[np.ndarray, " frames"]  # Times of the frames
     # Arrays of every curve; one of each stands for all
     times: ArrayProperty
     counts: ArrayProperty
@@ -129,7 +139,7 @@ class Scene:
         self._objects: list[Node] = []
         self._connections: list[Node] = []
         self._clips: list[Clip] = []
-        self._flags, self._data = array("i", [_LINEAR_FLAGS]), array("f", _LINEAR_DATA)
+        self._flags, self._data = array("i", [_LINEAR_FLAGS]), array("f", _TANGENTS)
 
     def add(self, kind: str, name: str, of_class: str, subclass: str, *children: Node) -> Int64:
         """Add an object; return its id."""
@@ -167,12 +177,12 @@ class Scene:
     def add_clip(self, name: str, num_frames: int) -> Clip:
         """Add an animation."""
         times = ticks(num_frames, self._rate_hz)
-        last = int(times.max(initial=0))
+        last = _last(times)
         span = (("LocalStart", 0), ("LocalStop", last), ("ReferenceStart", 0), ("ReferenceStop", last))
         stack = self.add("AnimationStack", name, "AnimStack", "", settings(*(_time(*end) for end in span)))
         layer = self.add("AnimationLayer", name, "AnimLayer", "")
         self.connect(layer, stack)
-        clip = Clip(name, layer, last, array("l", times), array("i", [num_frames]))
+        clip = Clip(name, layer, times, array("l", times), array("i", [num_frames]))
         self._clips.append(clip)
         return clip
 
@@ -212,6 +222,27 @@ class Scene:
             )
             self.connect(curve, node, f"d|{axis}")
 
+    def show(self, clip: Clip, model: Int64, is_visible: Bool[np.ndarray, " frames"]) -> None:
+        """Add the curve of the visibility of a model in each frame, with a key where it changes."""
+        (keys,) = np.nonzero(np.diff(is_visible, prepend=~is_visible[:1]))
+        first = float(is_visible[0])
+        channel = f"d|{VISIBILITY}"
+        defaults = settings(setting(channel, VISIBILITY, "", first, flags="A"))
+        node = self.add("AnimationCurveNode", VISIBILITY, "AnimCurveNode", "", defaults)
+        self.connect(node, clip.layer)
+        self.connect(node, model, VISIBILITY)
+        curve = self.add(
+            *("AnimationCurve", "", "AnimCurve", ""),
+            Node("Default", (first,)),
+            Node("KeyVer", (4008,)),
+            Node("KeyTime", (array("l", clip.ticks[keys]),)),
+            Node("KeyValueFloat", (array("f", is_visible[keys]),)),
+            Node("KeyAttrFlags", (array("i", [_CONSTANT_FLAGS]),)),
+            Node("KeyAttrDataFloat", (self._data,)),
+            Node("KeyAttrRefCount", (array("i", [len(keys)]),)),
+        )
+        self.connect(curve, node, channel)
+
     def nodes(self, version: int) -> tuple[Node, ...]:
         """Nodes of a file of a version."""
         return (
@@ -248,7 +279,7 @@ class Scene:
                     setting("DefaultCamera", "KString", "", "Producer Perspective"),
                     choice("TimeMode", next(modes, _CUSTOM_TIME_MODE)),
                     _time("TimeSpanStart", 0),
-                    _time("TimeSpanStop", max((clip.last for clip in self._clips), default=0)),
+                    _time("TimeSpanStop", max((_last(clip.ticks) for clip in self._clips), default=0)),
                     number("CustomFrameRate", self._rate_hz),
                 ),
             ),
@@ -282,7 +313,7 @@ class Scene:
     def _takes(self) -> Node:
         takes = []
         for clip in self._clips:
-            span = Int64(0), Int64(clip.last)
+            span = Int64(0), Int64(_last(clip.ticks))
             parts = Node("FileName", (f"{clip.name}.tak",)), Node("LocalTime", span), Node("ReferenceTime", span)
             takes.append(Node("Take", (clip.name,), parts))
         return Node("Takes", (), (Node("Current", (self._clips[0].name if self._clips else "",)), *takes))
@@ -291,6 +322,10 @@ class Scene:
 def matrix(transform: Float[np.ndarray, "4 4"]) -> ArrayProperty:
     """Transform as files have it: a matrix, column by column."""
     return array("d", transform.T.reshape(-1))
+
+
+def _last(times: Int[np.ndarray, " frames"]) -> int:
+    return int(times.max(initial=0))
 
 
 def _time(name: str, moment: int) -> Node:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pipeline.config import Export
 from pipeline.data.animation import Floor
@@ -14,7 +15,10 @@ from pipeline.data.reconstruction import Reconstruction
 from pipeline.data.rigid import Rigid3
 from pipeline.export.results import write_files, write_results
 from pipeline.export.scene import TakeScene, scene_of
-from pipeline.export.writers import glb
+from pipeline.export.writers import fbx, glb
+from pipeline.export.writers.fbx_nodes import read
+from pipeline.export.writers.fbx_scene import ticks
+from pipeline.export.writers.fbx_stored import StoredScene, name_of, numbers, property_of
 from pipeline.geometry.camera import center_in_world
 from pipeline.skeleton.model import INDEX, SKELETON
 from tests.e2e.foreign import read_take_with_blender, read_take_with_three, validate_with_khronos
@@ -26,8 +30,10 @@ from tests.pipeline.export.test_timelines import (
     two_people,
     y_up,
 )
+from tests.pipeline.export.writers.test_fbx import values
 
 GLB: tuple[Export, ...] = ("glb",)
+FBX: tuple[Export, ...] = ("fbx",)
 __all__ = ["two_people"]
 
 
@@ -124,8 +130,16 @@ def test_the_floor_is_where_people_stand(named: Reconstruction, path: Path) -> N
     np.testing.assert_array_equal(level.floor_m[:, 2], 0.0)
 
 
+@pytest.fixture(scope="module")
+def fbx_path(named: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    (path,) = (path for path in write_results(named, tmp_path_factory.mktemp("fbx"), FBX) if path.name == "take.fbx")
+    return path
+
+
 @pytest.mark.blender
-def test_a_take_in_blender(named: Reconstruction, path: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("format_", ["glb", "fbx"])
+def test_a_take_in_blender(named: Reconstruction, format_: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    path: Path = request.getfixturevalue({"glb": "path", "fbx": "fbx_path"}[format_])
     read = read_take_with_blender(path, RATE_HZ, tmp_path)
     assert set(read["people"]) == set(NAMES)
     for name in NAMES:
@@ -137,17 +151,49 @@ def test_a_take_in_blender(named: Reconstruction, path: Path, tmp_path: Path) ->
     for camera in named.cameras:
         matrix = np.array(read["cameras"][camera.name]["matrix"])
         np.testing.assert_allclose(matrix[:3, 3], center_in_world(camera), atol=1e-5)
-        np.testing.assert_allclose(-matrix[:3, 2], camera.cam_from_world.rotation[2], atol=1e-5)
+        # Objects of FBX files in centimetres have the scale 0.01.
+        backward = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
+        np.testing.assert_allclose(-backward, camera.cam_from_world.rotation[2], atol=1e-5)
         upright_rad = 2 * np.arctan(camera.size_px[1] / 2 / camera.matrix[1, 1])
         assert read["cameras"][camera.name]["angle_y"] == pytest.approx(upright_rad, abs=1e-4)
     floor_m = np.array(read["floor"])
     np.testing.assert_allclose(floor_m[:, 2], 0.1 + 0.05 * floor_m[:, 0], atol=1e-5)
 
 
-def test_our_reader_finds_each_person(named: Reconstruction, path: Path) -> None:
+def test_our_readers_find_each_person(named: Reconstruction, path: Path, fbx_path: Path) -> None:
     for number, name in enumerate(NAMES):
-        found_m = np.concatenate(list(glb.read_xyz_m(path, number)))
-        np.testing.assert_allclose(found_m, nearest_m(named)[name], atol=1e-5)
+        for blocks in (glb.read_xyz_m(path, number), fbx.read_xyz_m(fbx_path, "default", number)):
+            np.testing.assert_allclose(np.concatenate(list(blocks)), nearest_m(named)[name], atol=1e-5)
+
+
+def test_fbx_has_cameras_and_shows_who_is_there(named: Reconstruction, fbx_path: Path) -> None:
+    scene = StoredScene(read(fbx_path.read_bytes()))
+    assert [name_of(node) for node in scene.of_kind("Model", "Null").values()] == list(NAMES)
+    assert [name_of(node) for node in scene.of_kind("AnimationStack", "").values()] == ["take"]
+    models = scene.of_kind("Model", "Camera")
+    for (model, node), camera in zip(models.items(), named.cameras, strict=True):
+        assert name_of(node) == camera.name
+        place_m = np.array(numbers(node, "Lcl Translation", 3)) / 100.0
+        np.testing.assert_allclose(place_m, y_up(center_in_world(camera)), atol=1e-9)
+        right, down, forward = camera.cam_from_world.rotation
+        # Angles about fixed axes: X first. The camera looks along its x, with y up.
+        turn = Rotation.from_euler("xyz", numbers(node, "Lcl Rotation", 3), degrees=True).as_matrix()
+        np.testing.assert_allclose(turn.T, [y_up(forward), -y_up(down), y_up(right)], atol=1e-9)
+        (lens,) = scene.children(model, "NodeAttribute")
+        (focal_mm,), (width_in,) = (numbers(scene.objects[lens], name, 1) for name in ("FocalLength", "FilmWidth"))
+        assert focal_mm / (25.4 * width_in) == pytest.approx(camera.matrix[0, 0] / camera.size_px[0])
+    assert [name_of(node) for node in scene.of_kind("Model", "Mesh").values()] == [
+        "person-1 body",
+        "Zoë K. body",
+        "floor",
+    ]
+    (node,) = (node for node in scene.of_kind("AnimationCurveNode", "").values() if name_of(node) == "Visibility")
+    (curve,) = scene.children(property_of(node, 0, int), "AnimationCurve", "d|Visibility")
+    keys, shown = (values(scene.objects[curve], name) for name in ("KeyTime", "KeyValueFloat"))
+    frames = np.searchsorted(keys, ticks(NUM_FRAMES, RATE_HZ), side="right") - 1
+    is_there = np.isfinite(joints_m(named)["person-2"]).any((1, 2))
+    np.testing.assert_array_equal(shown[frames].astype(bool), is_there)
+    assert len(keys) < 10
 
 
 def test_a_take_has_its_frames_whatever_the_timeline_of_people(

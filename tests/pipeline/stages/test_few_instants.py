@@ -71,7 +71,8 @@ def test_people_are_found_from_one_frame(simulation: Simulation, filmed: Path, t
     assert len(take.tracks) == 3
     assert recall(take, simulation, [40], [0.0]) == 1.0
     paths = write_results(take, tmp_path / "out", tuple(FILE_FORMATS))
-    assert len(paths) == 3 * len(FILE_FORMATS) + 2
+    # Each person has a file of each format, and the take one of GLB and FBX; then there are skeletons and metrics.
+    assert len(paths) == 3 * len(FILE_FORMATS) + 2 + 2
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_bytes())
     assert "nobody_found" not in {check["code"] for check in metrics["capture_checks"]}
 

@@ -122,7 +122,7 @@ def test_files_are_written_once_and_renamed_people_anew(
     assert files(renamed, tmp_path / "kept", pieces) == fresh
     assert written == ["Zoë", "Zoë"]
     changed = {name for name in fresh if fresh[name] != first[name]}
-    assert changed == {"skeletons.json", "person-2.fbx", "person-2.glb", "take.glb"}
+    assert changed == {"skeletons.json", "person-2.fbx", "person-2.glb", "take.fbx", "take.glb"}
 
 
 def test_a_name_changes_no_report_and_no_motion_for_viewers(
