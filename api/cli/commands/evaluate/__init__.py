@@ -2,7 +2,7 @@
 
 import typer
 
-from api.cli.commands.evaluate import mvor, panoptic, rendered, shelf, simulated
+from api.cli.commands.evaluate import joint_centers, mvor, panoptic, rendered, shelf, simulated
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
 
@@ -13,6 +13,7 @@ def _group() -> None:
 
 
 app.command("rendered")(rendered.command)
+app.command("joint-centers")(joint_centers.command)
 app.command("shelf")(shelf.command)
 app.command("mvor")(mvor.command)
 app.command("panoptic")(panoptic.command)
