@@ -17,6 +17,21 @@ def frame_blocks(num_frames: int) -> Iterator[slice]:
         yield slice(start, min(start + BLOCK_FRAMES, num_frames))
 
 
+def held_blocks(of_frames: range, frames: range) -> Iterator[tuple[range, int]]:
+    """Blocks of ``of_frames`` that make up ``frames``, each with the number of times that it stands there.
+
+    A frame that holds before or after ``of_frames`` is a block by itself, so that it is worked on once.
+    """
+    num_before = min(max(of_frames.start - frames.start, 0), len(frames))
+    inside = of_frames[max(frames.start - of_frames.start, 0) : max(frames.stop - of_frames.start, 0)]
+    for block in frame_blocks(num_before):
+        yield of_frames[:1], block.stop - block.start
+    for block in frame_blocks(len(inside)):
+        yield inside[block], 1
+    for block in frame_blocks(len(frames) - num_before - len(inside)):
+        yield of_frames[-1:], block.stop - block.start
+
+
 def fixed(values: Float[np.ndarray, "rows columns"], decimals: int, separator: str = " ") -> list[str]:
     """Format rows as text with a fixed number of decimals; -0.0 becomes 0.0, NaN becomes ``nan``."""
     template = separator.join([f"%.{decimals}f"] * values.shape[1])
@@ -27,4 +42,7 @@ def fixed(values: Float[np.ndarray, "rows columns"], decimals: int, separator: s
 def read_rows(file: TextIO, separator: str) -> Iterator[Float[np.ndarray, "rows columns"]]:
     """Read the remaining rows of a text file as numbers, block by block; an empty cell is NaN."""
     while lines := list(islice(file, BLOCK_FRAMES)):
-        yield np.array([[cell or "nan" for cell in line.strip("\r\n").split(separator)] for line in lines], dtype=float)
+        # A pose that holds is a line over and over.
+        parsed = lines[:1] if lines.count(lines[0]) == len(lines) else lines
+        values = np.array([[cell or "nan" for cell in line.strip("\r\n").split(separator)] for line in parsed], float)
+        yield np.repeat(values, len(lines) // len(parsed), axis=0)

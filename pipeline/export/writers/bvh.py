@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import Convention
-from pipeline.export.timelines import held
-from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
+from pipeline.export.writers.blocks import fixed, held_blocks, read_rows
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
 from pipeline.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of
@@ -50,12 +49,14 @@ def encode(motion: SkeletonMotion, convention: Convention, frames: range | None 
     decimals = _decimals(convention)
     order = [INDEX[name] for name in _depth_first(_ROOT, children_of(len(motion.bone_length_m)))]
     angles_deg = np.zeros((1, len(order), 3))
-    for rows in frame_blocks(len(frames)):
-        quat = convention.parent_from_joint(held(motion.parent_from_joint, own, frames[rows]))[:, order]
+    for block, num_times in held_blocks(own, frames):
+        rows = slice(block.start - own.start, block.stop - own.start)
+        quat = convention.parent_from_joint(motion.parent_from_joint[rows])[:, order]
         angles_deg = euler_deg(matrices(quat), [orders[index] for index in order], angles_deg[-1])
-        positions = fixed(convention.file_from_xyz_m(held(motion.root_m, own, frames[rows])), decimals)
+        positions = fixed(convention.file_from_xyz_m(motion.root_m[rows]), decimals)
         angles = fixed(angles_deg.reshape(len(quat), -1), _ANGLE_DECIMALS)
-        yield "".join(f"{place} {turn}\n" for place, turn in zip(positions, angles, strict=True)).encode("ascii")
+        lines = "".join(f"{place} {turn}\n" for place, turn in zip(positions, angles, strict=True))
+        yield lines.encode("ascii") * num_times
 
 
 def _head(motion: SkeletonMotion, convention: Convention, orders: Sequence[str], num_frames: int) -> Iterator[str]:
@@ -116,7 +117,9 @@ def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray,
                     break
         offsets = np.array([offset_by_joint[index] for index in range(len(offset_by_joint))])
         for values in read_rows(file, " "):
-            yield convention.xyz_m_from_file(_positions(values, offsets, order, axes))
+            is_held = (values == values[0]).all()
+            found = convention.xyz_m_from_file(_positions(values[:1] if is_held else values, offsets, order, axes))
+            yield np.repeat(found, len(values) // len(found), axis=0)
 
 
 def _positions(

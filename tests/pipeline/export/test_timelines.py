@@ -18,6 +18,7 @@ from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.export.timelines import held, unknown_outside
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc
+from pipeline.export.writers.blocks import BLOCK_FRAMES, held_blocks
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
@@ -185,6 +186,15 @@ def test_all_files_have_the_frames_of_the_take_at_another_rate(two_people: Recon
         assert len(np.concatenate(list(glb.read_xyz_m(tmp_path / f"{name}.glb")))) == 2 * NUM_FRAMES - 1
         in_fbx_m = list(fbx.read_xyz_m(tmp_path / f"{name}.fbx", "default"))
         assert len(np.concatenate(in_fbx_m)) == 2 * NUM_FRAMES - 1
+
+
+@pytest.mark.parametrize("frames", [range(3, 12), range(5, 8), range(6, 7), range(3), range(20, 30), range(7, 2000)])
+def test_blocks_of_poses_that_hold_make_up_the_frames(frames: range) -> None:
+    own, values = range(5, 8), np.array([5, 6, 7])
+    blocks = list(held_blocks(own, frames))
+    found = [values[frame - own.start] for block, num_times in blocks for frame in list(block) * num_times]
+    np.testing.assert_array_equal(found, held(values, own, frames))
+    assert max(len(block) * num_times for block, num_times in blocks) <= BLOCK_FRAMES
 
 
 def test_values_hold_or_are_unknown_outside_of_their_frames() -> None:
