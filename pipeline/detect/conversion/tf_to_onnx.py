@@ -46,7 +46,7 @@ _SCHEMA: dict[str, dict[str, tuple[int, int | str, bool]]] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Node:
+class GraphNode:
     """Node of a graph."""
 
     # Name and operation of the node, such as ``conv1/Relu`` and ``Relu``
@@ -60,7 +60,7 @@ class Node:
     value: np.ndarray | None  # Value of a constant; ``None`` for other nodes
 
 
-def read_graph(content: bytes) -> dict[str, Node]:
+def read_graph(content: bytes) -> dict[str, GraphNode]:
     """Read the nodes of a serialised ``GraphDef`` by name, in the graph's order.
 
     Raises ``ModelError`` if the content is damaged or is not such a graph.
@@ -88,7 +88,7 @@ def _graph_class() -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName("frozen.Graph"))
 
 
-def _node(node: Any) -> Node:
+def _node(node: Any) -> GraphNode:
     values = {entry.key: entry.value for entry in node.attr}
     if "data_format" in values and values["data_format"].s not in {b"", b"NHWC"}:
         raise ModelError("The TensorFlow graph's channels are not last, which is not supported.")
@@ -96,7 +96,7 @@ def _node(node: Any) -> Node:
     def height_and_width(key: str) -> tuple[int, int]:
         return tuple(values[key].list.i[1:3]) if key in values else (1, 1)
 
-    return Node(
+    return GraphNode(
         name=node.name,
         kind=node.op,
         inputs=tuple(name.partition(":")[0] for name in node.input),
@@ -142,7 +142,7 @@ def convert(content: bytes, input_name: str, source: str, outputs: Mapping[str, 
 class _Conversion(OnDemandConversion[str]):
     """Conversion of nodes, by name."""
 
-    def __init__(self, nodes: Mapping[str, Node], input_name: str) -> None:
+    def __init__(self, nodes: Mapping[str, GraphNode], input_name: str) -> None:
         super().__init__()
         self._nodes = nodes
         self._input_name = input_name
@@ -154,7 +154,7 @@ class _Conversion(OnDemandConversion[str]):
             raise ModelError(f"The TensorFlow graph needs {node.kind}, which is not supported.")
         return self._input_name if node.kind == "Placeholder" else handler(self, node)
 
-    def node(self, name: str) -> Node:
+    def node(self, name: str) -> GraphNode:
         """Node of a name; ``ModelError`` if there is none."""
         if name not in self._nodes:
             raise ModelError(f"The TensorFlow graph has no node {name}: it is not the version that is needed.")
@@ -168,7 +168,7 @@ class _Conversion(OnDemandConversion[str]):
         return value
 
 
-def _convolution(conversion: _Conversion, node: Node, bias: str | None = None) -> str:
+def _convolution(conversion: _Conversion, node: GraphNode, bias: str | None = None) -> str:
     """Convert a convolution; weights are (height, width, input channels, output channels, or 1 if depthwise)."""
     weights = conversion.constant(node.inputs[1])
     is_depthwise = node.kind == "DepthwiseConv2dNative"
@@ -193,18 +193,18 @@ def _convolution(conversion: _Conversion, node: Node, bias: str | None = None) -
     )
 
 
-def _bias(conversion: _Conversion, node: Node) -> str:
+def _bias(conversion: _Conversion, node: GraphNode) -> str:
     convolution = conversion.node(node.inputs[0])
     if convolution.kind not in {"Conv2D", "DepthwiseConv2dNative"}:
         raise ModelError(f"The TensorFlow graph adds a bias to {convolution.kind}, which is not supported.")
     return _convolution(conversion, convolution, node.inputs[1])
 
 
-def _relu(conversion: _Conversion, node: Node) -> str:
+def _relu(conversion: _Conversion, node: GraphNode) -> str:
     return conversion.onnx.emit("Relu", [conversion.activation(node.inputs[0])], node.name)
 
 
-def _max_pool(conversion: _Conversion, node: Node) -> str:
+def _max_pool(conversion: _Conversion, node: GraphNode) -> str:
     return conversion.onnx.emit(
         "MaxPool",
         [conversion.activation(node.inputs[0])],
@@ -215,19 +215,19 @@ def _max_pool(conversion: _Conversion, node: Node) -> str:
     )
 
 
-def _concatenation(conversion: _Conversion, node: Node) -> str:
+def _concatenation(conversion: _Conversion, node: GraphNode) -> str:
     *sources, axis = node.inputs
     if int(conversion.constant(axis)) not in _CHANNELS_LAST:
         raise ModelError("The TensorFlow graph joins other axes than channels, which is not supported.")
     return conversion.onnx.emit("Concat", [conversion.activation(name) for name in sources], node.name, axis=1)
 
 
-def _padding(node: Node) -> str:
+def _padding(node: GraphNode) -> str:
     # TensorFlow's SAME pads the odd pixel at the end.
     return "SAME_UPPER" if node.padding == "SAME" else "VALID"
 
 
-_Handler = Callable[[_Conversion, Node], str]
+_Handler = Callable[[_Conversion, GraphNode], str]
 _HANDLERS: dict[str, _Handler] = {
     "Placeholder": lambda conversion, node: node.name,
     "Conv2D": _convolution,

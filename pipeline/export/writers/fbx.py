@@ -42,7 +42,6 @@ from pipeline.export.writers.fbx_scene import (
     SCENE,
     TRANSLATION,
     Clip,
-    Scene,
     choice,
     integer,
     local,
@@ -55,6 +54,7 @@ from pipeline.export.writers.fbx_scene import (
     vector,
     visible,
 )
+from pipeline.export.writers.fbx_scene import FbxScene as Scene
 from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
 from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of

@@ -128,7 +128,7 @@ class Clip:
     counts: ArrayProperty
 
 
-class Scene:
+class FbxScene:
     """Objects of a file and their connections, in the order in which they are added.
 
     A file has its own unit and Y up.

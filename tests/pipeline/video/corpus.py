@@ -18,7 +18,7 @@ _X264_LONG = {"g": "250", "bf": "3", "sc_threshold": "0"}
 
 
 @dataclass(frozen=True)
-class Clip:
+class CorpusClip:
     """A video to encode, and what it must look like.
 
     Parameters
@@ -80,56 +80,60 @@ def _hevc(**parameters: object) -> dict[str, str]:
 _VFR = [700 + 33 * k + (k * k) % 11 + (260 if k > 15 else 0) + (1900 if k > 30 else 0) for k in range(NUM_FRAMES)]
 _INTERLACED = {"flags": "+ildct+ilme", "x264-params": "tff=1", "g": "12"}
 
-CLIPS: Mapping[str, Clip] = {
-    "h264-b-frames.mp4": Clip(options={"bf": "3", "g": "12"}),
-    "h264-b-pyramid.mkv": Clip(options={"x264-params": "bframes=7:b-pyramid=normal:b-adapt=0:keyint=20"}),
-    "h264-open-gop.mp4": Clip(options={"x264-params": "open-gop=1:bframes=3:keyint=10:min-keyint=10"}),
-    "h264-open-gop.mkv": Clip(options={"x264-params": "open-gop=1:bframes=3:keyint=10:min-keyint=10"}),
-    "h264-long-gop.mov": Clip(options=_X264_LONG),
-    "h264-intra-refresh.mp4": Clip(options={"x264-params": "intra-refresh=1:keyint=12:bframes=0"}),
-    "h264-no-b-frames.avi": Clip(options={"bf": "0", "g": "12"}),
-    "h264-fragmented.mp4": Clip(options={"g": "8", "bf": "2"}, muxer={"movflags": "frag_keyframe+empty_moov"}),
-    "h264-baseline.m4v": Clip(options={"profile": "baseline", "g": "15"}),
-    "h264-422-10.mov": Clip(pix_fmt="yuv422p10le", options={"g": "10", "bf": "2"}),
-    "h264-444.mkv": Clip(pix_fmt="yuv444p", options={"g": "10"}),
-    "h264-full-range.mp4": Clip(options={"g": "10"}, is_full_range=True),
-    "h264-interlaced.mp4": Clip(options=_INTERLACED, is_interlaced=True),
-    "h264-29.97.mp4": Clip(rate_hz=Fraction(30000, 1001), options={"g": "15", "bf": "2"}),
-    "h264-59.94.mov": Clip(rate_hz=Fraction(60000, 1001), options={"g": "15", "bf": "2"}),
-    "h264-23.976.mkv": Clip(rate_hz=Fraction(24000, 1001), options={"g": "15", "bf": "2"}),
-    "h264-variable.mp4": Clip(stamps=_VFR, gaps=True, options={"g": "9", "bf": "2"}),
-    "h264-variable.mkv": Clip(stamps=_VFR, gaps=True, options={"g": "9", "bf": "2"}),
-    "h264-rotated-90.mp4": Clip(rotation_deg=90, shown_px=(64, 96), options={"g": "9", "bf": "2"}),
-    "h264-rotated-180.mov": Clip(rotation_deg=180, options={"g": "9", "bf": "2"}),
-    "hevc-rotated-270.mp4": Clip("libx265", rotation_deg=270, shown_px=(64, 96), options=_hevc(keyint=12, bframes=3)),
-    "h264-wide-pixels.mp4": Clip(pixel_aspect=Fraction(4, 3), shown_px=(128, 64), options={"g": "9", "bf": "2"}),
-    "h264-narrow-pixels.mkv": Clip(pixel_aspect=Fraction(8, 9), shown_px=(85, 64), options={"g": "9", "bf": "2"}),
-    "h264-wide-pixels-rotated.mov": Clip(
+CLIPS: Mapping[str, CorpusClip] = {
+    "h264-b-frames.mp4": CorpusClip(options={"bf": "3", "g": "12"}),
+    "h264-b-pyramid.mkv": CorpusClip(options={"x264-params": "bframes=7:b-pyramid=normal:b-adapt=0:keyint=20"}),
+    "h264-open-gop.mp4": CorpusClip(options={"x264-params": "open-gop=1:bframes=3:keyint=10:min-keyint=10"}),
+    "h264-open-gop.mkv": CorpusClip(options={"x264-params": "open-gop=1:bframes=3:keyint=10:min-keyint=10"}),
+    "h264-long-gop.mov": CorpusClip(options=_X264_LONG),
+    "h264-intra-refresh.mp4": CorpusClip(options={"x264-params": "intra-refresh=1:keyint=12:bframes=0"}),
+    "h264-no-b-frames.avi": CorpusClip(options={"bf": "0", "g": "12"}),
+    "h264-fragmented.mp4": CorpusClip(options={"g": "8", "bf": "2"}, muxer={"movflags": "frag_keyframe+empty_moov"}),
+    "h264-baseline.m4v": CorpusClip(options={"profile": "baseline", "g": "15"}),
+    "h264-422-10.mov": CorpusClip(pix_fmt="yuv422p10le", options={"g": "10", "bf": "2"}),
+    "h264-444.mkv": CorpusClip(pix_fmt="yuv444p", options={"g": "10"}),
+    "h264-full-range.mp4": CorpusClip(options={"g": "10"}, is_full_range=True),
+    "h264-interlaced.mp4": CorpusClip(options=_INTERLACED, is_interlaced=True),
+    "h264-29.97.mp4": CorpusClip(rate_hz=Fraction(30000, 1001), options={"g": "15", "bf": "2"}),
+    "h264-59.94.mov": CorpusClip(rate_hz=Fraction(60000, 1001), options={"g": "15", "bf": "2"}),
+    "h264-23.976.mkv": CorpusClip(rate_hz=Fraction(24000, 1001), options={"g": "15", "bf": "2"}),
+    "h264-variable.mp4": CorpusClip(stamps=_VFR, gaps=True, options={"g": "9", "bf": "2"}),
+    "h264-variable.mkv": CorpusClip(stamps=_VFR, gaps=True, options={"g": "9", "bf": "2"}),
+    "h264-rotated-90.mp4": CorpusClip(rotation_deg=90, shown_px=(64, 96), options={"g": "9", "bf": "2"}),
+    "h264-rotated-180.mov": CorpusClip(rotation_deg=180, options={"g": "9", "bf": "2"}),
+    "hevc-rotated-270.mp4": CorpusClip(
+        "libx265", rotation_deg=270, shown_px=(64, 96), options=_hevc(keyint=12, bframes=3)
+    ),
+    "h264-wide-pixels.mp4": CorpusClip(pixel_aspect=Fraction(4, 3), shown_px=(128, 64), options={"g": "9", "bf": "2"}),
+    "h264-narrow-pixels.mkv": CorpusClip(pixel_aspect=Fraction(8, 9), shown_px=(85, 64), options={"g": "9", "bf": "2"}),
+    "h264-wide-pixels-rotated.mov": CorpusClip(
         pixel_aspect=Fraction(4, 3), rotation_deg=90, shown_px=(64, 128), options={"g": "9"}
     ),
-    "h264-cut-by-edit-list.mp4": Clip(options={"g": "12", "bf": "2"}, shown=range(7, NUM_FRAMES)),
-    "h264-cut-after-keyframes.mov": Clip(options={"g": "8", "bf": "2"}, shown=range(21, NUM_FRAMES)),
-    "h264-late-start.mov": Clip(options={"g": "12", "bf": "2"}, stamps=[480 + 40 * k for k in range(NUM_FRAMES)]),
-    "hevc-8.mp4": Clip("libx265", options=_hevc(keyint=12, bframes=4)),
-    "hevc-10.mkv": Clip("libx265", "yuv420p10le", _hevc(keyint=12, bframes=4)),
-    "hevc-10-422.mov": Clip("libx265", "yuv422p10le", _hevc(keyint=12, bframes=4)),
-    "hevc-open-gop.mp4": Clip("libx265", options=_hevc(keyint=10, min_keyint=10, bframes=4, open_gop=1)),
-    "hevc-odd-size.mp4": Clip("libx265", size_px=(93, 63), pix_fmt="yuv444p", options=_hevc(keyint=12)),
-    "vp8.webm": Clip("libvpx", options={"g": "12", "deadline": "realtime", "auto-alt-ref": "1"}),
-    "vp9.webm": Clip("libvpx-vp9", options={"g": "12", "deadline": "good", "cpu-used": "8", "auto-alt-ref": "1"}),
-    "vp9-odd-size.webm": Clip("libvpx-vp9", size_px=(95, 61), options={"g": "12", "deadline": "realtime"}),
-    "vp9-live.webm": Clip("libvpx-vp9", options={"g": "12", "deadline": "realtime"}, muxer={"live": "1"}),
-    "av1.mp4": Clip("libsvtav1", options={"g": "12", "preset": "12"}),
-    "av1-10.webm": Clip("libsvtav1", "yuv420p10le", {"g": "12", "preset": "12"}),
-    "mjpeg.avi": Clip("mjpeg", "yuvj420p", {"qmin": "1", "q": "2"}, is_full_range=True),
-    "mjpeg-422-odd.mov": Clip("mjpeg", "yuvj422p", size_px=(95, 61), is_full_range=True),
-    "prores-422.mov": Clip("prores_ks", "yuv422p10le", {"profile": "2"}),
-    "prores-4444.mov": Clip("prores_ks", "yuv444p10le", {"profile": "4"}),
-    "prores-interlaced.mov": Clip("prores_ks", "yuv422p10le", {"flags": "+ildct"}, is_interlaced=True),
-    "dnxhr.mov": Clip("dnxhd", "yuv422p", {"profile": "dnxhr_sq"}, size_px=(256, 128)),
-    "mpeg4-b-frames.mp4": Clip("mpeg4", options={"g": "12", "bf": "2"}),
-    "mpeg2-interlaced.ts": Clip("mpeg2video", options={"g": "12", "bf": "2", "flags": "+ildct"}, is_interlaced=True),
-    "ffv1-rgb.mkv": Clip("ffv1", "bgr0", {"g": "12"}, size_px=(95, 61)),
+    "h264-cut-by-edit-list.mp4": CorpusClip(options={"g": "12", "bf": "2"}, shown=range(7, NUM_FRAMES)),
+    "h264-cut-after-keyframes.mov": CorpusClip(options={"g": "8", "bf": "2"}, shown=range(21, NUM_FRAMES)),
+    "h264-late-start.mov": CorpusClip(options={"g": "12", "bf": "2"}, stamps=[480 + 40 * k for k in range(NUM_FRAMES)]),
+    "hevc-8.mp4": CorpusClip("libx265", options=_hevc(keyint=12, bframes=4)),
+    "hevc-10.mkv": CorpusClip("libx265", "yuv420p10le", _hevc(keyint=12, bframes=4)),
+    "hevc-10-422.mov": CorpusClip("libx265", "yuv422p10le", _hevc(keyint=12, bframes=4)),
+    "hevc-open-gop.mp4": CorpusClip("libx265", options=_hevc(keyint=10, min_keyint=10, bframes=4, open_gop=1)),
+    "hevc-odd-size.mp4": CorpusClip("libx265", size_px=(93, 63), pix_fmt="yuv444p", options=_hevc(keyint=12)),
+    "vp8.webm": CorpusClip("libvpx", options={"g": "12", "deadline": "realtime", "auto-alt-ref": "1"}),
+    "vp9.webm": CorpusClip("libvpx-vp9", options={"g": "12", "deadline": "good", "cpu-used": "8", "auto-alt-ref": "1"}),
+    "vp9-odd-size.webm": CorpusClip("libvpx-vp9", size_px=(95, 61), options={"g": "12", "deadline": "realtime"}),
+    "vp9-live.webm": CorpusClip("libvpx-vp9", options={"g": "12", "deadline": "realtime"}, muxer={"live": "1"}),
+    "av1.mp4": CorpusClip("libsvtav1", options={"g": "12", "preset": "12"}),
+    "av1-10.webm": CorpusClip("libsvtav1", "yuv420p10le", {"g": "12", "preset": "12"}),
+    "mjpeg.avi": CorpusClip("mjpeg", "yuvj420p", {"qmin": "1", "q": "2"}, is_full_range=True),
+    "mjpeg-422-odd.mov": CorpusClip("mjpeg", "yuvj422p", size_px=(95, 61), is_full_range=True),
+    "prores-422.mov": CorpusClip("prores_ks", "yuv422p10le", {"profile": "2"}),
+    "prores-4444.mov": CorpusClip("prores_ks", "yuv444p10le", {"profile": "4"}),
+    "prores-interlaced.mov": CorpusClip("prores_ks", "yuv422p10le", {"flags": "+ildct"}, is_interlaced=True),
+    "dnxhr.mov": CorpusClip("dnxhd", "yuv422p", {"profile": "dnxhr_sq"}, size_px=(256, 128)),
+    "mpeg4-b-frames.mp4": CorpusClip("mpeg4", options={"g": "12", "bf": "2"}),
+    "mpeg2-interlaced.ts": CorpusClip(
+        "mpeg2video", options={"g": "12", "bf": "2", "flags": "+ildct"}, is_interlaced=True
+    ),
+    "ffv1-rgb.mkv": CorpusClip("ffv1", "bgr0", {"g": "12"}, size_px=(95, 61)),
 }
 
 
@@ -176,7 +180,7 @@ def write_clip(folder: Path, name: str) -> Path:
     return path
 
 
-def _shifted(clip: Clip, packets: "list[av.Packet[Any]]") -> "list[av.Packet[Any]]":
+def _shifted(clip: CorpusClip, packets: "list[av.Packet[Any]]") -> "list[av.Packet[Any]]":
     """Move the frames before the shown ones to negative times, which the muxer cuts off by an edit list."""
     for packet in packets:
         if first := clip.pictures[0]:
@@ -187,7 +191,7 @@ def _shifted(clip: Clip, packets: "list[av.Packet[Any]]") -> "list[av.Packet[Any
     return packets
 
 
-def _frame(clip: Clip, number: int) -> av.VideoFrame:
+def _frame(clip: CorpusClip, number: int) -> av.VideoFrame:
     frame = av.VideoFrame.from_ndarray(picture(number, clip.size_px), format="rgb24")
     if clip.is_full_range:
         frame = frame.reformat(format=clip.pix_fmt, dst_color_range=ColorRange.JPEG)

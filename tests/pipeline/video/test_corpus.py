@@ -11,7 +11,7 @@ import pytest
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
-from tests.pipeline.video.corpus import CLIPS, Clip, level, write_clip
+from tests.pipeline.video.corpus import CLIPS, CorpusClip, level, write_clip
 
 # Lossy coding and conversions between colours move a level by less than the step between two pictures.
 MAX_DIFFERENCE = 2.4
@@ -25,7 +25,7 @@ def probed(path: Path) -> VideoInfo:
 
 
 @pytest.fixture(params=CLIPS)
-def clip(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Clip, VideoInfo]:
+def clip(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[CorpusClip, VideoInfo]:
     return CLIPS[request.param], probed(write_clip(tmp_path, request.param))
 
 
@@ -43,7 +43,7 @@ def straight(video: VideoInfo) -> list[tuple[float, np.ndarray]]:
     return [(time_s - found[0][0], np.rot90(image, video.rotation_deg // 90)) for time_s, image in found]
 
 
-def test_ranges_are_slices_of_the_whole_at_the_right_times(clip: tuple[Clip, VideoInfo]) -> None:
+def test_ranges_are_slices_of_the_whole_at_the_right_times(clip: tuple[CorpusClip, VideoInfo]) -> None:
     about, video = clip
     whole = [(number, image_rgb.copy()) for number, image_rgb in frames(video, 0, video.num_frames)]
     assert [number for number, _ in whole] == list(range(len(about.pictures)))
@@ -89,7 +89,7 @@ def same(found: Iterator[tuple[int, np.ndarray]], expected: list[tuple[int, np.n
     assert numbers == [number for number, _ in expected]
 
 
-def test_every_single_frame_and_every_start(clip: tuple[Clip, VideoInfo]) -> None:
+def test_every_single_frame_and_every_start(clip: tuple[CorpusClip, VideoInfo]) -> None:
     _, video = clip
     whole = [(number, image_rgb.copy()) for number, image_rgb in frames(video, 0, video.num_frames)]
     for start in range(video.num_frames):
