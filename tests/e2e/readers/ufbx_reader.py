@@ -28,7 +28,8 @@ def matrices(places: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
 def read(path: str) -> dict[str, Any]:
     """Read the bones of a file."""
     scene = pufbx.load_fbx(path)
-    keys = [key.time for key in scene.anim_curves[0].keyframes]
+    # The curve of the visibility has a key where it changes, the others one in each frame.
+    keys = [key.time for key in max((curve.keyframes for curve in scene.anim_curves), key=len)]
     rate_hz = (len(keys) - 1) / (keys[-1] - keys[0]) if len(keys) > 1 else 30.0
     baked, _, names = pufbx.anim_to_array(path, anim_index=0, resample_rate=rate_hz)
     # Of a single frame nothing is baked that is as at rest.
