@@ -411,7 +411,7 @@ class _Angles:
 
     def first(self, joint: int) -> Float[np.ndarray, " 3"]:
         """Angles of a joint in the first frame."""
-        angles_deg: np.ndarray = next(self._blocks([joint]))[0, 0]
+        angles_deg: np.ndarray = next(self._blocks([joint], self._frames[:1]))[0, 0]
         return angles_deg
 
     def of(self, joint: int, axis: int) -> Float32[np.ndarray, " frames"]:
@@ -422,7 +422,9 @@ class _Angles:
             # A group is in memory before the next one is made.
             self._angles_deg = np.empty((0, 3, 0), np.float32)
             angles_deg = np.empty((len(self._group), 3, len(self._frames)), np.float32)
-            for rows, block_deg in zip(frame_blocks(angles_deg.shape[2]), self._blocks(self._group), strict=True):
+            for rows, block_deg in zip(
+                frame_blocks(angles_deg.shape[2]), self._blocks(self._group, self._frames), strict=True
+            ):
                 angles_deg[:, :, rows] = np.moveaxis(block_deg, 0, -1)
             self._angles_deg = angles_deg
         values: np.ndarray = self._angles_deg[self._group.index(joint), axis]
@@ -431,15 +433,15 @@ class _Angles:
             self._group, self._angles_deg = [], np.empty((0, 3, 0), np.float32)
         return values
 
-    def _blocks(self, joints: list[int]) -> Iterator[Float[np.ndarray, "frames joints 3"]]:
-        """Angles of some joints, continuous from block to block."""
+    def _blocks(self, joints: list[int], frames: range) -> Iterator[Float[np.ndarray, "frames joints 3"]]:
+        """Angles of some joints in some frames, continuous from block to block."""
         orders = [self._orders[joint] for joint in joints]
         # Columns of the angles about X, Y and Z among those in the order of the rotations.
         columns = np.array([[axes.index(axis) for axis in "XYZ"] for axes in orders])
         angles_deg = np.zeros((1, len(joints), 3))
         own, turns = self._motion.frames, self._motion.parent_from_joint
-        for rows in frame_blocks(len(self._frames)):
-            quat = self._convention.parent_from_joint(held(turns, own, self._frames[rows]))[:, joints]
+        for rows in frame_blocks(len(frames)):
+            quat = self._convention.parent_from_joint(held(turns, own, frames[rows]))[:, joints]
             angles_deg = euler_deg(matrices(quat), orders, angles_deg[-1])
             yield np.take_along_axis(angles_deg, columns[None], axis=2)
 
