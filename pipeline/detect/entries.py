@@ -87,6 +87,7 @@ _HAND_JOINTS = JointSet(
 # Marks of MultiPose's joints after BlazePose has refined them (detect/topdown/fusion.py).
 _REFINED_OFFSETS = {
     "shoulder": JointOffset(up=0.05),
+    "hip": JointOffset(forward=0.034, up=0.027),
     "ear": JointOffset(outwards=-0.047, forward=0.044),
     "nose": JointOffset(forward=-0.036),
 }
