@@ -131,7 +131,7 @@ test-data: setup
 
 # More processes than processors: many tests wait. Threads of linear algebra would only wait for each other there. A test
 # that hangs fails after a quarter of an hour.
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -n 3 --dist loadgroup --no-loadscope-reorder \
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -n 4 --dist loadgroup --no-loadscope-reorder \
 	--timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile
 
