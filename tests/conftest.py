@@ -72,6 +72,7 @@ SLOW = (
 )
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the slow tests, and keep the tests of a module together: its fixtures are made once, in one process.
 

@@ -250,7 +250,7 @@ def test_results_that_cannot_be_written_are_no_stack_trace(tmp_path: Path) -> No
 
 def test_a_format_that_nobody_knows_is_named_with_those_there_are(tmp_path: Path) -> None:
     folder = str(tmp_path)
-    arguments = ["reconstruct", "--videos", folder, "--calibration", folder, "--out", folder, "--exports", "bvh,fbx"]
+    arguments = ["reconstruct", "--videos", folder, "--calibration", folder, "--out", folder, "--exports", "bvh,obj"]
     result = runner.invoke(app, arguments)
     assert result.exit_code == 2
     assert "exports[1]" in result.stderr

@@ -96,7 +96,7 @@ def test_a_cutoff_that_the_frame_rate_can_not_have_is_refused_at_once(live: Live
 
 def test_formats_are_named_once_and_have_to_be_known(live: Live) -> None:
     session_id = live.session_id()
-    for exports, pointer in ((["bvh", "bvh"], "/exports"), (["fbx"], "/exports/0")):
+    for exports, pointer in ((["bvh", "bvh"], "/exports"), (["obj"], "/exports/0")):
         answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={"exports": exports})
         problem = problem_of(answer, 422, "invalid_request")
         assert [item["pointer"] for item in problem["errors"]] == [pointer]

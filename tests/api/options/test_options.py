@@ -53,7 +53,7 @@ def test_options_describe_every_choice_of_a_job(live: Live) -> None:
         {"people": True},
         {"people": "many"},
         {"exports": ["bvh", "bvh"]},
-        {"exports": ["fbx"]},
+        {"exports": ["obj"]},
     ],
     ids=str,
 )
