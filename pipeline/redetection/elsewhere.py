@@ -53,7 +53,7 @@ def _regions(bodies: Detections, turn_deg: float) -> list[Region | None]:
 
 
 def _is_known(region: Region, looked_for: Detections, turn_deg: float) -> bool:
-    """Whether a crop that was read in the same picture shows the same."""
+    """True if a crop that was read in the same picture shows the same."""
     return any(known is not None and _is_alike(region, known) for known in _regions(looked_for, turn_deg))
 
 

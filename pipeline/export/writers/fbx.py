@@ -15,26 +15,26 @@ position in metres that positions are relative to.
 """
 
 import errno
-import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import Preset
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import PRESETS, Y_UP_FROM_WORLD, Convention
-from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
+from pipeline.export.scene import FLOOR, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import BodyAtRest, body_at_rest
 from pipeline.export.writers.euler import euler_deg
+from pipeline.export.writers.fbx_drawn import add_camera, add_material, add_mesh
 from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, array, read, write
 from pipeline.export.writers.fbx_scene import (
     ROTATION,
@@ -42,6 +42,7 @@ from pipeline.export.writers.fbx_scene import (
     SCENE,
     TRANSLATION,
     Clip,
+    FbxScene,
     choice,
     integer,
     local,
@@ -49,12 +50,9 @@ from pipeline.export.writers.fbx_scene import (
     number,
     safe_name,
     setting,
-    settings,
     ticks,
     vector,
-    visible,
 )
-from pipeline.export.writers.fbx_scene import FbxScene as Scene
 from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
 from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of
@@ -62,15 +60,9 @@ from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, children_of, paren
 # Bytes of the angles of a group of joints, which are computed together.
 _GROUP_BYTES = 2**26
 _BYTES_OF_ANGLES = 12
-_LIMB, _MESH = "LimbNode", "Mesh"
+_LIMB = "LimbNode"
 _REST_TAKE = "T-pose"
 _FLOOR_RGB: Rgb = (150, 150, 150)
-# Distances between which programs show what a camera sees.
-_NEAR_M, _FAR_M = 0.05, 1000.0
-# Film of cameras, whose unit is an inch; the angle of view follows from the focal length.
-_FILM_WIDTH_MM, _MM_PER_INCH, _FOCAL_LENGTH_MODE = 36.0, 25.4, 3
-# Cameras of FBX look along x, with y up.
-_CV_FROM_FBX_CAMERA = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 ORIGIN = "origin_m"
 """Setting of the node at the top: the world position of the file's origin, in metres."""
 
@@ -130,11 +122,11 @@ def encode_take(scene: TakeScene, preset: Preset) -> Iterator[bytes]:
         people.add(person.motion, clip, people.name_of(person.motion), person.is_present)
     people.add_rest_take()
     for camera in scene.cameras:
-        _add_camera(people.scene, camera, people.convention, scene.origin_m)
+        add_camera(people.scene, camera, people.convention, scene.origin_m)
     corners = people.convention.file_from_xyz_m(scene.floor_m - scene.origin_m)
     up = np.cross(corners[1] - corners[0], corners[3] - corners[0])
-    floor = _add_mesh(people.scene, FLOOR, corners, np.arange(4)[None], np.tile(up / np.linalg.norm(up), (4, 1)))
-    people.scene.connect(_add_material(people.scene, FLOOR, _FLOOR_RGB), floor.model)
+    floor = add_mesh(people.scene, FLOOR, corners, np.arange(4)[None], np.tile(up / np.linalg.norm(up), (4, 1)))
+    people.scene.connect(add_material(people.scene, FLOOR, _FLOOR_RGB), floor.model)
     yield from write(people.scene.nodes)
 
 
@@ -144,7 +136,7 @@ class _People:
     def __init__(
         self, frame_rate_hz: float, convention: Convention, origin_m: Float[np.ndarray, " 3"], frames: range
     ) -> None:
-        self.scene, self.convention = Scene(frame_rate_hz, convention.units_per_m), convention
+        self.scene, self.convention = FbxScene(frame_rate_hz, convention.units_per_m), convention
         self._origin_m, self._frames = origin_m, frames
         self._at_rest: list[tuple[list[Int64], BodyAtRest]] = []
 
@@ -183,7 +175,7 @@ class _People:
 
 
 def _add_top(
-    scene: Scene, motion: SkeletonMotion, name: str, origin_m: Float[np.ndarray, " 3"], start_frame: int
+    scene: FbxScene, motion: SkeletonMotion, name: str, origin_m: Float[np.ndarray, " 3"], start_frame: int
 ) -> Int64:
     """Add the node above the joints, on the floor."""
     facts = [
@@ -198,7 +190,7 @@ def _add_top(
     return top
 
 
-def _add_joint(scene: Scene, name: str, parent: Int64, offset: Float[np.ndarray, " 3"], axes: str) -> Int64:
+def _add_joint(scene: FbxScene, name: str, parent: Int64, offset: Float[np.ndarray, " 3"], axes: str) -> Int64:
     turns = setting("RotationActive", "bool", "", 1), choice("RotationOrder", ROTATION_ORDERS.index(axes))
     places = local(TRANSLATION, offset), local(ROTATION, np.zeros(3))
     bone = scene.add_model(name, _LIMB, parent, *turns, *places)
@@ -207,15 +199,15 @@ def _add_joint(scene: Scene, name: str, parent: Int64, offset: Float[np.ndarray,
 
 
 def _add_skin(
-    scene: Scene, name: str, track_id: int, body: BodyAtRest, models: Mapping[Int64, Float[np.ndarray, " 3"]]
+    scene: FbxScene, name: str, track_id: int, body: BodyAtRest, models: Mapping[Int64, Float[np.ndarray, " 3"]]
 ) -> Int64:
     """Add the body of a person; ``models`` are the node at the top and those of the joints, with their places.
 
     Returns the model of the body.
     """
     mesh, (_, *joints) = body.mesh, models
-    drawn = _add_mesh(scene, f"{name} body", mesh.vertices, mesh.triangles, mesh.normals)
-    scene.connect(_add_material(scene, f"{name} body", color_rgb(track_id)), drawn.model)
+    drawn = add_mesh(scene, f"{name} body", mesh.vertices, mesh.triangles, mesh.normals)
+    scene.connect(add_material(scene, f"{name} body", color_rgb(track_id)), drawn.model)
     skin = scene.add("Deformer", name, "Deformer", "Skin", Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)))
     scene.connect(skin, drawn.geometry)
     for index, joint in enumerate(joints):
@@ -245,122 +237,8 @@ def _moved(place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
     return transform
 
 
-@dataclass(frozen=True, slots=True)
-class _Drawn:
-    """Ids of a mesh."""
-
-    model: Int64
-    geometry: Int64
-
-
-def _add_mesh(
-    scene: Scene,
-    name: str,
-    vertices: Float[np.ndarray, "vertices 3"],
-    polygons: Int[np.ndarray, "polygons corners"],
-    normals: Float[np.ndarray, "vertices 3"],
-) -> _Drawn:
-    """Add a mesh; ``polygons`` are indices of ``vertices``, counterclockwise from outside."""
-    corners = polygons.copy()
-    corners[:, -1] = ~corners[:, -1]  # The last corner of each polygon is marked so.
-    model = scene.add_model(name, _MESH, SCENE, visible(True))
-    geometry = scene.add(
-        *("Geometry", name, "Geometry", _MESH),
-        Node("GeometryVersion", (124,)),
-        Node("Vertices", (array("d", vertices.reshape(-1)),)),
-        Node("PolygonVertexIndex", (array("i", corners.reshape(-1)),)),
-        _layer_element(
-            "LayerElementNormal",
-            *(102, "ByPolygonVertex", "Direct"),
-            Node("Normals", (array("d", normals[polygons].reshape(-1)),)),
-        ),
-        _layer_element(
-            "LayerElementMaterial", *(101, "AllSame", "IndexToDirect"), Node("Materials", (array("i", [0]),))
-        ),
-        Node(
-            "Layer",
-            (0,),
-            (
-                Node("Version", (100,)),
-                *(
-                    Node("LayerElement", (), (Node("Type", (kind,)), Node("TypedIndex", (0,))))
-                    for kind in ("LayerElementNormal", "LayerElementMaterial")
-                ),
-            ),
-        ),
-    )
-    scene.connect(geometry, model)
-    return _Drawn(model, geometry)
-
-
-def _layer_element(kind: str, version: int, mapping: str, reference: str, *content: Node) -> Node:
-    return Node(
-        kind,
-        (0,),
-        (
-            Node("Version", (version,)),
-            Node("Name", ("",)),
-            Node("MappingInformationType", (mapping,)),
-            Node("ReferenceInformationType", (reference,)),
-            *content,
-        ),
-    )
-
-
-def _add_material(scene: Scene, name: str, rgb: Rgb) -> Int64:
-    """Add a matt material of a colour."""
-    color = np.array(rgb) / 255.0
-    return scene.add(
-        *("Material", name, "Material", ""),
-        Node("Version", (102,)),
-        Node("ShadingModel", ("lambert",)),
-        Node("MultiLayer", (0,)),
-        settings(vector("DiffuseColor", color, "Color", ""), number("DiffuseFactor", 1.0)),
-    )
-
-
-def _add_camera(scene: Scene, shown: SceneCamera, convention: Convention, origin_m: Float[np.ndarray, " 3"]) -> None:
-    """Add a camera: its place, focal length and film, and the calibration of the lens as a text."""
-    name, camera = safe_name(shown.camera.name), shown.camera
-    place = shown.world_from_cam
-    turn = convention.file_from_world @ place.rotation @ _CV_FROM_FBX_CAMERA
-    (((z_deg, y_deg, x_deg),),) = euler_deg(turn[None, None], ROTATION_ORDERS[:1], np.zeros((1, 3)))
-    width, height = camera.size_px
-    focal_length_mm = _FILM_WIDTH_MM * camera.matrix[0, 0] / width
-    film_height_mm = focal_length_mm * height / camera.matrix[1, 1]
-    across_deg, upright_deg = np.degrees(shown.fov_rad)
-    model = scene.add_model(
-        *(name, "Camera", SCENE),
-        local(TRANSLATION, convention.file_from_xyz_m(place.translation_m - origin_m)),
-        local(ROTATION, (x_deg, y_deg, z_deg)),
-        setting("calibration", "KString", "", json.dumps(shown.facts), flags="U"),
-    )
-    lens = scene.add(
-        *("NodeAttribute", name, "NodeAttribute", "Camera"),
-        settings(
-            setting("AspectWidth", "double", "Number", float(width)),
-            setting("AspectHeight", "double", "Number", float(height)),
-            choice("ResolutionMode", 0),
-            choice("ApertureMode", _FOCAL_LENGTH_MODE),
-            choice("GateFit", 0),
-            number("FilmWidth", _FILM_WIDTH_MM / _MM_PER_INCH),
-            number("FilmHeight", film_height_mm / _MM_PER_INCH),
-            number("FilmAspectRatio", _FILM_WIDTH_MM / film_height_mm),
-            number("FocalLength", focal_length_mm),
-            number("FieldOfView", across_deg),
-            number("FieldOfViewX", across_deg),
-            number("FieldOfViewY", upright_deg),
-            number("NearPlane", _NEAR_M * convention.units_per_m),
-            number("FarPlane", _FAR_M * convention.units_per_m),
-        ),
-        Node("TypeFlags", ("Camera",)),
-        Node("GeometryVersion", (124,)),
-    )
-    scene.connect(lens, model)
-
-
 def _animate(
-    scene: Scene,
+    scene: FbxScene,
     clip: Clip,
     models: list[Int64],
     motion: SkeletonMotion,
@@ -380,7 +258,7 @@ def _animate(
         scene.animate(clip, models[index], ROTATION, angles.first(index), partial(angles.of, index))
 
 
-def _animate_rest(scene: Scene, clip: Clip, models: list[Int64], body: BodyAtRest) -> None:
+def _animate_rest(scene: FbxScene, clip: Clip, models: list[Int64], body: BodyAtRest) -> None:
     """Add curves of the rest pose, so that programs stand the skeleton in it, whatever pose it was in before."""
     scene.animate(clip, models[0], TRANSLATION, body.offsets[0], lambda axis: body.offsets[:1, axis])
     for index in _with_children(len(models)):

@@ -152,7 +152,7 @@ class _Measured:
 
 
 def _is_ended(node: Node) -> bool:
-    """Whether a node ends with an empty head."""
+    """True if a node ends with an empty head."""
     return bool(node.children) or not node.properties or node.name in _ALWAYS_ENDED
 
 

@@ -32,7 +32,7 @@ ROTATION_ORDERS = ("ZYX", "YZX", "XZY", "ZXY", "YXZ", "XYZ")
 """Axes of the intrinsic rotations of each number of ``RotationOrder``; FBX names them in the opposite order."""
 
 SEPARATOR = "\x00\x01"
-"""What separates the name of an object from its class."""
+"""Separator of the name of an object and its class."""
 
 SCENE = Int64(0)
 """Id of the scene, to which objects at the top are connected."""

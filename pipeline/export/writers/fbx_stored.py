@@ -79,7 +79,7 @@ def name_of(node: Node) -> str:
 
 
 def has_setting(node: Node, name: str) -> bool:
-    """Whether an object has a setting."""
+    """True if an object has a setting."""
     return _values(node, name) is not None
 
 

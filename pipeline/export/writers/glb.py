@@ -269,7 +269,7 @@ def encode(
 
 
 def fits(scene: TakeScene) -> bool:
-    """Whether the scene of a take is small enough for a file: it states its size in 32 bits."""
+    """True if the scene of a take is small enough for a file: it states its size in 32 bits."""
     keys = (len(scene.frames) * (4 * len(person.motion.bone_length_m) + 4) for person in scene.people)
     return sum(keys) * _COMPONENTS[gltf.FLOAT].itemsize + len(scene.people) * _MAX_BODY_BYTES < _MAX_BYTES
 

@@ -162,7 +162,9 @@ def test_a_file_of_everybody_is_no_person_s(live: Live) -> None:
     job_id = live.job_id()
     live.finish(job_id, scenes={"take.glb": b"glTF"})
     (listed,) = (
-        one for one in live.client.get(f"/v1/jobs/{job_id}/results").json()["results"] if one["name"] == "take.glb"
+        result
+        for result in live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
+        if result["name"] == "take.glb"
     )
     assert (listed["kind"], listed["format"], listed["person"], listed["preset"]) == ("glb", "glb", None, None)
     assert live.client.get(listed["link"]).headers["content-type"] == "model/gltf-binary"

@@ -58,16 +58,16 @@ def read(file: Mapping[str, Any]) -> dict[str, Any]:
     rest = {bone.name: list(armature.matrix_world @ bone.head_local) for bone in armature.data.bones}
     armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
     people: dict[str, dict[str, list[list[float]]]] = {
-        one.name: {bone.name: [] for bone in one.pose.bones} for one in armatures
+        skeleton.name: {bone.name: [] for bone in skeleton.pose.bones} for skeleton in armatures
     }
     bodies = [body for body in armature.children if body.type == "MESH"]
     areas_m2 = []
     for frame in frames:
         scene.frame_set(math.floor(frame), subframe=frame - math.floor(frame))
         areas_m2.append([area_m2(body) for body in bodies])
-        for one in armatures:
-            for bone in one.pose.bones:
-                people[one.name][bone.name].append(list(one.matrix_world @ bone.head))
+        for skeleton in armatures:
+            for bone in skeleton.pose.bones:
+                people[skeleton.name][bone.name].append(list(skeleton.matrix_world @ bone.head))
     cameras = {
         thing.name: {"angle_y": thing.data.angle_y, "matrix": [list(row) for row in thing.matrix_world]}
         for thing in bpy.data.objects

@@ -1,0 +1,150 @@
+"""Visible objects of FBX files: meshes, their materials, and cameras."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.export.colors import Rgb
+from pipeline.export.presets import Convention
+from pipeline.export.scene import SceneCamera
+from pipeline.export.writers.euler import euler_deg
+from pipeline.export.writers.fbx_nodes import Int64, Node, array
+from pipeline.export.writers.fbx_scene import (
+    ROTATION,
+    ROTATION_ORDERS,
+    SCENE,
+    TRANSLATION,
+    FbxScene,
+    choice,
+    local,
+    number,
+    safe_name,
+    setting,
+    settings,
+    vector,
+    visible,
+)
+
+_MESH = "Mesh"
+# Distances between which programs show what a camera sees.
+_NEAR_M, _FAR_M = 0.05, 1000.0
+# Film of cameras, whose unit is an inch; the angle of view follows from the focal length.
+_FILM_WIDTH_MM, _MM_PER_INCH, _FOCAL_LENGTH_MODE = 36.0, 25.4, 3
+# Cameras of FBX look along x, with y up.
+_CV_FROM_FBX_CAMERA = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnMesh:
+    """Ids of a mesh."""
+
+    model: Int64
+    geometry: Int64
+
+
+def add_mesh(
+    scene: FbxScene,
+    name: str,
+    vertices: Float[np.ndarray, "vertices 3"],
+    polygons: Int[np.ndarray, "polygons corners"],
+    normals: Float[np.ndarray, "vertices 3"],
+) -> DrawnMesh:
+    """Add a mesh; ``polygons`` are indices of ``vertices``, counterclockwise from outside."""
+    corners = polygons.copy()
+    corners[:, -1] = ~corners[:, -1]  # The last corner of each polygon is marked so.
+    model = scene.add_model(name, _MESH, SCENE, visible(True))
+    geometry = scene.add(
+        *("Geometry", name, "Geometry", _MESH),
+        Node("GeometryVersion", (124,)),
+        Node("Vertices", (array("d", vertices.reshape(-1)),)),
+        Node("PolygonVertexIndex", (array("i", corners.reshape(-1)),)),
+        _layer_element(
+            "LayerElementNormal",
+            *(102, "ByPolygonVertex", "Direct"),
+            Node("Normals", (array("d", normals[polygons].reshape(-1)),)),
+        ),
+        _layer_element(
+            "LayerElementMaterial", *(101, "AllSame", "IndexToDirect"), Node("Materials", (array("i", [0]),))
+        ),
+        Node(
+            "Layer",
+            (0,),
+            (
+                Node("Version", (100,)),
+                *(
+                    Node("LayerElement", (), (Node("Type", (kind,)), Node("TypedIndex", (0,))))
+                    for kind in ("LayerElementNormal", "LayerElementMaterial")
+                ),
+            ),
+        ),
+    )
+    scene.connect(geometry, model)
+    return DrawnMesh(model, geometry)
+
+
+def _layer_element(kind: str, version: int, mapping: str, reference: str, *content: Node) -> Node:
+    return Node(
+        kind,
+        (0,),
+        (
+            Node("Version", (version,)),
+            Node("Name", ("",)),
+            Node("MappingInformationType", (mapping,)),
+            Node("ReferenceInformationType", (reference,)),
+            *content,
+        ),
+    )
+
+
+def add_material(scene: FbxScene, name: str, rgb: Rgb) -> Int64:
+    """Add a matt material of a colour."""
+    color = np.array(rgb) / 255.0
+    return scene.add(
+        *("Material", name, "Material", ""),
+        Node("Version", (102,)),
+        Node("ShadingModel", ("lambert",)),
+        Node("MultiLayer", (0,)),
+        settings(vector("DiffuseColor", color, "Color", ""), number("DiffuseFactor", 1.0)),
+    )
+
+
+def add_camera(scene: FbxScene, shown: SceneCamera, convention: Convention, origin_m: Float[np.ndarray, " 3"]) -> None:
+    """Add a camera: its place, focal length and film, and the calibration of the lens as a text."""
+    name, camera = safe_name(shown.camera.name), shown.camera
+    place = shown.world_from_cam
+    turn = convention.file_from_world @ place.rotation @ _CV_FROM_FBX_CAMERA
+    (((z_deg, y_deg, x_deg),),) = euler_deg(turn[None, None], ROTATION_ORDERS[:1], np.zeros((1, 3)))
+    width, height = camera.size_px
+    focal_length_mm = _FILM_WIDTH_MM * camera.matrix[0, 0] / width
+    film_height_mm = focal_length_mm * height / camera.matrix[1, 1]
+    across_deg, upright_deg = np.degrees(shown.fov_rad)
+    model = scene.add_model(
+        *(name, "Camera", SCENE),
+        local(TRANSLATION, convention.file_from_xyz_m(place.translation_m - origin_m)),
+        local(ROTATION, (x_deg, y_deg, z_deg)),
+        setting("calibration", "KString", "", json.dumps(shown.facts), flags="U"),
+    )
+    lens = scene.add(
+        *("NodeAttribute", name, "NodeAttribute", "Camera"),
+        settings(
+            setting("AspectWidth", "double", "Number", float(width)),
+            setting("AspectHeight", "double", "Number", float(height)),
+            choice("ResolutionMode", 0),
+            choice("ApertureMode", _FOCAL_LENGTH_MODE),
+            choice("GateFit", 0),
+            number("FilmWidth", _FILM_WIDTH_MM / _MM_PER_INCH),
+            number("FilmHeight", film_height_mm / _MM_PER_INCH),
+            number("FilmAspectRatio", _FILM_WIDTH_MM / film_height_mm),
+            number("FocalLength", focal_length_mm),
+            number("FieldOfView", across_deg),
+            number("FieldOfViewX", across_deg),
+            number("FieldOfViewY", upright_deg),
+            number("NearPlane", _NEAR_M * convention.units_per_m),
+            number("FarPlane", _FAR_M * convention.units_per_m),
+        ),
+        Node("TypeFlags", ("Camera",)),
+        Node("GeometryVersion", (124,)),
+    )
+    scene.connect(lens, model)
