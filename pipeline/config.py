@@ -102,6 +102,7 @@ Export = (
     Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion", has_presets=True)]
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
     | Annotated[Literal["fbx"], FileFormat("FBX, body and animation", _BYTES, "motion", has_presets=True)]
+    | Annotated[Literal["vrma"], FileFormat("VRMA, animation for VRM characters", "model/gltf-binary", "motion")]
     | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
     # The header counts frames in 16 bits, and readers take no longer files.
     | Annotated[

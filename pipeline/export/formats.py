@@ -17,7 +17,7 @@ from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.export.presets import PRESETS
 from pipeline.export.scene import TakeScene
-from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc
+from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc, vrma
 from pipeline.export.writers.rotation_orders import BetweenFrames, rotation_orders
 from pipeline.joints import JointSet
 
@@ -90,6 +90,12 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
             holds_name=True,
             has_origin=True,
             of_take=TakeFormat(fbx.encode_take, fbx.read_xyz_m, lambda _: True),
+        ),
+        "vrma": Format(
+            lambda person: vrma.encode(person.motion, person.origin_m, person.frames),
+            lambda path, _: vrma.read_xyz_m(path),
+            holds_name=True,
+            has_origin=True,
         ),
         "trc": Format(
             lambda person: trc.encode(person.track, person.joints, person.timebase, person.file_name, person.frames),

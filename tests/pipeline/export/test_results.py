@@ -87,7 +87,7 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
     check = json.loads(paths[-1].read_bytes())["exports"]
     assert set(check) == {"skeletons", *EXPORTS}
     for export, figures in check.items():
-        of_joints = export not in {"bvh", "glb", "fbx"}
+        of_joints = export not in {"bvh", "glb", "fbx", "vrma"}
         if of_joints and np.isnan(xyz_m).all():
             assert figures == {"max_distance_mm": None}
         elif export in {"bvh", "fbx"} and len(xyz_m) > 1:
@@ -181,7 +181,7 @@ def test_survey_coordinates_have_an_origin_near_the_people(tmp_path: Path) -> No
     check = json.loads((tmp_path / "metrics.json").read_bytes())["exports"]
     assert all(figures["max_distance_mm"] < 0.1 for figures in check.values()), check
     origin_m = np.array(check["c3d"]["origin_m"])
-    assert [name for name, figures in check.items() if "origin_m" in figures] == ["glb", "fbx", "c3d"]
+    assert [name for name, figures in check.items() if "origin_m" in figures] == ["glb", "fbx", "vrma", "c3d"]
     assert check["glb"]["origin_m"] == origin_m.tolist() == origin_m.round().tolist()
     assert np.linalg.norm(origin_m - away_m) < 10.0
     # Other programs find the origin where the documentation says, and the people near it.

@@ -17,7 +17,7 @@ from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.export.timelines import held, unknown_outside
-from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc
+from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc, vrma
 from pipeline.export.writers.blocks import BLOCK_FRAMES, held_blocks
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
@@ -159,6 +159,7 @@ def test_files_of_the_person_s_own_frames_are_those_of_the_motion_alone(
             "bvh": bvh.encode(motion, PRESETS["default"]),
             "glb": glb.encode(motion, np.zeros(3)),
             "fbx": fbx.encode(motion, "default", np.zeros(3)),
+            "vrma": vrma.encode(motion, np.zeros(3)),
             "trc": trc.encode(track, joints, clock, f"{name}.trc"),
             "c3d": c3d_file.encode(track, joints, clock, np.zeros(3)),
             "csv": csv_table.encode(track, joints, clock),

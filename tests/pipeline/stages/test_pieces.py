@@ -19,7 +19,7 @@ from pipeline.export.formats import FORMATS as FORMATS_BY_NAME
 from pipeline.export.formats import PersonContent
 from pipeline.export.person_files import people_of
 from pipeline.export.results import keep_people, write_files
-from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, skeletons_json, trc
+from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, skeletons_json, trc, vrma
 from pipeline.progress import ignore
 from pipeline.quality.views import ViewsOf, views_of
 from pipeline.simulation.scenes import find_scene, record
@@ -98,7 +98,7 @@ def test_files_are_written_once_and_renamed_people_anew(
 ) -> None:
     plain, pieces = edited(session, cache), KeptPieces()
     first = files(plain, tmp_path / "first", pieces)
-    for format_ in (bvh, c3d_file, csv_table, fbx, glb, trc):
+    for format_ in (bvh, c3d_file, csv_table, fbx, glb, trc, vrma):
         monkeypatch.setattr(format_, "encode", fail)
     monkeypatch.setattr(skeletons_json, "encode_track", fail)
     assert files(plain, tmp_path / "again", pieces) == first
@@ -117,12 +117,12 @@ def test_files_are_written_once_and_renamed_people_anew(
         written.append(motion.name)
         return encode(motion, *others)
 
-    for format_ in (fbx, glb):
+    for format_ in (fbx, glb, vrma):
         monkeypatch.setattr(format_, "encode", partial(noted, format_.encode))
     assert files(renamed, tmp_path / "kept", pieces) == fresh
-    assert written == ["Zoë", "Zoë"]
+    assert written == ["Zoë", "Zoë", "Zoë"]
     changed = {name for name in fresh if fresh[name] != first[name]}
-    assert changed == {"skeletons.json", "person-2.fbx", "person-2.glb", "take.fbx", "take.glb"}
+    assert changed == {"skeletons.json", "person-2.fbx", "person-2.glb", "person-2.vrma", "take.fbx", "take.glb"}
 
 
 def test_a_name_changes_no_report_and_no_motion_for_viewers(

@@ -1,0 +1,89 @@
+"""VRMA files (glTF 2.0, binary, with the extension VRMC_vrm_animation 1.0): a motion for characters in VRM.
+
+The skeleton is that of GLB files: its T-pose, which faces +Z and stands on the floor, is the rest pose that VRM
+prescribes. The extension says which joints are the bones of a humanoid. Software turns the bones of a character as
+these joints turn, and moves its hips as the root moves, in proportion to the height of the hips at rest.
+
+A file has one person, without a body. Before and after the motion's own frames the nearest pose holds.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data.animation import SkeletonMotion
+from pipeline.export.presets import GLTF
+from pipeline.export.writers.body_mesh import body_at_rest
+from pipeline.export.writers.glb import GlbDocument, GlbReader, positions_m
+from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, skeleton_of
+
+EXTENSION = "VRMC_vrm_animation"
+"""Name of the extension."""
+
+_SPEC_VERSION = "1.0"
+_TRUNK = {"Hips": "hips", "Spine": "spine", "Chest": "chest", "Neck": "neck", "Head": "head"}
+_LIMBS = {
+    "Shoulder": "Shoulder",
+    "Arm": "UpperArm",
+    "ForeArm": "LowerArm",
+    "Hand": "Hand",
+    "UpLeg": "UpperLeg",
+    "Leg": "LowerLeg",
+    "Foot": "Foot",
+}
+_FINGERS = {"Index": "Index", "Middle": "Middle", "Ring": "Ring", "Pinky": "Little"}
+_PARTS = {
+    **{
+        f"Hand{finger}{number}": f"{name}{part}"
+        for finger, name in _FINGERS.items()
+        for number, part in enumerate(("Proximal", "Intermediate", "Distal"), 1)
+    },
+    **{f"HandThumb{number}": f"Thumb{part}" for number, part in enumerate(("Metacarpal", "Proximal", "Distal"), 1)},
+}
+
+HUMAN_BONES: Mapping[str, str] = MappingProxyType(
+    {
+        **_TRUNK,
+        **{
+            f"{side}{joint}": f"{side.lower()}{bone}"
+            for side in ("Left", "Right")
+            for joint, bone in {**_LIMBS, **_PARTS}.items()
+        },
+    }
+)
+"""Bone of a VRM humanoid by joint; ends of bones have none."""
+
+
+def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"], frames: range | None = None) -> Iterator[bytes]:
+    """Write a motion as VRMA, piece by piece. Equal motions give equal bytes.
+
+    Parameters
+    ----------
+    origin_m
+        World position of the file's origin.
+    frames
+        Output frames of the file; ``None``: those of the motion.
+    """
+    document = GlbDocument(origin_m, motion.frames if frames is None else frames, motion.frame_rate_hz)
+    first_joint = document.add_skeleton(motion, body_at_rest(motion.bone_length_m, GLTF).offsets)
+    document.animate(motion, first_joint)
+    bones = {
+        HUMAN_BONES[joint.name]: {"node": first_joint + index}
+        for index, joint in enumerate(skeleton_of(len(motion.bone_length_m)))
+        if joint.name in HUMAN_BONES
+    }
+    document.add_extension(EXTENSION, {"specVersion": _SPEC_VERSION, "humanoid": {"humanBones": bones}})
+    yield from document.encode(motion.name)
+
+
+def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """Read world positions (metres) of a skeleton's joints from a file, block by block."""
+    with path.open("rb") as file:
+        reader = GlbReader(file)
+        bones = reader.document["extensions"][EXTENSION]["humanoid"]["humanBones"]
+        num_joints = len(WHOLE_SKELETON if HUMAN_BONES["LeftHandThumb1"] in bones else SKELETON)
+        hips = bones[HUMAN_BONES["Hips"]]["node"]
+        yield from positions_m(reader, range(hips, hips + num_joints))
