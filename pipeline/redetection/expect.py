@@ -1,4 +1,4 @@
-"""Places at which tracks expect leaning bodies in the pictures of each camera.
+"""Places at which tracks expect leaning bodies in the pictures of each camera, and no detection is in agreement.
 
 Detectors learnt from upright people: of bodies that are upside down they miss a quarter to a third, and call left right
 in a fifth (docs/detectors.md). A body leans if its trunk is far from upright in the world and in the picture.
@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
-from pipeline.data.people import Source, Track3D
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.detect.chunk import concatenate
 from pipeline.geometry.camera import project
 from pipeline.identity.steady import steady_places
@@ -23,6 +23,8 @@ LEAN_IN_WORLD_DEG, LEAN_IN_PICTURE_DEG = 30.0, 40.0
 """Angles of a leaning trunk from the vertical of the world, and from the upright direction of the picture."""
 # Joints of the body that a picture must show.
 _LEAST_INSIDE = 4
+# A detection agrees with the expected body if all joints but two are within this share of the body's diagonal.
+_AGREED_SHARE, _MOST_ELSEWHERE = 0.08, 2
 
 _SHOULDERS, _HIPS = (COCO_17.indices((f"left_{part}", f"right_{part}")) for part in ("shoulder", "hip"))
 BODY = slice(COCO_17.index("left_shoulder"), None)
@@ -40,7 +42,7 @@ def expected_body_m(track: Track3D, joints: JointSet, frame_rate_hz: float) -> F
 
 
 def expect_leaning(
-    tracks: Iterable[Track3D],
+    people: Iterable[tuple[Track3D, Observations]],
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
     timebase: Timebase,
@@ -49,10 +51,12 @@ def expect_leaning(
 ) -> tuple[Detections, ...]:
     """Expect the leaning bodies of all tracks in the frames of each camera that show them.
 
+    A body whose detection agrees with its track is not expected: to look again would tell nothing new.
+
     Parameters
     ----------
-    tracks
-        Tracks with at least the joints ``COCO_17``, read one at a time.
+    people
+        Tracks with at least the joints ``COCO_17``, and their observations by the cameras, read one at a time.
     times
         Times of each camera's frames, by name.
     turns_deg
@@ -64,14 +68,24 @@ def expect_leaning(
         order.
     """
     found: list[Detections] = []
-    for track in tracks:
+    for track, observations in people:
         expected_m = expected_body_m(track, joints, timebase.frame_rate_hz)
         leans = _leans_in_world(expected_m)
         if not leans.any():
             continue
+        seen_px = observations.points_px[:, :, joints.indices(COCO_17.names)]
         found += [
-            _in_pictures(track, expected_m, leans, camera, times[camera.name], timebase, turns_deg[camera.name])
-            for camera in cameras
+            _in_pictures(
+                track,
+                expected_m,
+                leans,
+                seen_px[:, place],
+                camera,
+                times[camera.name],
+                timebase,
+                turns_deg[camera.name],
+            )
+            for place, camera in enumerate(cameras)
         ]
     joined = concatenate(found, [camera.name for camera in cameras], len(COCO_17.names))
     ordered = (joined[camera.name] for camera in cameras)
@@ -93,6 +107,7 @@ def _in_pictures(
     track: Track3D,
     expected_m: Float[np.ndarray, "frames 17 3"],
     leans: Bool[np.ndarray, " frames"],
+    seen_px: Float[np.ndarray, "frames 17 2"],
     camera: Camera,
     times: FrameTimes,
     timebase: Timebase,
@@ -111,7 +126,7 @@ def _in_pictures(
     share = (row - before)[:, None, None]
     body_m = expected_m[before] if not share.any() else (1 - share) * expected_m[before] + share * expected_m[after]
     points_px = project(camera, body_m)
-    shown = _leans_in_picture(points_px, camera, turn_deg)
+    shown = _leans_in_picture(points_px, camera, turn_deg) & ~_agrees(seen_px[np.rint(row).astype(np.int64)], points_px)
     points_px = points_px[shown]
     known = np.isfinite(points_px).all(-1)
     return Detections(camera.name, frames[shown], points_px, known.astype(float), np.full((len(points_px), 4), np.nan))
@@ -127,6 +142,14 @@ def _leans_in_picture(
     body_px = points_px[:, BODY]
     inside = ((body_px >= -0.5) & (body_px < np.array(camera.size_px) - 0.5)).all(-1)
     return np.asarray(leans & (inside.sum(-1) >= _LEAST_INSIDE))
+
+
+def _agrees(seen_px: Float[np.ndarray, "n 17 2"], expected_px: Float[np.ndarray, "n 17 2"]) -> Bool[np.ndarray, " n"]:
+    """Bodies whose detections are where they are expected; a joint that was not detected is not."""
+    size_px = np.fmax.reduce(expected_px, axis=1) - np.fmin.reduce(expected_px, axis=1)
+    limit_px = _AGREED_SHARE * np.linalg.norm(size_px, axis=-1, keepdims=True)
+    is_there = np.linalg.norm(seen_px - expected_px, axis=-1)[:, BODY] < limit_px
+    return np.asarray((~is_there).sum(-1) <= _MOST_ELSEWHERE)
 
 
 def selected(bodies: Detections, rows: Int[np.ndarray, " rows"]) -> Detections:

@@ -35,7 +35,9 @@ def expect_again(task: Task, context: Context) -> Output:
     people = assign_identities(session, context.people(ASSOCIATE).people, joints, config)
     people = assign_limbs(session, accept_redetected(session, people, found, joints, config), joints, config)
     cameras = session.cameras, session.times, session.timebase
-    expected = expect_leaning(people.tracks, *cameras, joints, detections.turns_deg)
+    expected = expect_leaning(
+        zip(people.tracks, people.observations, strict=True), *cameras, joints, detections.turns_deg
+    )
     return Output(encode(expected_elsewhere(expected, looked_for, detections.turns_deg)))
 
 

@@ -16,7 +16,11 @@ def expect_bodies(task: Task, context: Context) -> Output:
     # Places of people do not depend on the colours of their clothes, by which `identify` tells them apart, too.
     people = assign_identities(session, context.people(ASSOCIATE).people, joints, context.config)
     cameras = session.cameras, session.times, session.timebase
-    return Output(encode(expect_leaning(people.tracks, *cameras, joints, detections.turns_deg)))
+    return Output(
+        encode(
+            expect_leaning(zip(people.tracks, people.observations, strict=True), *cameras, joints, detections.turns_deg)
+        )
+    )
 
 
 STAGE = Stage(

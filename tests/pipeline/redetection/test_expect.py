@@ -1,13 +1,17 @@
 """Expected places of people who lie, stand, and are out of sight for a while."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
-from pipeline.data.people import Source, Track3D
+from pipeline.data.people import Observations, Source, Track3D
 from pipeline.geometry.camera import project
-from pipeline.joints import BODY_FEET, COCO_17
+from pipeline.joints import BODY_FEET, COCO_17, other_side
 from pipeline.redetection.expect import expect_leaning, expected_body_m
 from tests.pipeline.identity.people import RATE_HZ, person, walker
 
@@ -21,14 +25,25 @@ def lying_m() -> np.ndarray:
     return np.stack([z - 1.0, y, 0.3 - x], axis=-1)
 
 
+def missed(track: Track3D, ring: tuple[Camera, ...]) -> Observations:
+    """Observations of a person whom detectors missed in all pictures."""
+    shape = track.num_frames, len(ring), track.xyz_m.shape[1]
+    return Observations(track.track_id, np.full((*shape, 2), np.nan), np.zeros(shape))
+
+
 def expected(
-    track: Track3D, ring: tuple[Camera, ...], rate_hz: float = RATE_HZ, **turns_deg: float
+    track: Track3D,
+    ring: tuple[Camera, ...],
+    rate_hz: float = RATE_HZ,
+    seen: Observations | None = None,
+    turns_deg: Mapping[str, float] = MappingProxyType({}),
 ) -> list[Detections]:
-    """Expected bodies of a track, in cameras that take pictures at a rate."""
+    """Expected bodies of a track, in cameras that take pictures at a rate; missed in all pictures by default."""
     time_s = 10.0 + np.arange(round(NUM_FRAMES * rate_hz / RATE_HZ)) / rate_hz
     times = {camera.name: FrameTimes(time_s) for camera in ring}
     turns = {camera.name: turns_deg.get(camera.name, 0.0) for camera in ring}
-    return list(expect_leaning([track], ring, times, TIMEBASE, COCO_17, turns))
+    people = [(track, missed(track, ring) if seen is None else seen)]
+    return list(expect_leaning(people, ring, times, TIMEBASE, COCO_17, turns))
 
 
 def test_who_stands_is_not_expected(ring: tuple[Camera, ...]) -> None:
@@ -49,10 +64,30 @@ def test_who_lies_is_expected_in_place(ring: tuple[Camera, ...]) -> None:
         assert (bodies.score == 1).all()
 
 
+def test_where_the_detection_agrees_nobody_is_expected(ring: tuple[Camera, ...]) -> None:
+    track, seen = person(lying_m(), ring)
+    assert [len(bodies.frame) for bodies in expected(track, ring, seen=seen)] == [0] * len(ring)
+    # In frame 7 of the first camera three joints are at other places, in frame 9 two.
+    points_px = seen.points_px.copy()
+    points_px[7, 0, BODY_FEET.indices(("left_ankle", "left_knee", "right_wrist"))] += 200.0
+    points_px[9, 0, BODY_FEET.indices(("left_ankle", "left_knee"))] += 200.0
+    found = expected(track, ring, seen=replace(seen, points_px=points_px))
+    assert [bodies.frame.tolist() for bodies in found] == [[7], *([] for _ in ring[1:])]
+
+
+def test_where_left_is_called_right_the_body_is_expected(ring: tuple[Camera, ...]) -> None:
+    track, seen = person(lying_m(), ring)
+    sides = COCO_17.indices(tuple(map(other_side, COCO_17.names)))
+    found = expected(track, ring, seen=replace(seen, points_px=seen.points_px[:, :, sides]))
+    assert sum(len(bodies.frame) for bodies in found) > NUM_FRAMES
+
+
 def test_a_picture_that_is_turned_upright_shows_another_lean(ring: tuple[Camera, ...]) -> None:
     track, _ = person(lying_m(), ring)
     upright = next(camera for camera, bodies in zip(ring, expected(track, ring), strict=True) if not len(bodies.frame))
-    turned = dict(zip((camera.name for camera in ring), expected(track, ring, **{upright.name: 180.0}), strict=True))
+    turned = dict(
+        zip((camera.name for camera in ring), expected(track, ring, turns_deg={upright.name: 180.0}), strict=True)
+    )
     assert len(turned[upright.name].frame) == NUM_FRAMES
 
 
