@@ -1,5 +1,6 @@
 """Detection of expected bodies: BlazePose in crops that the bodies place and turn upright."""
 
+from collections.abc import Callable
 from contextlib import closing
 
 import numpy as np
@@ -26,7 +27,7 @@ _HEAD = COCO_17.index("left_shoulder")
 def detect_expected(
     session: CaptureSession,
     expected: Detections,
-    network: Network,
+    load_network: Callable[[], Network],
     joints: JointSet,
     at_common_marks: bool,
     turn_deg: float = 0.0,
@@ -38,8 +39,8 @@ def detect_expected(
     ----------
     expected
         Expected joints ``COCO_17``; see ``redetection.expect``.
-    network
-        BlazePose.
+    load_network
+        Loads BlazePose; called if anybody is expected.
     joints, at_common_marks
         See ``topdown.alone.read_body``.
     turn_deg
@@ -51,7 +52,7 @@ def detect_expected(
     """
     if not len(expected.frame):
         return stack_bodies(expected.camera, [], len(joints.names))
-    found: list[tuple[int, ImageBodies]] = []
+    network, found = load_network(), list[tuple[int, ImageBodies]]()
     numbers = np.unique(expected.frame)
     span = range(int(numbers[0]), int(numbers[-1]) + 1)
     with closing(camera_images(session, expected.camera, span, only=set(numbers.tolist()))) as images:

@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.data.detections import Detections
 from pipeline.detect.topdown.blazepose import body_region
 from pipeline.detect.topdown.regions import Region
-from pipeline.redetection.expect import selected
+from pipeline.redetection.expect import enough, selected
 
 # Differences of a crop that shows the same: of its centre as a share of its side, of the logarithm of its side, and of
 # its angle.
@@ -15,9 +15,11 @@ _SAME_PLACE, _SAME_SIZE, _SAME_ANGLE_RAD = 0.1, 0.15, np.radians(15.0)
 
 
 def expected_elsewhere(
-    expected: Sequence[Detections], looked_for: Sequence[Detections], turns_deg: Mapping[str, float]
+    expected: Sequence[Detections],
+    looked_for: Sequence[Detections],
+    turns_deg: Mapping[str, float],
 ) -> tuple[Detections, ...]:
-    """Keep the expected bodies whose crops differ from all crops of the same pictures.
+    """Keep the expected bodies whose crops differ from all crops of the same pictures; see also ``enough``.
 
     Parameters
     ----------
@@ -38,7 +40,7 @@ def expected_elsewhere(
             for row, region in enumerate(_regions(bodies, turn_deg))
             if region is not None and not _is_known(region, before.within(_one(bodies.frame[row])), turn_deg)
         ]
-        kept.append(selected(bodies, np.array(rows, np.int64)))
+        kept.append(enough(selected(bodies, np.array(rows, np.int64))))
     return tuple(kept)
 
 

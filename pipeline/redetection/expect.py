@@ -25,6 +25,8 @@ LEAN_IN_WORLD_DEG, LEAN_IN_PICTURE_DEG = 30.0, 40.0
 _LEAST_INSIDE = 4
 # A detection agrees with the expected body if all joints but two are within this share of the body's diagonal.
 _AGREED_SHARE, _MOST_ELSEWHERE = 0.08, 2
+# Least number of a camera's pictures that are decoded again.
+_LEAST_PICTURES = 3
 
 _SHOULDERS, _HIPS = (COCO_17.indices((f"left_{part}", f"right_{part}")) for part in ("shoulder", "hip"))
 BODY = slice(COCO_17.index("left_shoulder"), None)
@@ -51,7 +53,8 @@ def expect_leaning(
 ) -> tuple[Detections, ...]:
     """Expect the leaning bodies of all tracks in the frames of each camera that show them.
 
-    A body whose detection agrees with its track is not expected: to look again would tell nothing new.
+    A body whose detection agrees with its track is not expected: to look again would tell nothing new. See also
+    ``enough``.
 
     Parameters
     ----------
@@ -88,8 +91,8 @@ def expect_leaning(
             for place, camera in enumerate(cameras)
         ]
     joined = concatenate(found, [camera.name for camera in cameras], len(COCO_17.names))
-    ordered = (joined[camera.name] for camera in cameras)
-    return tuple(selected(bodies, np.argsort(bodies.frame, kind="stable")) for bodies in ordered)
+    ordered = (selected(bodies, np.argsort(bodies.frame, kind="stable")) for bodies in joined.values())
+    return tuple(map(enough, ordered))
 
 
 def _trunk(body: Float[np.ndarray, "*batch 17 axes"]) -> Float[np.ndarray, "*batch axes"]:
@@ -150,6 +153,11 @@ def _agrees(seen_px: Float[np.ndarray, "n 17 2"], expected_px: Float[np.ndarray,
     limit_px = _AGREED_SHARE * np.linalg.norm(size_px, axis=-1, keepdims=True)
     is_there = np.linalg.norm(seen_px - expected_px, axis=-1)[:, BODY] < limit_px
     return np.asarray((~is_there).sum(-1) <= _MOST_ELSEWHERE)
+
+
+def enough(bodies: Detections) -> Detections:
+    """Expected bodies of a camera; none if they are too few for its pictures to be decoded again."""
+    return bodies if len(np.unique(bodies.frame)) >= _LEAST_PICTURES else bodies.within(range(0))
 
 
 def selected(bodies: Detections, rows: Int[np.ndarray, " rows"]) -> Detections:

@@ -3,12 +3,14 @@
 The output is a ``Detections``.
 """
 
+from functools import partial
+
 from pipeline.config import ReconstructionConfig, networks_of
 from pipeline.stages.stage import EXPECT, LOOK, REDETECT, SYNCHRONIZE, Context, Output, SessionFacts, Stage, Task
 
 
 def redetect(task: Task, context: Context) -> Output:
-    """Read the joints of expected bodies in crops; nothing is decoded where nobody leans."""
+    """Read the joints of expected bodies in crops; nothing is loaded or decoded where nobody is expected."""
     return read_expected(task, context, EXPECT)
 
 
@@ -31,7 +33,7 @@ def read_expected(task: Task, context: Context, stage: str) -> Output:
         found = detect_expected(
             session,
             bodies,
-            load_landmarks(networks.again),
+            partial(load_landmarks, networks.again),
             without_hands(context.detections.joints(session)),
             networks.refines_body,
             context.detections.turns_deg[camera],

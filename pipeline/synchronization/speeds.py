@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy import fft
 
 from pipeline.synchronization.motions import STEP_S, BodyMotion
 
@@ -19,8 +20,6 @@ def likely_lags(motions: Sequence[BodyMotion], pair: tuple[int, int]) -> list[in
     Speeds are summed over people, as multiples of the body's height: of all joints, and of their vertical parts, which
     look much the same from all sides. Their logarithms are compared, so that no jump outweighs the rest.
     """
-    from scipy.signal import correlate  # noqa: PLC0415 - slow to import, and seldom needed
-
     signals = [_signals([motion for motion in motions if motion.camera == camera]) for camera in pair]
     (first, first_start), (second, second_start) = signals
     if not len(first) or not len(second):
@@ -31,14 +30,23 @@ def likely_lags(motions: Sequence[BodyMotion], pair: tuple[int, int]) -> list[in
     for column in range(first.shape[1]):
         a, b = (signal[:, column] - signal[:, column].mean() for signal in (first, second))
         norm = max(float(np.std(a) * np.std(b)), 1e-12)
-        # By Fourier transform: a session may have a pause of hours.
-        correlation = correlation + correlate(a, b, "full", "fft") / norm
+        correlation = correlation + _correlate(a, b) / norm
     # As many standard deviations as chance would give: the sum of n products of independent numbers is about sqrt(n).
     score = np.where(shared >= _MIN_SHARED, correlation / np.sqrt(shared), -np.inf)
     lags = (np.arange(len(score)) - (len(second) - 1) + first_start - second_start) * _SAMPLE
     is_peak = np.r_[True, score[1:] >= score[:-1]] & np.r_[score[:-1] > score[1:], True] & np.isfinite(score)
     peaks = np.flatnonzero(is_peak)
     return [int(lag) for lag in lags[peaks[np.argsort(-score[peaks], kind="stable")]][:_PEAKS]]
+
+
+def _correlate(a: Float[np.ndarray, " first"], b: Float[np.ndarray, " second"]) -> Float[np.ndarray, " lags"]:
+    """Correlation at all lags, by Fourier transform since a session may have a pause of hours.
+
+    As ``scipy.signal.correlate``, whose import takes as long as the rest of the check of a short take.
+    """
+    num_lags = len(a) + len(b) - 1
+    num = fft.next_fast_len(num_lags, real=True)
+    return np.asarray(fft.irfft(fft.rfft(a, num) * fft.rfft(b[::-1], num), num)[:num_lags])
 
 
 def _signals(motions: Sequence[BodyMotion]) -> tuple[Float[np.ndarray, "samples channels"], int]:

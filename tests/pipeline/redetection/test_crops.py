@@ -1,6 +1,8 @@
 """Detection of expected bodies in the frames of a video."""
 
+from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -51,7 +53,7 @@ def expected(frames: list[int], scale: float = 1.0) -> Detections:
 
 def test_bodies_are_read_where_they_are_expected(session: CaptureSession) -> None:
     shares: list[float] = []
-    found = detect_expected(session, expected([2, 5, 5]), CropReader(), BODY_FEET, True, 0.0, shares.append)
+    found = detect_expected(session, expected([2, 5, 5]), CropReader, BODY_FEET, True, 0.0, shares.append)
     assert found.frame.tolist() == [2, 5, 5]
     assert (found.box_px[:, 0] < found.box_px[:, 2]).all()
     assert found.keypoints_px.shape == (3, len(BODY_FEET.names), 2)
@@ -63,16 +65,21 @@ def test_bodies_are_read_where_they_are_expected(session: CaptureSession) -> Non
 
 
 def test_a_crop_without_a_body_gives_none(session: CaptureSession) -> None:
-    found = detect_expected(session, expected([2]), CropReader(presence=0.2), COCO_17, True)
+    found = detect_expected(session, expected([2]), partial(CropReader, presence=0.2), COCO_17, True)
     assert len(found.frame) == 0
 
 
 def test_a_body_too_small_to_read_is_left_out(session: CaptureSession) -> None:
     reader = CropReader()
-    assert len(detect_expected(session, expected([3], 0.05), reader, COCO_17, True).frame) == 0
+    assert len(detect_expected(session, expected([3], 0.05), lambda: reader, COCO_17, True).frame) == 0
     assert reader.num_crops == 0
 
 
-def test_nothing_is_decoded_where_nobody_is_expected(session: CaptureSession) -> None:
+def load_nothing() -> NoReturn:
+    """Fail where a network is loaded."""
+    raise AssertionError("A network is loaded where nobody is expected.")
+
+
+def test_nothing_is_loaded_or_decoded_where_nobody_is_expected(session: CaptureSession) -> None:
     session.videos[0].path.unlink()
-    assert len(detect_expected(session, expected([]), CropReader(), COCO_17, True).frame) == 0
+    assert len(detect_expected(session, expected([]), load_nothing, COCO_17, True).frame) == 0

@@ -1,6 +1,7 @@
 """Bodies whose crops were read, and bodies that are expected elsewhere by now."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,6 +33,11 @@ def frames_elsewhere(expected: Sequence[Detections], looked_for: Sequence[Detect
     return [of_camera.frame.tolist() for of_camera in kept]
 
 
+def three(marks_px: np.ndarray) -> Detections:
+    """Somebody in three pictures, which are enough to be decoded again."""
+    return bodies(*((frame, marks_px) for frame in (4, 5, 6)))
+
+
 @pytest.mark.parametrize(
     ("marks_px", "is_elsewhere"),
     [
@@ -46,24 +52,29 @@ def frames_elsewhere(expected: Sequence[Detections], looked_for: Sequence[Detect
     ],
 )
 def test_only_another_crop_is_read_again(marks_px: np.ndarray, is_elsewhere: bool) -> None:
-    assert frames_elsewhere([bodies((4, marks_px))], [bodies((4, lying()))]) == [[4] if is_elsewhere else []]
+    assert frames_elsewhere([three(marks_px)], [three(lying())]) == [[4, 5, 6] if is_elsewhere else []]
 
 
 def test_angles_just_beyond_half_a_turn_are_alike() -> None:
-    assert frames_elsewhere([bodies((4, lying(-177.0)))], [bodies((4, lying(177.0)))]) == [[]]
+    assert frames_elsewhere([three(lying(-177.0))], [three(lying(177.0))]) == [[]]
 
 
 def test_crops_of_other_frames_and_cameras_do_not_count() -> None:
-    expected = [bodies((3, lying()), (4, lying())), bodies((4, lying()), camera="right")]
-    looked_for = [bodies((4, lying())), bodies(camera="right")]
-    assert frames_elsewhere(expected, looked_for) == [[3], [4]]
+    expected = [bodies(*((frame, lying()) for frame in range(7))), replace(three(lying()), camera="right")]
+    assert frames_elsewhere(expected, [three(lying()), bodies(camera="right")]) == [[0, 1, 2, 3], [4, 5, 6]]
 
 
 def test_a_neighbour_in_the_picture_is_somebody_else() -> None:
-    expected = [bodies((4, lying()), (4, lying() + 2 * SIDE_PX))]
-    assert frames_elsewhere(expected, [bodies((4, lying() + 0.01))]) == [[4]]
-    assert frames_elsewhere(expected, [bodies((4, lying() + 2 * SIDE_PX), (4, lying()))]) == [[]]
+    neighbours = lying(), lying() + 2 * SIDE_PX
+    expected = [bodies(*((frame, marks_px) for frame in (4, 5, 6) for marks_px in neighbours))]
+    assert frames_elsewhere(expected, [three(lying() + 0.01)]) == [[4, 5, 6]]
+    assert frames_elsewhere(expected, expected) == [[]]
 
 
 def test_a_body_too_small_to_read_is_not_looked_for() -> None:
-    assert frames_elsewhere([bodies((4, lying(scale=0.05)))], [bodies()]) == [[]]
+    assert frames_elsewhere([three(lying(scale=0.05))], [bodies()]) == [[]]
+
+
+def test_pictures_are_not_decoded_again_for_one_or_two() -> None:
+    expected = [bodies(*((frame, lying()) for frame in (0, 4, 4, 8))), bodies((0, lying()), (4, lying()))]
+    assert frames_elsewhere(expected, [bodies(), bodies()]) == [[0, 4, 4, 8], []]
