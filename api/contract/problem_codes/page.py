@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from api.contract.documentation import write_or_check
+from pipeline.problem_codes.characters import CHARACTERS
 from pipeline.problem_codes.commands import COMMANDS
 from pipeline.problem_codes.fields import FIELDS
 from pipeline.problem_codes.findings import FILES, FINDINGS, PEOPLE
@@ -19,7 +20,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
 
 GROUPS: tuple[CodeGroup, ...] = (
     *(ANSWERS, FIELDS, PARTS, SPECS, CALIBRATIONS, VIDEOS, KEYPOINTS, TIMES),
-    *(FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, COMMANDS, FINDINGS),
+    *(FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, CHARACTERS, COMMANDS, FINDINGS),
 )
 """All problem codes, in the order of the page."""
 

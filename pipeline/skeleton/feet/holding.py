@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from pipeline.data.animation import FootContact, FootPart, Side
 from pipeline.skeleton.feet.floor import SIDES
@@ -73,27 +73,41 @@ def _led_m(
     point_m: Float[np.ndarray, "frames 3"], standing: Sequence[slice], frame_rate_hz: float
 ) -> Float[np.ndarray, "frames 3"]:
     """Horizontal positions of a point that stands in ranges of frames; NaN where it is free, and for the height."""
-    moved_m, is_led = np.zeros_like(point_m), np.zeros(len(point_m), dtype=bool)
-    longest = round(_EASE_S * frame_rate_hz)
+    moved_m = np.zeros_like(point_m)
     for rows in standing:
         moved_m[rows] = np.median(point_m[rows], axis=0) - point_m[rows]
-        is_led[rows] = True
-    # Between two contacts, a foot is moved by both.
-    for before, after in pairwise([None, *standing, None]):
-        start = before.stop if before else 0
-        stop = after.start if after else len(point_m)
-        rising = _rising(min(longest, stop - start))[:, None]
-        if before:
-            led = slice(start, start + len(rising))
-            moved_m[led] += rising[::-1] * moved_m[start - 1]
-            is_led[led] = True
-        if after:
-            led = slice(stop - len(rising), stop)
-            moved_m[led] += rising * moved_m[stop]
-            is_led[led] = True
+    is_led = eased(moved_m, standing, frame_rate_hz)
     places_m = np.where(is_led[:, None], point_m + moved_m, np.nan)
     places_m[:, 2] = np.nan
     return places_m
+
+
+def eased(
+    corrections: Float[np.ndarray, "frames columns"], rows_of: Sequence[slice], frame_rate_hz: float
+) -> Bool[np.ndarray, " frames"]:
+    """Let corrections in ranges of frames begin and end over 0.2 s; between two ranges both count.
+
+    ``corrections``, 0 outside of the ranges, are changed in place; ``rows_of`` are the ranges, in order. Returns the
+    frames with a correction.
+    """
+    is_led = np.zeros(len(corrections), dtype=bool)
+    longest = round(_EASE_S * frame_rate_hz)
+    for rows in rows_of:
+        is_led[rows] = True
+    # Between two contacts, a foot is moved by both.
+    for before, after in pairwise([None, *rows_of, None]):
+        start = before.stop if before else 0
+        stop = after.start if after else len(corrections)
+        rising = _rising(min(longest, stop - start))[:, None]
+        if before:
+            led = slice(start, start + len(rising))
+            corrections[led] += rising[::-1] * corrections[start - 1]
+            is_led[led] = True
+        if after:
+            led = slice(stop - len(rising), stop)
+            corrections[led] += rising * corrections[stop]
+            is_led[led] = True
+    return is_led
 
 
 def stance_weight(

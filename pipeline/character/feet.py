@@ -1,0 +1,195 @@
+"""Feet of a character on the floor: where the person's feet stand, its soles lie flat and do not move.
+
+Heel and ball of a foot, each during its contacts, stay at one place of the floor; while both stand, the sole is level
+and keeps its direction. Corrections begin and end over 0.2 s around the contacts.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.character.figure import FootMeasures
+from pipeline.character.limbs import between
+from pipeline.data.animation import Floor, FootContact
+from pipeline.skeleton.feet.floor import runs_of
+from pipeline.skeleton.feet.holding import eased
+
+_BACKWARD = np.array([0.0, 1.0, 0.0])
+# Cosine of the tilt of a sole from which on it does not lie on the floor: the foot lies on its instep.
+_MAX_TILT = 0.5
+# Angles below the horizontal between which a foot turns over from toes up to toes back.
+_STEEP_RAD = np.radians(55.0), np.radians(75.0)
+
+
+class ScaledFloor(NamedTuple):
+    """Floor in the character's unit: height at the origin, slopes along x and y."""
+
+    z: float
+    slopes: tuple[float, float]
+
+    def height(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+        """Vertical distance of points above the floor."""
+        return points[..., 2] - self.z - points[..., :2] @ np.array(self.slopes)
+
+    @property
+    def up(self) -> Float[np.ndarray, " 3"]:
+        """Unit vector at right angles to the floor."""
+        normal = np.array([-self.slopes[0], -self.slopes[1], 1.0])
+        return np.asarray(normal / np.linalg.norm(normal))
+
+
+def scaled(floor: Floor | None, units_per_m: float) -> ScaledFloor | None:
+    """Floor of a take in the character's unit."""
+    return None if floor is None else ScaledFloor(floor.z_m * units_per_m, (floor.slope_x, floor.slope_y))
+
+
+class FootPath(NamedTuple):
+    """Path of a foot."""
+
+    ankle: Float[np.ndarray, "frames 3"]
+    # Rotations of the foot and of its toes from the T-pose
+    foot: Float[np.ndarray, "frames 3 3"]
+    toes: Float[np.ndarray, "frames 3 3"]
+    stands: Bool[np.ndarray, " frames"]  # Frames in which a part of it is held on the floor
+
+
+def place_foot(
+    ankle: Float[np.ndarray, "frames 3"],
+    foot: Float[np.ndarray, "frames 3 3"],
+    measures: FootMeasures,
+    contacts: Sequence[FootContact],
+    floor: ScaledFloor | None,
+    frame_rate_hz: float,
+) -> FootPath:
+    """Place a foot so that it stands still in its contacts, and is above the floor.
+
+    Parameters
+    ----------
+    ankle, foot
+        Path of the ankle, and rotation of the foot from the T-pose, as the person's foot moves.
+    contacts
+        Contacts of this foot, those that are held.
+    """
+    if floor is None:
+        return FootPath(ankle, foot, foot, np.zeros(len(ankle), bool))
+    foot = _levelled(foot, measures, contacts, floor, frame_rate_hz)
+    fixed = np.full_like(ankle, np.nan)
+    offsets = {"heel": measures.heel, "toe": measures.ball, "foot": np.zeros(3)}
+    flat, is_upright = level(foot, floor)
+    for contact in contacts:
+        rows = contact.rows
+        offset = foot[rows] @ offsets[contact.part]
+        is_held = np.isfinite(fixed[rows, 0])
+        points = ankle[rows] + offset
+        place = (fixed[rows] + offset)[is_held].mean(0) if is_held.any() else np.median(points, axis=0)
+        height = 0.0
+        if contact.part == "foot":
+            # The ankle of a foot on its instep is where it is.
+            lies = not is_upright[rows].mean() > _MAX_TILT
+            height = max(float(np.median(floor.height(points))), 0.0) if lies else measures.ankle_height
+        place[2] += height - floor.height(place)
+        fixed[rows] = np.where(is_held[:, None], fixed[rows], place - offset)
+    stands = np.isfinite(fixed[:, 0])
+    moved = np.where(stands[:, None], fixed - ankle, 0.0)
+    eased(moved, _runs(stands), frame_rate_hz)
+    ankle = ankle + moved
+    foot = np.where(stands[:, None, None], foot, _above_floor(ankle, foot, measures, floor))
+    lowest = np.min([floor.height(ankle + foot @ point) for point in (measures.heel, measures.ball)], axis=0)
+    ankle[:, 2] += np.where(stands, 0.0, np.maximum(-lowest, 0.0))
+    # Toes stay on the floor while the heel is lifted.
+    share = np.zeros((len(ankle), 1))
+    on_toes = _rows(contacts, ("toe",), len(ankle)) & is_upright
+    share[on_toes] = 1.0
+    eased(share, _runs(on_toes), frame_rate_hz)
+    toes = between(foot, np.where(is_upright[:, None, None], flat, foot), np.minimum(share[:, 0], 1.0))
+    return FootPath(ankle, foot, toes, stands)
+
+
+def level(
+    foot: Float[np.ndarray, "frames 3 3"], floor: ScaledFloor
+) -> tuple[Float[np.ndarray, "frames 3 3"], Bool[np.ndarray, " frames"]]:
+    """Rotations of a flat sole in the direction of a foot, and frames of feet tilted less than 60 degrees."""
+    up = floor.up
+    back = foot @ _BACKWARD
+    back = back - (back @ up)[:, None] * up
+    length = np.linalg.norm(back, axis=-1, keepdims=True)
+    is_upright = (foot[:, :, 2] @ up > _MAX_TILT) & (length[:, 0] > _MAX_TILT)
+    y = np.where(is_upright[:, None], back / np.maximum(length, 1e-9), _BACKWARD)
+    z = np.broadcast_to(up, y.shape)
+    x = np.cross(y, z)
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, np.cross(z, x), z], axis=-1), is_upright
+
+
+def _levelled(
+    foot: Float[np.ndarray, "frames 3 3"],
+    measures: FootMeasures,
+    contacts: Sequence[FootContact],
+    floor: ScaledFloor,
+    frame_rate_hz: float,
+) -> Float[np.ndarray, "frames 3 3"]:
+    """Rotations of a foot whose sole is flat while all of it stands, and not below the floor while a part does."""
+    num_frames = len(foot)
+    on_heel, on_toes = (_rows(contacts, (part,), num_frames) for part in ("heel", "toe"))
+    flat, is_upright = level(foot, floor)
+    is_flat = (_rows(contacts, ("foot",), num_frames) | (on_heel & on_toes)) & is_upright
+    turns = np.zeros((num_frames, 3))
+    for rows in _runs(is_flat):
+        mean = Rotation.from_matrix(flat[rows]).mean().as_matrix()
+        turns[rows] = Rotation.from_matrix(mean @ foot[rows].swapaxes(1, 2)).as_rotvec()
+    eased(turns, _runs(is_flat), frame_rate_hz)
+    foot = Rotation.from_rotvec(turns).as_matrix() @ foot
+    # On its heel alone a foot does not point into the floor, nor on its toes alone the heel.
+    sole = foot @ (measures.ball - measures.heel)
+    below = sole @ floor.up
+    length = max(float(np.linalg.norm(measures.ball - measures.heel)), 1e-9)
+    is_wrong = is_upright & ((on_heel & ~on_toes & (below < 0.0)) | (on_toes & ~on_heel & (below > 0.0)))
+    across = np.cross(sole, floor.up)
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
+    tilts = np.where(is_wrong[:, None], -across * np.arcsin(np.clip(below / length, -1.0, 1.0))[:, None], 0.0)
+    eased(tilts, _runs(is_upright & (on_heel | on_toes)), frame_rate_hz)
+    return Rotation.from_rotvec(tilts).as_matrix() @ foot
+
+
+def _above_floor(
+    ankle: Float[np.ndarray, "frames 3"],
+    foot: Float[np.ndarray, "frames 3 3"],
+    measures: FootMeasures,
+    floor: ScaledFloor,
+) -> Float[np.ndarray, "frames 3 3"]:
+    """Rotations of a foot in the air whose ball is not below the floor, as far as its ankle is above it.
+
+    The foot turns about its own axis: toes up, or back if it points down steeply, as that of somebody who kneels. The
+    ankle stays, so that the leg keeps its direction.
+    """
+    across = foot[:, :, 0]
+    up = floor.up - (across @ floor.up)[:, None] * across
+    slope = np.linalg.norm(up, axis=-1)
+    up = up / np.maximum(slope, 1e-9)[:, None]
+    ahead = np.cross(across, up)
+    ball = foot @ measures.ball
+    aside = np.einsum("fi,fi->f", ball, across) * (across @ floor.up)
+    pitch = np.arctan2(np.einsum("fi,fi->f", ball, up), np.einsum("fi,fi->f", ball, ahead))
+    radius = np.hypot(np.einsum("fi,fi->f", ball, up), np.einsum("fi,fi->f", ball, ahead))
+    sine = (-np.maximum(floor.height(ankle), 0.0) * floor.up[2] - aside) / np.maximum(radius * slope, 1e-9)
+    lowest = np.arcsin(np.clip(sine, -1.0, 1.0))
+    is_below = (pitch < lowest) & (pitch > -np.pi - lowest)
+    steep = np.clip((_STEEP_RAD[0] + pitch) / (_STEEP_RAD[0] - _STEEP_RAD[1]), 0.0, 1.0)
+    turn = (1.0 - steep) * (lowest - pitch) + steep * (-np.pi - lowest - pitch)
+    return Rotation.from_rotvec(-across * np.where(is_below, turn, 0.0)[:, None]).as_matrix() @ foot
+
+
+def _rows(contacts: Sequence[FootContact], parts: Sequence[str], num_frames: int) -> Bool[np.ndarray, " frames"]:
+    """Frames in which parts of a foot stand."""
+    stands = np.zeros(num_frames, bool)
+    for contact in contacts:
+        if contact.part in parts:
+            stands[contact.rows] = True
+    return stands
+
+
+def _runs(stands: Bool[np.ndarray, " frames"]) -> list[slice]:
+    return [slice(start, stop) for start, stop in runs_of(stands)]

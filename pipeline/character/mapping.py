@@ -1,0 +1,203 @@
+"""Bones of a character by the joints of the skeleton, recognised or stated by a table.
+
+The joints are those of ``pipeline.skeleton.model``, with toes (``LeftToeBase``), and without those of the trunk: all
+bones between hips and arms are the spine, those between arms and head the neck.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pipeline.character.bone_names import HEAD, SIDES, joints_by_name, twist_bones
+from pipeline.character.bone_shapes import joints_by_shape
+from pipeline.character.gltf_reader import CharacterFile
+from pipeline.character.rig import CharacterRig
+from pipeline.errors import InputError, Problem, listed_names, printable
+from pipeline.joints import FINGERS
+from pipeline.parsing import UnreadableError, read_json
+from pipeline.problem_codes.characters import BONES_INVALID, CHARACTER_BONES
+
+HIPS = "Hips"
+LIMBS = tuple(
+    tuple(f"{side}{joint}" for joint in joints)
+    for side in SIDES
+    for joints in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand"))
+)
+"""Joints of each leg and arm, from the trunk outwards."""
+REQUIRED = (HEAD, *(joint for limb in LIMBS for joint in limb))
+"""Joints that a character must have."""
+OPTIONAL = tuple(f"{side}{joint}" for side in SIDES for joint in ("Shoulder", "ToeBase")) + tuple(
+    f"{side}Hand{finger.capitalize()}{number}" for side in SIDES for finger in FINGERS for number in (1, 2, 3)
+)
+"""Joints that a character may lack."""
+
+_MAX_TABLE_BYTES = 1 << 20
+_HINT = 'Write a JSON object such as {"bones": {"LeftArm": "upperarm_l", "LeftShoulder": null}}.'
+
+
+@dataclass(frozen=True, slots=True)
+class BoneMapping:
+    """Bones of a character by joint, each by its name."""
+
+    # How they were recognised: by a VRM's table, by names, by the shape of the tree; ``table``: by a user's table too
+    method: Literal["vrm", "names", "shape", "table"]
+    bones: Mapping[str, str]  # Bone of each joint, ``Hips`` among them
+    # Bones between hips and arms, and between arms and head, from below
+    spine: tuple[str, ...]
+    neck: tuple[str, ...]
+    twists: Mapping[str, str]  # Bones that share the twist of a limb, with the joint at the end of the limb
+    missing: tuple[str, ...]  # Joints without a bone
+    at_rest: tuple[str, ...]  # Bones that stay at rest
+
+    def document(self) -> dict[str, Any]:
+        """Mapping as JSON; ``bones`` is a table that ``read_bone_table`` reads, null for joints without a bone."""
+        return {
+            "method": self.method,
+            "bones": {**self.bones, **dict.fromkeys(self.missing)},
+            "spine": list(self.spine),
+            "neck": list(self.neck),
+            "twists": dict(self.twists),
+            "missing": list(self.missing),
+            "at_rest": list(self.at_rest),
+        }
+
+
+def read_bone_table(path: Path) -> dict[str, str | None]:
+    """Read a table of bones by joint, ``None`` for joints without one, from JSON.
+
+    Raises ``InputError`` with all problems of the table.
+    """
+    try:
+        if path.stat().st_size > _MAX_TABLE_BYTES:
+            raise InputError([Problem(BONES_INVALID, "The table is too large.", file=path.name, hint=_HINT)])
+        return bone_table(read_json(path.read_bytes()), path.name)
+    except (OSError, UnreadableError) as error:
+        raise InputError([Problem(BONES_INVALID, "The table can't be read.", file=path.name, hint=_HINT)]) from error
+
+
+def bone_table(document: Any, name: str | None = None) -> dict[str, str | None]:
+    """Check a table of bones, parsed from JSON; ``name`` is that of its file. Raises ``InputError``."""
+    bones = document.get("bones") if isinstance(document, dict) else None
+    if not isinstance(bones, dict):
+        raise InputError([Problem(BONES_INVALID, "The table has no object `bones`.", file=name, hint=_HINT)])
+    problems = []
+    for joint, bone in bones.items():
+        if joint not in (HIPS, *REQUIRED, *OPTIONAL):
+            hint = f"Joints are {HIPS}, {', '.join(REQUIRED)}, {', '.join(OPTIONAL)}."
+            problems.append(Problem(BONES_INVALID, f"There is no joint {printable(joint)}.", file=name, hint=hint))
+        elif not (bone is None or isinstance(bone, str)):
+            problems.append(Problem(BONES_INVALID, f"The bone of {joint} is no name.", file=name, hint=_HINT))
+    if problems:
+        raise InputError(problems)
+    return bones
+
+
+def map_bones(character: CharacterFile, table: Mapping[str, str | None] | None = None) -> BoneMapping:
+    """Recognise the bones of a character.
+
+    Parameters
+    ----------
+    table
+        Bones by joint that go before those that are recognised; ``None``: the joint has no bone.
+
+    Raises
+    ------
+    InputError
+        If bones are missing, or are not in the order of a body, or the table names unknown bones: all problems.
+    """
+    rig, stated = character.rig, dict(table or {})
+    problems = _unknown(rig, stated, character.name)
+    if problems:
+        raise InputError(problems)
+    nodes = {joint: rig.names.index(bone) for joint, bone in stated.items() if bone is not None}
+    attempts: list[tuple[Literal["vrm", "names", "shape"], dict[str, int]]] = [
+        ("vrm" if character.humanoid else "names", joints_by_name(rig, character.humanoid)),
+        ("shape", joints_by_shape(rig)),
+    ]
+    found_problems: list[list[Problem]] = []
+    for method, recognised in attempts:
+        joints = {joint: node for joint, node in recognised.items() if joint not in stated} | nodes
+        wrong = _wrong(rig, joints, character.name)
+        if not wrong:
+            return _completed("table" if stated else method, rig, joints, HIPS in nodes)
+        found_problems.append(wrong)
+    # The problems of names are those that a user can understand, unless names told nothing.
+    raise InputError(min(found_problems, key=len))
+
+
+def _unknown(rig: CharacterRig, stated: Mapping[str, str | None], name: str) -> list[Problem]:
+    known = set(rig.names)
+    return [
+        Problem(
+            BONES_INVALID,
+            f"The character has no bone {printable(bone)}, which the table names for {joint}.",
+            file=name,
+            hint=f"Bones are {listed_names([rig.names[n] for n in rig.order if rig.is_bone[n]])}.",
+        )
+        for joint, bone in stated.items()
+        if bone is not None and bone not in known
+    ]
+
+
+def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Problem]:
+    """Problems of bones by joint: missing ones, and limbs that don't hang together."""
+    missing = [joint for joint in REQUIRED if joint not in joints]
+    if missing:
+        return [
+            Problem(
+                CHARACTER_BONES,
+                f"No bone of the character was recognised as {listed_names(missing)}.",
+                file=name,
+                hint="State the bones by a table: --bones FILE, see docs/characters.md.",
+            )
+        ]
+    wrong = []
+    for limb in LIMBS:
+        for above, below in itertools.pairwise(limb):
+            if joints[above] == joints[below] or not rig.path(joints[above], joints[below]):
+                bones = f"{rig.names[joints[below]]} ({below}) is not below {rig.names[joints[above]]} ({above})"
+                wrong.append(Problem(CHARACTER_BONES, f"The bone {bones}.", file=name, hint="Correct the table."))
+    if not wrong and rig.common_ancestor(*(joints[joint] for joint in REQUIRED)) is None:
+        wrong.append(Problem(CHARACTER_BONES, "The bones of the body do not hang together.", file=name))
+    return wrong
+
+
+def _completed(
+    method: Literal["vrm", "names", "shape", "table"], rig: CharacterRig, joints: Mapping[str, int], has_hips: bool
+) -> BoneMapping:
+    """Mapping with the bones of the trunk, and those that share the twist of limbs."""
+    arms = [joints[f"{side}Arm"] for side in SIDES]
+    hips = joints[HIPS] if has_hips else rig.common_ancestor(*(joints[joint] for joint in REQUIRED))
+    chest = rig.common_ancestor(*arms, joints[HEAD])
+    if hips is None or chest is None:  # Excluded by ``_wrong``.
+        raise ValueError("the bones have no common ancestor")
+    spine, neck = rig.path(hips, chest)[1:], rig.path(chest, joints[HEAD])[1:-1]
+    of_joints = {HIPS: hips, **{joint: joints[joint] for joint in (*REQUIRED, *OPTIONAL) if joint in joints}}
+    twists = _twists(rig, of_joints)
+    used = {*of_joints.values(), *spine, *neck, *twists}
+    return BoneMapping(
+        method,
+        {joint: rig.names[node] for joint, node in of_joints.items()},
+        tuple(rig.names[node] for node in spine),
+        tuple(rig.names[node] for node in neck),
+        {rig.names[node]: joint for node, joint in twists.items()},
+        tuple(joint for joint in OPTIONAL if joint not in of_joints),
+        tuple(rig.names[node] for node in rig.order if rig.is_bone[node] and node not in used),
+    )
+
+
+def _twists(rig: CharacterRig, joints: Mapping[str, int]) -> dict[int, str]:
+    """Bones that share the twist of the hand along the forearm, with its joint.
+
+    They are on the way from the elbow to the wrist, or named so and children of the forearm.
+    """
+    found: dict[int, str] = {}
+    named = set(twist_bones(rig))
+    for side in SIDES:
+        elbow, hand = joints[f"{side}ForeArm"], joints[f"{side}Hand"]
+        beside: Sequence[int] = [child for child in rig.children[elbow] if child in named]
+        for node in (*rig.path(elbow, hand)[1:-1], *beside):
+            found[node] = f"{side}Hand"
+    return found

@@ -1,0 +1,278 @@
+"""Retargeting: the motion of a person's skeleton on the bones of a character.
+
+Each bone turns from its T-pose as the joint of the skeleton does, so that limbs have the person's directions. Paths are
+scaled by the length of the legs. What directions alone would lose is fitted in each frame: feet stand where they stand
+(``feet``), legs reach them, and hands meet where they met. A hand that is near the other one, or near the floor, is led
+to the scaled place; the weight rises from 0 to 1 between two distances, which are shares of the arm's length.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+from scipy.spatial.transform import Rotation
+
+from pipeline.character.bone_names import HEAD, SIDES
+from pipeline.character.feet import FootPath, ScaledFloor, place_foot, scaled
+from pipeline.character.figure import CharacterFigure
+from pipeline.character.limbs import REACH, BentLimb, between, reach, twist_rad
+from pipeline.character.mapping import HIPS
+from pipeline.data.animation import Floor, SkeletonMotion
+from pipeline.data.arrays import read_only
+from pipeline.joints import FINGERS
+from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
+from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
+from pipeline.skeleton.model import INDEX, forward_kinematics, parents_of
+
+NEAR_HAND, FAR_HAND = 0.35, 0.8
+"""Distance of both wrists, in lengths of the arm, up to which they keep it, and from which they are free."""
+NEAR_FLOOR, FAR_FLOOR = 0.2, 0.5
+"""Height of a wrist above the floor, likewise, up to which it is at its scaled place."""
+
+_DOWN, _UP = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
+_OUTWARDS: Mapping[str, Float[np.ndarray, " 3"]] = {"Left": np.array([1.0, 0, 0]), "Right": np.array([-1.0, 0, 0])}
+# Time over which hips are lowered for legs that are too short, before and after.
+_LOWER_S, _SMOOTH_S = 0.12, 0.04
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CharacterMotion:
+    """Motion of a character, in the skeleton's axes and the character's unit; nodes without a rotation stay at rest."""
+
+    figure: CharacterFigure
+    source: SkeletonMotion  # Motion of the person
+    scale: float  # Length of a metre of the person's world in the character's unit
+    hips: Float[np.ndarray, "frames 3"]  # Places of the bone of the hips
+    # Rotations of nodes from the rest pose, about the world's axes
+    turns: Mapping[int, Float[np.ndarray, "frames 3 3"]]
+    stands: Mapping[str, Bool[np.ndarray, " frames"]]  # Frames in which a foot is held, by side
+    floor: ScaledFloor | None
+
+
+def retarget(source: SkeletonMotion, figure: CharacterFigure, floor: Floor | None) -> CharacterMotion:
+    """Move a character as a person.
+
+    Parameters
+    ----------
+    source
+        Motion of the person; its contacts that are pinned are held.
+    floor
+        Floor of the take; ``None``: there is none.
+    """
+    fit = _Fit(source, figure, floor)
+    fit.stand()
+    fit.move_trunk()
+    fit.move_arms()
+    fit.move_fingers()
+    return CharacterMotion(
+        figure,
+        source,
+        fit.scale,
+        read_only(fit.hips),
+        {node: read_only(turns) for node, turns in fit.turns.items()},
+        {side: path.stands for side, path in fit.paths.items()},
+        fit.floor,
+    )
+
+
+class _Fit:
+    """Fit of a character to a person's motion, step by step from the feet up."""
+
+    def __init__(self, source: SkeletonMotion, figure: CharacterFigure, floor: Floor | None) -> None:
+        self._source, self._figure, self._joints = source, figure, figure.joints
+        self._places_m = forward_kinematics(source)
+        self._turned = _world_rotations(source)
+        legs_m = [source.bone_length_m[[INDEX[f"{side}Leg"], INDEX[f"{side}Foot"]]].sum() for side in SIDES]
+        self.scale = figure.leg_length / float(np.mean(legs_m))
+        self.floor = scaled(floor, self.scale)
+        self._lift = self._height_of_soles(floor)
+        self.paths: dict[str, FootPath] = {}
+        self.turns: dict[int, Float[np.ndarray, "frames 3 3"]] = {}
+        self.hips = np.zeros((len(source.root_m), 3))
+
+    def joint(self, name: str) -> Float[np.ndarray, "frames 3 3"]:
+        """Rotation of a joint of the skeleton from the T-pose."""
+        return self._turned[:, INDEX[name]]
+
+    def place(self, name: str) -> Float[np.ndarray, "frames 3"]:
+        """Scaled place of a joint of the skeleton."""
+        return self.scale * self._places_m[:, INDEX[name]]
+
+    def set_turn(self, joint: str, turned: Float[np.ndarray, "frames 3 3"]) -> None:
+        """Turn the bone of a joint, if the character has it; ``turned`` is from the T-pose."""
+        if (node := self._joints.get(joint)) is not None:
+            self.turns[node] = turned @ self._figure.upright[node]
+
+    def _height_of_soles(self, floor: Floor | None) -> Float[np.ndarray, " frames"]:
+        """Height by which the character's ankles are above the person's scaled ones, as its soles are thicker.
+
+        It fades as the shins lie down: bodies on the floor have no soles below them.
+        """
+        ankles = [self._places_m[:, INDEX[f"{side}Foot"]] for side in SIDES]
+        heights_m: list[float] = []
+        for side, ankle_m in zip(SIDES, ankles, strict=True):
+            for contact in self._source.contacts:
+                if floor is not None and contact.pinned and contact.side == side.lower() and contact.part != "toe":
+                    heights_m += floor.height_m(ankle_m[contact.rows]).tolist()
+        person_m = float(np.median(heights_m)) if heights_m else ANKLE_HEIGHT_M
+        own = np.mean([foot.ankle_height for foot in self._figure.feet.values()])
+        shins = [_unit(self._places_m[:, INDEX[f"{s}Leg"]] - self._places_m[:, INDEX[f"{s}Foot"]])[:, 2] for s in SIDES]
+        upright = np.clip(np.mean(shins, axis=0), 0.0, 1.0)
+        smooth = gaussian_filter1d(upright, max(_LOWER_S * self._source.frame_rate_hz, 1e-3), mode="nearest")
+        return np.asarray((own - self.scale * person_m) * smooth)
+
+    def stand(self) -> None:
+        """Place feet and hips, and legs between them."""
+        figure, rate_hz = self._figure, self._source.frame_rate_hz
+        for side in SIDES:
+            ankle = self.place(f"{side}Foot") + self._lift[:, None] * _UP
+            contacts = [c for c in self._source.contacts if c.pinned and c.side == side.lower()]
+            foot = self.joint(f"{side}Foot")
+            self.paths[side] = place_foot(ankle, foot, figure.feet[side], contacts, self.floor, rate_hz)
+        middle = self.place(HIPS) + self._lift[:, None] * _UP
+        hips = self.joint(HIPS)
+        at_rest = {side: figure.positions[self._joints[f"{side}UpLeg"]] for side in SIDES}
+        rest = sum(at_rest.values(), np.zeros(3)) / len(SIDES)
+        lengths = {
+            side: (figure.length(f"{side}UpLeg", f"{side}Leg"), figure.length(f"{side}Leg", f"{side}Foot"))
+            for side in SIDES
+        }
+        # Only the heights of hips are free: they are lowered for feet that stand out of reach.
+        lowered = np.zeros(len(middle))
+        for side in SIDES:
+            start = middle + hips @ (at_rest[side] - rest)
+            way = start - self.paths[side].ankle
+            longest = sum(lengths[side]) * REACH
+            reachable = np.sqrt(np.maximum(longest**2 - way[:, 0] ** 2 - way[:, 1] ** 2, 0.0))
+            needed = np.where(self.paths[side].stands, np.maximum(way[:, 2] - reachable, 0.0), 0.0)
+            lowered = np.maximum(lowered, needed)
+        middle = middle - _smoothed_above(lowered, rate_hz)[:, None] * _UP
+        self.set_turn(HIPS, hips)
+        self.hips = middle + hips @ (figure.positions[self._joints[HIPS]] - rest)
+        for side in SIDES:
+            start, path = middle + hips @ (at_rest[side] - rest), self.paths[side]
+            limb = BentLimb(self.joint(f"{side}UpLeg"), self.joint(f"{side}Leg"), path.ankle)
+            limb = reach(start, limb, _DOWN, np.array(KNEE_HINGE), lengths[side], path.ankle)
+            for joint, turned in zip(
+                ("UpLeg", "Leg", "Foot", "ToeBase"), (limb.upper, limb.lower, path.foot, path.toes), strict=True
+            ):
+                self.set_turn(f"{side}{joint}", turned)
+
+    def move_trunk(self) -> None:
+        """Bend spine and neck evenly between the joints of the skeleton, and turn collar bones and head."""
+        names, mapping = self._figure.rig.names, self._figure.mapping
+        spine, neck = ([names.index(bone) for bone in bones] for bones in (mapping.spine, mapping.neck))
+        for number, node in enumerate(spine, 1):
+            share = (number - 1) / (len(spine) - 1) if len(spine) > 1 else 1.0
+            self.turns[node] = between(self.joint("Spine"), self.joint("Chest"), share)
+        for number, node in enumerate(neck):
+            self.turns[node] = between(self.joint("Neck"), self.joint(HEAD), number / len(neck))
+        for joint in (HEAD, *(f"{side}Shoulder" for side in SIDES)):
+            self.set_turn(joint, self.joint(joint))
+
+    def move_arms(self) -> None:
+        """Turn arms as the person's, and lead hands to where they met."""
+        figure = self._figure
+        arms: dict[str, BentLimb] = {}
+        starts, lengths, free, led = {}, {}, {}, {}
+        for side in SIDES:
+            lengths[side] = (
+                figure.length(f"{side}Arm", f"{side}ForeArm"),
+                figure.length(f"{side}ForeArm", f"{side}Hand"),
+            )
+            starts[side] = place_of(figure, self.hips, self.turns, self._joints[f"{side}Arm"])
+            upper, lower = self.joint(f"{side}Arm"), self.joint(f"{side}ForeArm")
+            first, second = lengths[side]
+            free[side] = starts[side] + first * (upper @ _OUTWARDS[side]) + second * (lower @ _OUTWARDS[side])
+            arms[side] = BentLimb(upper, lower, free[side])
+        wrists_m = {side: self._places_m[:, INDEX[f"{side}Hand"]] for side in SIDES}
+        arm_m = float(
+            np.mean([self._source.bone_length_m[[INDEX[f"{s}ForeArm"], INDEX[f"{s}Hand"]]].sum() for s in SIDES])
+        )
+        for side in SIDES:
+            share = np.zeros(len(self.hips))
+            if self.floor is not None:
+                height = self.floor.height(self.scale * wrists_m[side]) / self.scale
+                share = _near(height / arm_m, NEAR_FLOOR, FAR_FLOOR)
+            led[side] = free[side] + share[:, None] * (self.scale * wrists_m[side] - free[side])
+        apart_m = wrists_m["Left"] - wrists_m["Right"]
+        share = _near(np.linalg.norm(apart_m, axis=-1) / arm_m, NEAR_HAND, FAR_HAND)[:, None]
+        middle = (led["Left"] + led["Right"]) / 2
+        for side, sign in zip(SIDES, (0.5, -0.5), strict=True):
+            place = led[side] + share * (middle + sign * self.scale * apart_m - led[side])
+            limb = reach(starts[side], arms[side], _OUTWARDS[side], np.array(ARM_HINGES[side]), lengths[side], place)
+            self.set_turn(f"{side}Arm", limb.upper)
+            self.set_turn(f"{side}ForeArm", limb.lower)
+            self.set_turn(f"{side}Hand", self.joint(f"{side}Hand"))
+        self._share_twists()
+
+    def _share_twists(self) -> None:
+        """Give bones along a forearm their share of the hand's twist."""
+        figure = self._figure
+        for bone, joint in figure.mapping.twists.items():
+            node, elbow = figure.rig.names.index(bone), self._joints[joint.replace("Hand", "ForeArm")]
+            hand = self._joints[joint]
+            along = figure.positions[hand] - figure.positions[elbow]
+            share = np.clip((figure.positions[node] - figure.positions[elbow]) @ along / (along @ along), 0.0, 1.0)
+            axis = along / np.linalg.norm(along)
+            angle = twist_rad(self.turns[elbow].swapaxes(1, 2) @ self.turns[hand], axis)
+            turned = Rotation.from_rotvec(share * angle[:, None] * axis).as_matrix()
+            self.turns[node] = self.turns[elbow] @ turned
+
+    def move_fingers(self) -> None:
+        """Turn fingers as the person's, if they are known."""
+        for side in SIDES:
+            for finger in FINGERS:
+                for number in (1, 2, 3):
+                    joint = f"{side}Hand{finger.capitalize()}{number}"
+                    if INDEX[joint] < self._turned.shape[1]:
+                        self.set_turn(joint, self.joint(joint))
+
+
+def place_of(
+    figure: CharacterFigure,
+    hips: Float[np.ndarray, "frames 3"],
+    turns: Mapping[int, Float[np.ndarray, "frames 3 3"]],
+    node: int,
+) -> Float[np.ndarray, "frames 3"]:
+    """Places of a node below the hips."""
+    top = figure.joints[HIPS]
+    place, turned = hips, turns[top]
+    for above, below in zip((way := figure.rig.path(top, node)), way[1:], strict=False):
+        turned = turns.get(above, turned)
+        place = place + turned @ (figure.positions[below] - figure.positions[above])
+    return place
+
+
+def _world_rotations(motion: SkeletonMotion) -> Float[np.ndarray, "frames joints 3 3"]:
+    """Rotations of all joints of a skeleton from the T-pose."""
+    quat = motion.parent_from_joint
+    turned = Rotation.from_quat(quat.reshape(-1, 4)).as_matrix().reshape(*quat.shape[:2], 3, 3)
+    for joint, parent in enumerate(parents_of(quat.shape[1]).tolist()):
+        if joint != parent:
+            turned[:, joint] = turned[:, parent] @ turned[:, joint]
+    return turned
+
+
+def _near(distance: Float[np.ndarray, " frames"], near: float, far: float) -> Float[np.ndarray, " frames"]:
+    """Weight 1 up to a distance, 0 from another one on, and a smooth step between."""
+    share = np.clip((far - distance) / (far - near), 0.0, 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share))
+
+
+def _smoothed_above(values: Float[np.ndarray, " frames"], frame_rate_hz: float) -> Float[np.ndarray, " frames"]:
+    """Smooth curve that is nowhere below some values, which are mostly 0."""
+    if not values.any():
+        return values
+    sigma = max(_SMOOTH_S * frame_rate_hz, 0.5)
+    # The widest of both: the maximum reaches as far as the filter does.
+    truncate = max(_LOWER_S / _SMOOTH_S, 1.0)
+    radius = int(truncate * sigma + 0.5)
+    highest = maximum_filter1d(values, 2 * radius + 1, mode="nearest")
+    return np.asarray(gaussian_filter1d(highest, sigma, truncate=truncate, mode="nearest"))
+
+
+def _unit(vectors: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9))
