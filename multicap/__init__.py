@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from api.cli.client import Client, Job, ServiceError
+    from pipeline.body.installed import install as install_body
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.recordings import Recording
     from pipeline.capture.session import CaptureSession, open_session
@@ -53,6 +54,7 @@ __all__ = [
     "ServiceError",
     "SessionRefused",
     "WrittenResults",
+    "install_body",
     "install_network",
     "install_networks",
     "install_sample",
@@ -81,6 +83,7 @@ _REFERENCES = {
     "ServiceError": "api.cli.client:ServiceError",
     "SessionRefused": "pipeline.errors:SessionRefused",
     "WrittenResults": "pipeline.export.results:WrittenResults",
+    "install_body": "pipeline.body.installed:install",
     "install_network": "pipeline.detect.models:install",
     "install_networks": "pipeline.detect.models:install_networks",
     "install_sample": "pipeline.runtime.packages.samples:install",

@@ -45,6 +45,7 @@ class FileFormat(Value):
     # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints
     holds: Literal["motion", "joints"]
     limit: FrameLimit | None = None
+    has_body: bool = False  # Whether it holds a body that follows the skeleton
     has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset
 
 

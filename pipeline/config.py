@@ -100,8 +100,10 @@ Sync = (
 )
 Export = (
     Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion", has_presets=True)]
-    | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
-    | Annotated[Literal["fbx"], FileFormat("FBX, body and animation", _BYTES, "motion", has_presets=True)]
+    | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion", has_body=True)]
+    | Annotated[
+        Literal["fbx"], FileFormat("FBX, body and animation", _BYTES, "motion", has_body=True, has_presets=True)
+    ]
     | Annotated[Literal["vrma"], FileFormat("VRMA, animation for VRM characters", "model/gltf-binary", "motion")]
     | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
     # The header counts frames in 16 bits, and readers take no longer files.
@@ -121,6 +123,11 @@ Preset = (
 Timeline = (
     Annotated[Literal["take"], Value("Those of the take, in every file")]
     | Annotated[Literal["person"], Value("Those in which the person is there")]
+)
+
+Body = (
+    Annotated[Literal["human"], Value("A human, shaped by the person's bones")]
+    | Annotated[Literal["capsules"], Value("Capsules around the bones")]
 )
 
 
@@ -237,6 +244,14 @@ class JobChoices(MotionChoices):
             group="purpose",
         ),
     ] = "take"
+    body: Annotated[
+        Body,
+        About(
+            "Body of GLB and FBX files",
+            "Body of the people in GLB and FBX files. A human needs `multicap bodies install` where files are written.",
+            group="purpose",
+        ),
+    ] = "capsules"
     report: Annotated[
         bool,
         About(
@@ -411,6 +426,10 @@ def _networks_of_profiles() -> tuple[str, ...]:
 
 NETWORKS_OF_PROFILES = _networks_of_profiles()
 """Names of the networks of all profiles."""
+
+
+INSTALL_BODY = "Run: multicap bodies install"
+"""Sentence that tells how to install the human body."""
 
 
 def install_command(*names: str) -> str:

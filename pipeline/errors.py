@@ -5,7 +5,7 @@
     PipelineError            a clear sentence, a stable ``code``
     ├── InputError           bad input: every problem found, at once; a retry fails the same way
     │   └── SessionRefused   the check of a session found errors; it can be reconstructed all the same
-    ├── ModelError           a detector network or the sample capture can't be installed or used
+    ├── ModelError           a detector network, the sample capture or the human body can't be installed or used
     └── ChildError           a process of Multicap's own failed; the input is not at fault
 """
 

@@ -11,6 +11,7 @@ import time
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from pipeline.config import Body
 from pipeline.runtime.kernel_cache import is_complete
 from pipeline.stages.code import stage_codes
 from worker.jobs.errors import DamagedDatabase
@@ -135,7 +136,14 @@ def _status() -> WorkerStatus | None:
     if not _disk().has_room():
         return WorkerStatus(process_name(), WorkerState.STARTING, NO_ROOM)
     codes = tuple(sorted(stage_codes().values()))
-    return WorkerStatus(process_name(), WorkerState.READY, WORKING, detectors=_installed_detectors(), codes=codes)
+    return WorkerStatus(
+        process_name(),
+        WorkerState.READY,
+        WORKING,
+        detectors=_installed_detectors(),
+        bodies=_installed_bodies(),
+        codes=codes,
+    )
 
 
 def _installed_detectors() -> tuple[str, ...]:
@@ -143,6 +151,12 @@ def _installed_detectors() -> tuple[str, ...]:
     from pipeline.detect.models import status  # noqa: PLC0415 - see `process_runner`
 
     return tuple(model.name for model in status() if model.installed)
+
+
+def _installed_bodies() -> tuple[Body, ...]:
+    from pipeline.body.installed import is_installed  # noqa: PLC0415 - see `process_runner`
+
+    return ("human",) if is_installed() else ()
 
 
 def work() -> None:

@@ -27,6 +27,7 @@ COMMANDS: Mapping[str, str] = {
     "sync": "Measure when each camera started, from the people whom the cameras see.",
     "models": "Detector networks: list, install, add from a file, verify.",
     "samples": "Sample capture of two people with four cameras: install.",
+    "bodies": "Human body of exports: install.",
     "keys": "API keys of the service: create, list, revoke.",
     "webhooks": "Webhooks of the service: secrets and undelivered messages.",
     "audit": "Audit trail: creations, changes and deletions in the service.",

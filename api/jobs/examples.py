@@ -33,6 +33,7 @@ SPEC: dict[str, Any] = {
     "people": "auto",
     "exports": ["bvh"],
     "timeline": "take",
+    "body": "capsules",
 }
 
 

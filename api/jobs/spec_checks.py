@@ -5,12 +5,13 @@ from urllib.parse import urlsplit
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
 from pipeline.capture.preflight_record import Preflight
-from pipeline.config import Sync, Timeline, install_command, networks_of
+from pipeline.config import FILE_FORMATS, INSTALL_BODY, Sync, Timeline, install_command, networks_of
 from pipeline.findings import CERTAIN
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import FRAMES_TOO_LARGE
 from pipeline.problem_codes.sessions import SESSION_TOO_LONG
 from pipeline.problem_codes.specs import (
+    BODY_NOT_INSTALLED,
     CALLBACK_INVALID,
     CALLBACK_NOT_HTTPS,
     CALLBACK_NOT_PUBLIC,
@@ -18,7 +19,7 @@ from pipeline.problem_codes.specs import (
     WEBHOOK_SECRET_MISSING,
 )
 from pipeline.rules import session_problems
-from worker.jobs.repositories.work.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_bodies, installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.webhooks.addresses import may_be_public, url_fault
@@ -108,3 +109,18 @@ def network_errors(spec: JobSpec, services: Services, field: tuple[str, ...] | N
     choice = "profile" if spec.detector == "auto" else "detector"
     pointer = None if field is None else pointer_to(*field, choice)
     return [ErrorItem(code=DETECTOR_NOT_INSTALLED, message=message, pointer=pointer, hint=hint)]
+
+
+def body_errors(spec: JobSpec, services: Services, field: tuple[str, ...] | None) -> list[ErrorItem]:
+    """Refuse a body of files that is not installed on every worker; without workers, the job waits for one.
+
+    ``field`` is that of ``network_errors``.
+    """
+    if spec.body == "capsules" or not any(FILE_FORMATS[export].has_body for export in spec.exports):
+        return []
+    installed = installed_bodies(services.store.workers.all())
+    if installed is None or spec.body in installed:
+        return []
+    message = f"The body {spec.body} is not installed for files of this job."
+    pointer = None if field is None else pointer_to(*field, "body")
+    return [ErrorItem(code=BODY_NOT_INSTALLED, message=message, pointer=pointer, hint=INSTALL_BODY)]

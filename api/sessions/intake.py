@@ -26,7 +26,15 @@ from api.http.bodies.form_kinds import (
     TIMESTAMPS,
     VIDEOS,
 )
-from api.jobs.spec_checks import callback_errors, for_session, limit_errors, network_errors, session_errors, spec_errors
+from api.jobs.spec_checks import (
+    body_errors,
+    callback_errors,
+    for_session,
+    limit_errors,
+    network_errors,
+    session_errors,
+    spec_errors,
+)
 from api.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.sessions.receiving import Sent, adopted, document, form_of
 from api.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
@@ -158,6 +166,8 @@ async def check(request: Request, services: Services, records: TenantRecords, se
             errors.extend(session_errors(arrival.spec, preflight))
     if arrival.spec:
         errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
+    if arrival.spec and sent.kind.has_job:
+        errors.extend(await run_in_threadpool(body_errors, arrival.spec, services, (SPEC,)))
     if arrival.spec and sent.kind.has_job and not form.keypoints:
         errors.extend(await run_in_threadpool(network_errors, arrival.spec, services, (SPEC,)))
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:

@@ -11,13 +11,14 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.config import Export, Preset
+from pipeline.config import Body, Export, Preset
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.export.presets import PRESETS
 from pipeline.export.scene import TakeScene
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc, vrma
+from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames, rotation_orders
 from pipeline.joints import JointSet
 
@@ -36,13 +37,14 @@ class PersonContent:
     is_present: Bool[np.ndarray, " frames"]  # Frames of the file in which the person is there
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
     preset: Preset  # Convention of BVH and FBX files
+    body: BodyChoice  # Body of GLB and FBX files
 
 
 @dataclass(frozen=True, slots=True)
 class TakeFormat:
     """Writer and reader of files of a format with the scene of a whole take."""
 
-    encode: Callable[[TakeScene, Preset], Iterator[bytes]]  # Yields the bytes of a file, piece by piece
+    encode: Callable[[TakeScene, Preset, Body], Iterator[bytes]]  # Yields the bytes of a file, piece by piece
     # Yields blocks of frames of a person of a file, as of ``Format.read_xyz_m``, by the place among the scene's people
     read_xyz_m: Callable[[Path, Preset, int], Iterator[Float[np.ndarray, "_ joints 3"]]]
     fits: Callable[[TakeScene], bool]  # Whether a file can be as large as a scene needs
@@ -73,18 +75,20 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
             lambda person: rotation_orders(person.motion, PRESETS[person.preset]).between,
         ),
         "glb": Format(
-            lambda person: glb.encode(person.motion, person.origin_m, person.frames, person.is_present),
+            lambda person: glb.encode(person.motion, person.origin_m, person.frames, person.is_present, person.body),
             lambda path, _: glb.read_xyz_m(path),
             holds_name=True,
             has_origin=True,
             of_take=TakeFormat(
-                lambda scene, _: glb.encode_take(scene),
+                lambda scene, _, body: glb.encode_take(scene, body),
                 lambda path, _, person: glb.read_xyz_m(path, person),
                 glb.fits,
             ),
         ),
         "fbx": Format(
-            lambda person: fbx.encode(person.motion, person.preset, person.origin_m, person.frames, person.is_present),
+            lambda person: fbx.encode(
+                person.motion, person.preset, person.origin_m, person.frames, person.is_present, person.body
+            ),
             fbx.read_xyz_m,
             lambda person: rotation_orders(person.motion, fbx.convention_of_fbx(person.preset)).between,
             holds_name=True,

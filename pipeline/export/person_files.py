@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.config import FILE_FORMATS, Export, Preset, Timeline
+from pipeline.config import FILE_FORMATS, Body, Export, Preset, Timeline
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Timebase
@@ -20,6 +20,7 @@ from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.origin import file_origin_m
 from pipeline.export.timelines import held, presence, unknown_outside
 from pipeline.export.writers import skeletons_json
+from pipeline.export.writers.body_mesh import CAPSULES, BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
 from pipeline.progress import OnShare, part_of, split
@@ -45,15 +46,18 @@ class PersonOfTake:
     frames: range  # Output frames of the files, those of the track among them
     # Frames of the files in which the person is there; all in files of the person's own frames
     is_present: Bool[np.ndarray, " frames"]
+    body: BodyChoice  # Body in GLB and FBX files
 
 
-def people_of(take: Reconstruction, timeline: Timeline) -> Iterator[PersonOfTake]:
+def people_of(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:
     """People of a take, in its order."""
     origin_m = file_origin_m(take.cameras)
+    # Capsules are the same on every floor.
+    choice = CAPSULES if body == "capsules" else BodyChoice(body, take.animation.floor)
     for track, motion in zip(take.tracks, take.motions, strict=True):
         frames = range(take.timebase.num_frames) if timeline == "take" else track.frames
         is_present = presence(track, frames) if timeline == "take" else np.ones(len(frames), bool)
-        yield PersonOfTake(track, motion, take.joints, take.timebase, origin_m, frames, is_present)
+        yield PersonOfTake(track, motion, take.joints, take.timebase, origin_m, frames, is_present, choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +144,7 @@ def _written(
         person.is_present,
         person.origin_m,
         preset,
+        person.body,
     )
     with replacing(path, FORMATS[export].encode(content)) as part:
         distance_mm = furthest_mm(path, person.frames, expected, FORMATS[export].read_xyz_m(part, preset), on_read)

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from pipeline.body.joints import BODY_JOINTS, TwistJoint, twist_quat
 from pipeline.config import Preset
-from pipeline.skeleton.model import WHOLE_SKELETON, SkeletonJoint, parents_of, rest_offsets_m, skeleton_of
+from pipeline.skeleton.model import INDEX, SkeletonJoint, parents_of, rest_offsets_m, skeleton_of
 
 _FINGERS = ("Index", "Middle", "Ring", "Pinky")
 _BACKWARD = np.array([0.0, 1.0, 0.0])
@@ -61,7 +62,7 @@ class Convention:
     def rest_offsets(self, bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "joints 3"]:
         """Offsets of all joints from their parents in the file's rest pose, axes and unit."""
         num_joints = len(bone_length_m)
-        turned_m = self._lowered(num_joints)[parents_of(num_joints)].apply(rest_offsets_m(bone_length_m))
+        turned_m = self.lowered(num_joints)[parents_of(num_joints)].apply(rest_offsets_m(bone_length_m))
         return self.file_from_xyz_m(turned_m)
 
     def parent_from_joint(
@@ -73,18 +74,26 @@ class Convention:
         """
         turned = quat_xyzw.copy()
         num_joints = quat_xyzw.shape[1]
-        lowered = self._lowered(num_joints)
+        lowered = self.lowered(num_joints)
         for index, parent in enumerate(parents_of(num_joints)):
             if (lowered[[parent, index]].magnitude() > 0.0).any():
                 turn = Rotation.from_quat(quat_xyzw[:, index])
                 turned[:, index] = (lowered[parent] * turn * lowered[index].inv()).as_quat()
         return self.file_from_quat(turned)
 
+    def twist_from_quat(
+        self, quat_xyzw: Float[np.ndarray, "frames joints 4"], twist: TwistJoint
+    ) -> Float[np.ndarray, "frames 4"]:
+        """Rotations (x, y, z, w) of a twist joint in the file from those of a ``SkeletonMotion``."""
+        lowered = self.lowered(quat_xyzw.shape[1])[INDEX[twist.parent]]
+        turn = Rotation.from_quat(twist_quat(quat_xyzw, twist))
+        return self.file_from_quat((lowered * turn * lowered.inv()).as_quat())
+
     def file_from_quat(self, quat_xyzw: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 4"]:
         """Convert rotations (x, y, z, w) to the file's axes; the rest pose is that of the skeleton."""
         return np.concatenate([quat_xyzw[..., :3] @ self.file_from_world.T, quat_xyzw[..., 3:]], axis=-1)
 
-    def _lowered(self, num_joints: int) -> Rotation:
+    def lowered(self, num_joints: int) -> Rotation:
         """Rotation of each joint's bones from the T-pose to the rest pose, in world axes."""
         angle_rad = np.radians(self.arms_lowered_deg)
         signs = np.array([_lowering_sign(joint) for joint in skeleton_of(num_joints)])
@@ -106,7 +115,7 @@ def _fingers(pattern: str, fingers: Mapping[str, str], parts: tuple[str, str, st
 
 def _numbered(chest: str, head_end: str = "HeadEnd", prefix: str = "") -> dict[str, str]:
     """Names of all joints where spines and the ends of fingers have numbers, and toes are joints."""
-    names = {joint.name: joint.name.replace("3End", "4").replace("FootEnd", "ToeBase") for joint in WHOLE_SKELETON}
+    names = {name: name.replace("3End", "4").replace("FootEnd", "ToeBase") for name in BODY_JOINTS}
     return {joint: prefix + name for joint, name in (names | {"Chest": chest, "HeadEnd": head_end}).items()}
 
 
@@ -142,6 +151,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                     "{Side}Leg": "shin.{S}",
                     "{Side}Foot": "foot.{S}",
                     "{Side}FootEnd": "toe.{S}",
+                    **{f"{{Side}}ForeArmTwist{number}": f"forearm_twist.0{number}.{{S}}" for number in (1, 2, 3)},
                     **_fingers(
                         "{finger}.{part}.{S}",
                         {"Thumb": "thumb"} | {finger: f"f_{finger.lower()}" for finger in _FINGERS},
@@ -189,6 +199,8 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                     "{Side}Leg": "calf_{s}",
                     "{Side}Foot": "foot_{s}",
                     "{Side}FootEnd": "ball_{s}",
+                    # The first is that at the wrist.
+                    **{f"{{Side}}ForeArmTwist{4 - number}": f"lowerarm_twist_0{number}_{{s}}" for number in (1, 2, 3)},
                     **_fingers(
                         "{finger}_{part}_{s}",
                         {finger: finger.lower() for finger in ("Thumb", *_FINGERS)},

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.write import encode as encode_calibration
 from pipeline.config import (
+    Body,
     Export,
     JobChoices,
     Preset,
@@ -87,6 +88,7 @@ def write_results(
     preset: Preset = "default",
     frame_rate_hz: float | None = None,
     timeline: Timeline = "take",
+    body: Body = "capsules",
 ) -> list[Path]:
     """Write all result files of a reconstruction into a folder, which is created if missing; return their paths.
 
@@ -101,7 +103,7 @@ def write_results(
     """
     folder = Path(folder)
     try:
-        return list(write_files(reconstruction, folder, exports, preset, frame_rate_hz, timeline).paths)
+        return list(write_files(reconstruction, folder, exports, preset, frame_rate_hz, timeline, body).paths)
     except OSError as error:
         raise not_written(folder, error) from error
 
@@ -118,6 +120,7 @@ def write_files(
     preset: Preset = "default",
     frame_rate_hz: float | None = None,
     timeline: Timeline = "take",
+    body: Body = "capsules",
     on_share: OnShare = ignore,
     kept: KeptFiles = NOTHING_KEPT,
     report: ReportOf = quality_report,
@@ -139,6 +142,8 @@ def write_files(
         session's rate.
     timeline
         Frames of each person's files: all those of the take, or those in which the person is there.
+    body
+        Body of the people in GLB and FBX files.
     on_share
         Called with the progress while files are read back, and after each file.
     kept
@@ -169,7 +174,7 @@ def write_files(
     on_people = split(part_of(on_share, 0.0, 0.8), _num_frames(shown, timeline))
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
-        for person, on_person in zip(people_of(shown, timeline), on_people, strict=True):
+        for person, on_person in zip(people_of(shown, timeline, body), on_people, strict=True):
             of_person = _paths(person, folder, Path(tracks_folder), exports)
             tracks.append(of_person[SKELETONS])
             for name, file in write_person(person, of_person, preset, kept, on_person):
@@ -181,7 +186,7 @@ def write_files(
             _require_equal(part, path, skeletons_json.join(shown, tracks))
     on_share(0.85)
     complete(path)
-    of_takes = _TakeFiles(shown, folder, preset)
+    of_takes = _TakeFiles(shown, folder, preset, body)
     for export, on_take in zip(exports, split(part_of(on_share, 0.85, 0.95), [1] * len(exports)), strict=True):
         if of_takes.write(export, on_take):
             complete(of_takes.path(export))
@@ -214,6 +219,7 @@ def keep_people(
     preset: Preset,
     frame_rate_hz: float | None,
     timeline: Timeline,
+    body: Body,
     on_share: OnShare,
     kept: KeptFiles,
 ) -> None:
@@ -222,7 +228,7 @@ def keep_people(
     ``rows`` are those of the people among the tracks.
     """
     shown = _at_rate(reconstruction, frame_rate_hz)
-    people = islice(people_of(shown, timeline), rows.start, rows.stop, rows.step)
+    people = islice(people_of(shown, timeline, body), rows.start, rows.stop, rows.step)
     on_people = split(on_share, _num_frames(shown, timeline)[rows])
     for person, on_person in zip(people, on_people, strict=True):
         paths = _paths(person, folder, folder, exports)
@@ -240,8 +246,8 @@ def _num_frames(take: Reconstruction, timeline: Timeline) -> list[int]:
 class _TakeFiles:
     """Files with a whole take, of the formats that have them; without people there are none."""
 
-    def __init__(self, take: Reconstruction, folder: Path, preset: Preset) -> None:
-        self._scene, self._folder, self._preset = scene_of(take), folder, preset
+    def __init__(self, take: Reconstruction, folder: Path, preset: Preset, body: Body) -> None:
+        self._scene, self._folder, self._preset, self._body = scene_of(take), folder, preset, body
         self.distances_mm: dict[str, float] = {}  # Largest distance in the file of each format
         self.too_large: list[dict[str, str]] = []  # Checks of files that their format does not allow
 
@@ -260,7 +266,7 @@ class _TakeFiles:
             )
             self.too_large.append({"code": TAKE_TOO_LARGE, "message": message})
             return False
-        with replacing(path, form.encode(scene, preset)) as part:
+        with replacing(path, form.encode(scene, preset, self._body)) as part:
             for number, (person, on_person) in enumerate(
                 zip(scene.people, split(on_share, [1] * len(scene.people)), strict=True)
             ):

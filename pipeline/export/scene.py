@@ -76,6 +76,7 @@ class TakeScene:
 
     people: tuple[ScenePerson, ...]
     cameras: tuple[SceneCamera, ...]
+    floor: Floor | None  # Floor under the people; ``None``: there is none
     floor_m: Float[np.ndarray, "4 3"]  # Corners of the floor, counterclockwise from above
     frames: range  # Output frames of the take
     frame_rate_hz: float
@@ -90,6 +91,7 @@ def scene_of(take: Reconstruction) -> TakeScene:
             ScenePerson(motion, track, frames) for motion, track in zip(take.motions, take.tracks, strict=True)
         ),
         cameras=tuple(map(SceneCamera, take.cameras)),
+        floor=take.animation.floor,
         floor_m=_corners_m(take.animation.floor or _LEVEL, take.motions),
         frames=frames,
         frame_rate_hz=take.timebase.frame_rate_hz,

@@ -19,6 +19,12 @@ DETECTOR_NOT_INSTALLED = SPECS.code(
     "Not every ready worker has the networks of the job.",
     "The operator runs the command in `hint` on the workers' machine.",
 )
+BODY_NOT_INSTALLED = SPECS.code(
+    "body_not_installed",
+    ("422",),
+    "Not every ready worker has the body that the job's files shall have.",
+    "The operator runs the command in `hint` on the workers' machine; or choose `capsules`.",
+)
 CALLBACK_INVALID = SPECS.code(
     "callback_invalid", ("422",), "`callback_url` has an impossible host or port.", "Correct it."
 )

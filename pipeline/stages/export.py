@@ -22,7 +22,7 @@ def export(task: Task, context: Context) -> Output:
     kept = FilesInPieces(pieces, scratch) if context.keeps_pieces else NOTHING_KEPT
     views, take = cache(views_of), TakeInPieces(pieces, scratch, config.edits)
     report: ReportOf = partial(take.report, views=views) if context.keeps_pieces else quality_report
-    choices = config.exports, config.bvh, config.output_rate_hz, config.timeline
+    choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
     written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)
     names = {f"person-{motion.track_id}": motion.name for motion in reconstruction.motions}
     files = [_result_file(path, names) for path in written.paths]
@@ -58,7 +58,7 @@ STAGE = Stage(
     export,
     cut="whole",
     follows=(*TAKE, WRITE),
-    choices=("exports", "bvh", "output_rate_hz", "timeline", "names"),
+    choices=("exports", "bvh", "output_rate_hz", "timeline", "body", "names"),
     is_planned=lambda facts, config: config.making is None,
     is_reusable=False,
     makes_files=True,

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
+from pipeline.body.installed import load as load_body
 from pipeline.capture.preflight_npz import encode_record
 from pipeline.capture.session import CaptureSession, Session
-from pipeline.config import ReconstructionConfig, method_warnings
+from pipeline.config import FILE_FORMATS, ReconstructionConfig, method_warnings
 from pipeline.data.detections import Detections
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect.chunk import concatenate
@@ -122,11 +123,13 @@ def reconstruct_to_files(
     InputError
         See ``reconstruct``.
     ModelError
-        If the detector is not installed.
+        If the detector, or a human body that files shall have, is not installed.
     PipelineError
         If a folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
     _check(session, config)
+    if config.body == "human" and any(FILE_FORMATS[export].has_body for export in config.exports):
+        load_body()
     folder, cache = Path(folder), None if cache is None else Path(cache)
     facts = session_facts(session, () if cache is None else _inputs(session))
     files = _Destination(folder, name or folder.resolve().name or "take", tuple(map(Path, sources)))

@@ -158,6 +158,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         "joint_centers": config.smoothing != "fit",
         "bvh": not any(FILE_FORMATS[export].has_presets for export in config.exports),
         "timeline": not config.exports,
+        "body": not any(FILE_FORMATS[export].has_body for export in config.exports),
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}
     edits, of_people = ([document_of(edit) for edit in some] for some in (config.edits, without_names(config.edits)))

@@ -12,7 +12,7 @@ def write_people(task: Task, context: Context) -> Output:
 
     config, pieces = context.config, Pieces(task, context)
     rows = slice(task.index, None, PERSON_PARTS)
-    choices = config.exports, config.bvh, config.output_rate_hz, config.timeline
+    choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
     files = FilesInPieces(pieces, context.scratch)
     keep_people(assemble(context), rows, context.scratch, *choices, context.on_share(task), files)
     return Output(b"", pieces=pieces.files)
@@ -24,7 +24,7 @@ STAGE = Stage(
     write_people,
     cut="people",
     follows=TAKE,
-    choices=("exports", "bvh", "output_rate_hz", "timeline"),
+    choices=("exports", "bvh", "output_rate_hz", "timeline", "body"),
     is_planned=lambda facts, config: config.making is None and bool(without_names(config.edits)),
     is_of_edits=True,
     pieces_of=EXPORT,

@@ -22,4 +22,5 @@ class WorkerStatus:
     done: int = 0
     total: int = 0
     detectors: tuple[str, ...] = ()  # Names of the installed detectors
+    bodies: tuple[str, ...] = ()  # Names of the installed bodies of people
     codes: tuple[str, ...] = ()  # Digests of the stages' code that it runs

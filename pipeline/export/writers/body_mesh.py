@@ -1,4 +1,8 @@
-"""Body at rest of GLB and FBX files: its joints, and an ellipsoid around each bone, attached to the bone's joint."""
+"""Body at rest of GLB and FBX files: its joints, and a mesh that follows them.
+
+The mesh is a human, shaped by the person's bones, whose forearms have twist joints beside the skeleton's own; or an
+ellipsoid around each bone, attached to the bone's joint.
+"""
 
 from dataclasses import dataclass
 from functools import cache
@@ -6,10 +10,22 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
+from pipeline.body.installed import load
+from pipeline.body.joints import BODY_JOINTS, TWIST_JOINTS, TwistJoint
+from pipeline.body.shape import ShapedBody, shape_body
+from pipeline.body.skinning import about, blend, placed
+from pipeline.body.standing import standing_ankle_m
+from pipeline.config import Body
+from pipeline.data.animation import Floor, SkeletonMotion
 from pipeline.export.presets import Convention
 from pipeline.skeleton.model import INDEX, parents_of, skeleton_of
 
 _UP = np.array([0.0, 0.0, 1.0])
+# Joint to which the skin of each joint shrinks: the end of the bone for the chest and the shoulders, so that triangles
+# between them become lines.
+_GATHERED = np.arange(len(BODY_JOINTS))
+_GATHERED[INDEX["Chest"]] = INDEX["Neck"]
+_GATHERED[[INDEX["LeftShoulder"], INDEX["RightShoulder"]]] = INDEX["LeftArm"], INDEX["RightArm"]
 
 # Half widths (to the side, to the front) of the ellipsoid around a bone, as shares of the bone's length, by the kind of
 # the bone's end.
@@ -57,7 +73,9 @@ class BodyMesh:
     # Positions and unit normals, in the unit and axes of the skeleton's offsets
     vertices: Float[np.ndarray, "vertices 3"]
     normals: Float[np.ndarray, "vertices 3"]
-    joint: Int[np.ndarray, " vertices"]  # Index in the skeleton of the joint that moves each vertex
+    # Indices of the joints that move each vertex, first the one that moves it most, and their weights, of sum 1
+    joints: Int[np.ndarray, "vertices 4"]
+    weights: Float[np.ndarray, "vertices 4"]
     triangles: Int[np.ndarray, "triangles 3"]  # Indices of ``vertices``, counterclockwise from outside
 
 
@@ -65,21 +83,96 @@ class BodyMesh:
 class BodyAtRest:
     """Body in the rest pose of a file, standing on the floor at the origin, in the file's axes and unit."""
 
-    offsets: Float[np.ndarray, "joints 3"]  # Of each joint from its parent, of the root from the origin
-    positions: Float[np.ndarray, "joints 3"]
+    # Of each joint of the skeleton from its parent, of the root from the origin
+    offsets: Float[np.ndarray, "joints 3"]
+    twists: tuple[TwistJoint, ...]  # Joints of the mesh after those of the skeleton
+    twist_offsets: Float[np.ndarray, "twists 3"]  # Of each twist joint from its parent
+    positions: Float[np.ndarray, "all_joints 3"]  # Positions of the skeleton's joints, then of the twist joints
     mesh: BodyMesh
 
+    @property
+    def shrunk(self) -> Float[np.ndarray, "vertices 3"]:
+        """Positions of the mesh's vertices between which triangles have hardly any area, in any pose.
 
-def body_at_rest(bone_length_m: Float[np.ndarray, " joints"], convention: Convention) -> BodyAtRest:
-    """Body in the rest pose of a convention; ``bone_length_m`` are the lengths of its bones."""
-    offsets = convention.rest_offsets(bone_length_m)
+        Each vertex is at the joint, of those that carry it, that the others move least. A joint stays where it is
+        under the joint itself and its parent.
+        """
+        carriers, weights = self.mesh.joints, self.mesh.weights
+        parents = np.array([*parents_of(len(self.offsets)), *(INDEX[twist.parent] for twist in self.twists)])
+        costs = np.empty(carriers.shape)
+        for place, candidates in enumerate(carriers.T):
+            is_still = (carriers == candidates[:, None]) | (carriers == parents[candidates][:, None])
+            apart = np.linalg.norm(self.positions[carriers] - self.positions[candidates][:, None], axis=-1)
+            moved = (weights * apart * ~is_still).sum(1)
+            costs[:, place] = np.where(weights[:, place] > 0.0, moved, np.inf)
+        centers = np.take_along_axis(carriers, costs.argmin(1)[:, None], 1)[:, 0]
+        return self.positions[centers if not self.twists else _GATHERED[centers]]
+
+
+@dataclass(frozen=True, slots=True)
+class BodyChoice:
+    """Body of a person in a file."""
+
+    shape: Body = "capsules"
+    floor: Floor | None = None  # Floor on which the soles of a human stand; ``None``: that of the skeleton at rest
+
+
+CAPSULES = BodyChoice()
+"""Ellipsoids around the bones."""
+
+
+def body_at_rest(motion: SkeletonMotion, convention: Convention, choice: BodyChoice) -> BodyAtRest:
+    """Body of a person in the rest pose of a convention.
+
+    Raises ``ModelError`` if the body is a human, and that is not installed or was changed.
+    """
+    offsets = convention.rest_offsets(motion.bone_length_m)
     positions = np.zeros_like(offsets)
     for index, parent in enumerate(parents_of(len(offsets))[1:], 1):
         positions[index] = positions[parent] + offsets[index]
     up = convention.file_from_world @ _UP
     positions -= (positions @ up).min() * up
-    offsets[0] = positions[0]
-    return BodyAtRest(offsets, positions, body_mesh(offsets, positions))
+    if choice.shape == "capsules":
+        offsets[0] = positions[0]
+        return BodyAtRest(offsets, (), np.empty((0, 3)), positions, capsules(offsets, positions))
+    shaped = shape_body(load(), motion.bone_length_m, standing_ankle_m(motion, choice.floor))
+    offsets[0] = convention.file_from_xyz_m(shaped.joints_m[0])
+    positions += offsets[0] - positions[0]
+    parents = [INDEX[twist.parent] for twist in TWIST_JOINTS]
+    twist_offsets = np.array([twist.share * offsets[INDEX[twist.hand]] for twist in TWIST_JOINTS])
+    mesh = _human(shaped, convention)
+    return BodyAtRest(
+        offsets, TWIST_JOINTS, twist_offsets, np.concatenate([positions, positions[parents] + twist_offsets]), mesh
+    )
+
+
+def _human(shaped: ShapedBody, convention: Convention) -> BodyMesh:
+    """Mesh of a human in the rest pose of a convention."""
+    lowered = convention.lowered(len(shaped.joints_m) - len(TWIST_JOINTS)).as_matrix()
+    turns = np.concatenate([lowered, lowered[[INDEX[twist.parent] for twist in TWIST_JOINTS]]])
+    moves = about(turns, shaped.joints_m, placed(turns, shaped.joints_m))
+    vertices_m = blend(shaped.vertices_m, shaped.carriers, shaped.weights, moves)
+    return BodyMesh(
+        convention.file_from_xyz_m(vertices_m),
+        _normals(vertices_m, shaped.triangles) @ convention.file_from_world.T,
+        shaped.carriers,
+        shaped.weights,
+        shaped.triangles,
+    )
+
+
+def _normals(
+    vertices: Float[np.ndarray, "vertices 3"], triangles: Int[np.ndarray, "triangles 3"]
+) -> Float[np.ndarray, "vertices 3"]:
+    """Unit normals of vertices: the mean of those of their triangles, by area."""
+    corners = vertices[triangles]
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, triangles[:, corner], facing)
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+    # A body without size has no outside.
+    return np.where(lengths > 0.0, normals / np.where(lengths > 0.0, lengths, 1.0), _UP)
 
 
 @cache
@@ -104,7 +197,7 @@ def _egg() -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices
     return points.reshape(-1, 3), normals.reshape(-1, 3), np.array(triangles)
 
 
-def body_mesh(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "joints 3"]) -> BodyMesh:
+def capsules(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "joints 3"]) -> BodyMesh:
     """Build the mesh with an ellipsoid around each bone.
 
     Offsets from their parents, and positions, are those of all joints in the rest pose. A skeleton with fingers has
@@ -134,6 +227,9 @@ def body_mesh(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "j
         normals.append(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
         carriers.append(np.full(len(egg), parent))
     first = np.arange(len(vertices))[:, None, None] * len(egg)
+    joints = np.zeros((len(vertices) * len(egg), 4), np.int64)
+    joints[:, 0] = np.concatenate(carriers)
+    weights = np.tile([1.0, 0.0, 0.0, 0.0], (len(joints), 1))
     return BodyMesh(
-        np.concatenate(vertices), np.concatenate(normals), np.concatenate(carriers), (first + triangles).reshape(-1, 3)
+        np.concatenate(vertices), np.concatenate(normals), joints, weights, (first + triangles).reshape(-1, 3)
     )

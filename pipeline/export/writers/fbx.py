@@ -4,8 +4,8 @@ A file holds a person, or the scene of a take: everybody, the cameras and the fl
 
 A preset defines the names and the rest pose. Axes are those of Maya: Y up, facing +Z, right-handed; the unit is a
 centimetre, and a metre for Blender. The rest pose, which is the bind pose of the skin too, stands on the floor at the
-origin. Models are the joints, ends of bones included, below a node with the person's name; joints are aligned with the
-file's axes at rest.
+origin. Models are the joints, ends of bones included, and the twist joints of a human body, below a node with the
+person's name; joints are aligned with the file's axes at rest.
 
 The animation begins at 0 s with the first frame of the file and has a key in each frame: of the place of the root, and
 of the rotation of each joint with children. Before and after the motion's own frames the nearest pose holds; in frames
@@ -25,14 +25,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from scipy.spatial.transform import Rotation
 
-from pipeline.config import Preset
+from pipeline.body.joints import TWIST_JOINTS
+from pipeline.config import Body, Preset
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import PRESETS, Y_UP_FROM_WORLD, Convention
 from pipeline.export.scene import FLOOR, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
-from pipeline.export.writers.body_mesh import BodyAtRest, body_at_rest
+from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.fbx_drawn import add_camera, add_material, add_mesh
 from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, array, read, write
@@ -55,13 +56,15 @@ from pipeline.export.writers.fbx_scene import (
 )
 from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
-from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of
+from pipeline.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of
 
 # Bytes of the angles of a group of joints, which are computed together.
 _GROUP_BYTES = 2**26
 _BYTES_OF_ANGLES = 12
 _LIMB = "LimbNode"
 _REST_TAKE = "T-pose"
+# Order of the angles of twist joints, which turn about a forearm alone.
+_TWIST_ORDER = "XYZ"
 _FLOOR_RGB: Rgb = (150, 150, 150)
 ORIGIN = "origin_m"
 """Setting of the node at the top: the world position of the file's origin, in metres."""
@@ -93,6 +96,7 @@ def encode(
     origin_m: Float[np.ndarray, " 3"],
     frames: range | None = None,
     is_present: Bool[np.ndarray, " frames"] | None = None,
+    body: BodyChoice = CAPSULES,
 ) -> Iterator[bytes]:
     """Write a motion as FBX, piece by piece. Equal motions give equal bytes.
 
@@ -106,7 +110,7 @@ def encode(
         Frames of the file in which the person is there, ``None`` for all of them.
     """
     frames = motion.frames if frames is None else frames
-    people = _People(motion.frame_rate_hz, convention_of_fbx(preset), origin_m, frames)
+    people = _People(motion.frame_rate_hz, convention_of_fbx(preset), origin_m, frames, body)
     name = people.name_of(motion)
     clip = people.scene.add_clip(name, len(frames))
     people.add(motion, clip, people.convention.top or name, is_present)
@@ -114,9 +118,11 @@ def encode(
     yield from write(people.scene.nodes)
 
 
-def encode_take(scene: TakeScene, preset: Preset) -> Iterator[bytes]:
+def encode_take(scene: TakeScene, preset: Preset, body: Body = "capsules") -> Iterator[bytes]:
     """Write the scene of a take as FBX, piece by piece. Equal scenes give equal bytes."""
-    people = _People(scene.frame_rate_hz, convention_of_fbx(preset), scene.origin_m, scene.frames)
+    people = _People(
+        scene.frame_rate_hz, convention_of_fbx(preset), scene.origin_m, scene.frames, BodyChoice(body, scene.floor)
+    )
     clip = people.scene.add_clip("take", len(scene.frames))
     for person in scene.people:
         people.add(person.motion, clip, people.name_of(person.motion), person.is_present)
@@ -134,8 +140,14 @@ class _People:
     """Scene of a file, to which people are added."""
 
     def __init__(
-        self, frame_rate_hz: float, convention: Convention, origin_m: Float[np.ndarray, " 3"], frames: range
+        self,
+        frame_rate_hz: float,
+        convention: Convention,
+        origin_m: Float[np.ndarray, " 3"],
+        frames: range,
+        body: BodyChoice,
     ) -> None:
+        self._body = body
         self.scene, self.convention = FbxScene(frame_rate_hz, convention.units_per_m), convention
         self._origin_m, self._frames = origin_m, frames
         self._at_rest: list[tuple[list[Int64], BodyAtRest]] = []
@@ -151,7 +163,7 @@ class _People:
     ) -> None:
         """Add a person with the body and the motion, below a node with a name."""
         scene, convention = self.scene, self.convention
-        body = body_at_rest(motion.bone_length_m, convention)
+        body = body_at_rest(motion, convention, self._body)
         orders = rotation_orders(motion, convention).axes
         joints = skeleton_of(len(body.offsets))
         top = _add_top(scene, motion, top_name, self._origin_m, self._frames.start)
@@ -159,11 +171,16 @@ class _People:
         for joint, parent, offset, axes in zip(joints, parents_of(len(joints)), body.offsets, orders, strict=True):
             above = models[parent] if models else top
             models.append(_add_joint(scene, convention.name(joint.name), above, offset, axes))
-        places = {top: np.zeros(3), **dict(zip(models, body.positions, strict=True))}
+        twists = [
+            _add_joint(scene, convention.name(twist.name), models[INDEX[twist.parent]], offset, _TWIST_ORDER)
+            for twist, offset in zip(body.twists, body.twist_offsets, strict=True)
+        ]
+        places = {top: np.zeros(3), **dict(zip([*models, *twists], body.positions, strict=True))}
         skin = _add_skin(scene, self.name_of(motion), motion.track_id, body, places)
         if is_present is not None and not is_present.all():
             scene.show(clip, skin, is_present)
-        _animate(scene, clip, models, motion, convention, orders, self._origin_m, self._frames)
+        orders += (_TWIST_ORDER,) * len(twists)
+        _animate(scene, clip, [*models, *twists], motion, convention, orders, self._origin_m, self._frames)
         self._at_rest.append((models, body))
 
     def add_rest_take(self) -> None:
@@ -211,7 +228,7 @@ def _add_skin(
     skin = scene.add("Deformer", name, "Deformer", "Skin", Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)))
     scene.connect(skin, drawn.geometry)
     for index, joint in enumerate(joints):
-        (vertices,) = np.nonzero(mesh.joint == index)
+        vertices, places_of = np.nonzero((mesh.joints == index) & (mesh.weights > 0.0))
         if len(vertices):
             link = _moved(models[joint])
             cluster = scene.add(
@@ -219,7 +236,7 @@ def _add_skin(
                 Node("Version", (100,)),
                 Node("UserData", ("", "")),
                 Node("Indexes", (array("i", vertices),)),
-                Node("Weights", (array("d", np.ones(len(vertices))),)),
+                Node("Weights", (array("d", mesh.weights[vertices, places_of]),)),
                 Node("Transform", (matrix(np.linalg.inv(link)),)),
                 Node("TransformLink", (matrix(link),)),
             )
@@ -247,12 +264,16 @@ def _animate(
     origin_m: Float[np.ndarray, " 3"],
     frames: range,
 ) -> None:
-    """Add the curves of a motion: of the place of the root, and of the rotation of each joint with children."""
+    """Add the curves of a motion: of the place of the root, and of the rotation of each joint with children.
+
+    ``models`` are the joints of the skeleton, then those of its twist joints that the file has.
+    """
     if not len(motion.root_m):
         return
     places = convention.file_from_xyz_m(held(motion.root_m, motion.frames, frames) - origin_m)
     scene.animate(clip, models[0], TRANSLATION, places[0], lambda axis: places[:, axis])
-    joints = _with_children(len(models))
+    num_joints = len(motion.bone_length_m)
+    joints = [*_with_children(num_joints), *range(num_joints, len(models))]
     angles = _Angles(motion, convention, orders, joints, frames)
     for index in joints:
         scene.animate(clip, models[index], ROTATION, angles.first(index), partial(angles.of, index))
@@ -319,7 +340,12 @@ class _Angles:
         angles_deg = np.zeros((1, len(joints), 3))
         own, turns = self._motion.frames, self._motion.parent_from_joint
         for rows in frame_blocks(len(frames)):
-            quat = self._convention.parent_from_joint(held(turns, own, frames[rows]))[:, joints]
+            of_skeleton = held(turns, own, frames[rows])
+            quat = self._convention.parent_from_joint(of_skeleton)
+            if max(joints) >= quat.shape[1]:
+                twists = [self._convention.twist_from_quat(of_skeleton, twist)[:, None] for twist in TWIST_JOINTS]
+                quat = np.concatenate([quat, *twists], axis=1)
+            quat = quat[:, joints]
             angles_deg = euler_deg(matrices(quat), orders, angles_deg[-1])
             yield np.take_along_axis(angles_deg, columns[None], axis=2)
 

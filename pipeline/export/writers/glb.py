@@ -3,12 +3,12 @@
 A file holds a person, or the scene of a take: everybody, the cameras and the floor.
 
 Axes and unit are those of glTF: Y up, facing +Z, metres. The rest pose is a T-pose that stands on the floor at the
-origin. Joints have the skeleton's names, ends of bones included. The animation begins at 0 s with the first frame of
-the file; its ``extras`` contain the number of that output frame. Before and after the motion's own frames the nearest
-pose holds. Where the person is not there, a morph target, ``absent``, shrinks the body to nothing: importers know morph
-targets, they ignore the scale of a node with a skin, and a scale of the joints would spoil the pose. Numbers have
-single precision: if the world's origin is far away, ``extras`` also contain the world position in metres,
-``origin_m``, that positions are relative to.
+origin. Joints have the skeleton's names, ends of bones included; a human body has twist joints beside them. The
+animation begins at 0 s with the first frame of the file; its ``extras`` contain the number of that output frame. Before
+and after the motion's own frames the nearest pose holds. Where the person is not there, a morph target, ``absent``,
+shrinks the body to points or slivers: importers know morph targets, they ignore the scale of a node with a skin, and a
+scale of the joints would spoil the pose. Numbers have single precision: if the world's origin is far away, ``extras``
+also contain the world position in metres, ``origin_m``, that positions are relative to.
 """
 
 import errno
@@ -16,6 +16,7 @@ import json
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import tan
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -25,13 +26,15 @@ import pygltflib as gltf
 from jaxtyping import Bool, Float, Shaped
 from scipy.spatial.transform import Rotation
 
+from pipeline.body.joints import TWIST_JOINTS, TwistJoint
+from pipeline.config import Body
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import GLTF
 from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
-from pipeline.export.writers.body_mesh import BodyMesh, body_at_rest
+from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, BodyMesh, body_at_rest
 from pipeline.skeleton.model import INDEX, children_of, skeleton_of
 
 # NumPy types of the components of accessors.
@@ -52,6 +55,7 @@ _CV_FROM_GLTF_CAMERA = np.diag([1.0, -1.0, -1.0])
 # Header of a file: magic number, version, length; and of each chunk: length, type.
 _HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _MAX_BYTES = 2**32
+_FULL_BYTE = 255
 # More than the body of a person and the description of its nodes take.
 _MAX_BODY_BYTES = 2**20
 # Name in the extras of the world position of the file's origin, in metres.
@@ -77,8 +81,13 @@ class _Buffer:
         kind: str,
         component: int = gltf.FLOAT,
         target: int | None = None,
+        *,
+        normalized: bool = False,
     ) -> int:
-        """Append an array, or what a function will return once more, and return the number of its accessor."""
+        """Append an array, or what a function will return once more, and return the number of its accessor.
+
+        Whole numbers that are ``normalized`` stand for shares of the largest.
+        """
 
         def values() -> _Array:
             made = array() if callable(array) else array
@@ -94,6 +103,7 @@ class _Buffer:
                 componentType=component,
                 count=len(first),
                 type=kind,
+                normalized=normalized,
                 min=first.min(0).tolist(),
                 max=first.max(0).tolist(),
             )
@@ -126,16 +136,16 @@ class GlbDocument:
         self._times: int | None = None
         self._channels: list[_Channel] = []
 
-    def add_skeleton(self, motion: SkeletonMotion, offsets_m: Float[np.ndarray, "joints 3"]) -> int:
+    def add_skeleton(self, motion: SkeletonMotion, at_rest: BodyAtRest) -> int:
         """Add the skeleton of a person in its rest pose; return the number of the root's node.
 
-        The other joints follow in the order of the skeleton.
+        The other joints follow in the order of the skeleton, then the twist joints.
         """
         file, first_joint = self._file, len(self._file.nodes) + 1
         file.scenes[0].nodes.append(first_joint - 1)
         file.nodes += [
             gltf.Node(name=motion.name, children=[first_joint + _ROOT]),
-            *_joint_nodes(offsets_m, first_joint),
+            *_joint_nodes(at_rest, first_joint),
         ]
         return first_joint
 
@@ -144,13 +154,13 @@ class GlbDocument:
         self._file.extensionsUsed.append(name)
         self._file.extensions[name] = content
 
-    def add_person(self, motion: SkeletonMotion, is_present: Bool[np.ndarray, " frames"]) -> None:
+    def add_person(self, motion: SkeletonMotion, is_present: Bool[np.ndarray, " frames"], body: BodyChoice) -> None:
         """Add the skeleton, the body and the motion of a person."""
         file = self._file
-        body = body_at_rest(motion.bone_length_m, GLTF)
-        offsets_m, rest_m, mesh = body.offsets, body.positions, body.mesh
-        first_joint = self.add_skeleton(motion, offsets_m)
-        of_body = first_joint + len(offsets_m)
+        at_rest = body_at_rest(motion, GLTF, body)
+        rest_m, mesh = at_rest.positions, at_rest.mesh
+        first_joint = self.add_skeleton(motion, at_rest)
+        of_body = first_joint + len(rest_m)
         file.scenes[0].nodes.append(of_body)
         file.nodes.append(gltf.Node(name=f"{motion.name} body", mesh=len(file.meshes), skin=len(file.skins)))
         primitive = _primitive(mesh, self._buffer, len(file.materials))
@@ -158,16 +168,16 @@ class GlbDocument:
         file.meshes.append(shape)
         file.materials.append(_material("body", color_rgb(motion.track_id)))
         file.skins.append(_skin(rest_m, self._buffer, first_joint))
-        self.animate(motion, first_joint)
+        self.animate(motion, first_joint, at_rest.twists)
         if not is_present.all():
-            shrunk = self._buffer.add(rest_m[mesh.joint] - mesh.vertices, gltf.VEC3)
+            shrunk = self._buffer.add(at_rest.shrunk - mesh.vertices, gltf.VEC3)
             primitive.targets = [gltf.Attributes(POSITION=shrunk)]
             shape.weights, shape.extras = [0.0], {"targetNames": [_ABSENT]}
             weights = self._buffer.add(~is_present, gltf.SCALAR)
             self._channels.append(_Channel(of_body, gltf.WEIGHTS, weights, "STEP"))
 
-    def animate(self, motion: SkeletonMotion, first_joint: int) -> None:
-        """Add a key for each frame to a skeleton: position of the root, rotation of each joint with children."""
+    def animate(self, motion: SkeletonMotion, first_joint: int, twists: tuple[TwistJoint, ...] = ()) -> None:
+        """Add keys to a skeleton: position of the root, and rotation of each joint with children and twist joint."""
         buffer, own, frames, origin_m = self._buffer, motion.frames, self._frames, self._origin_m
         if self._times is None:
             self._times = buffer.add(np.arange(len(frames)) / self._frame_rate_hz, gltf.SCALAR)
@@ -178,11 +188,17 @@ class GlbDocument:
         def turns(joint: int) -> Callable[[], Float[np.ndarray, "frames 4"]]:
             return lambda: GLTF.file_from_quat(held(motion.parent_from_joint[:, joint], own, frames))
 
+        def twisted(twist: TwistJoint) -> Float[np.ndarray, "frames 4"]:
+            return held(GLTF.twist_from_quat(motion.parent_from_joint, twist), own, frames)
+
         self._channels.append(_Channel(first_joint + _ROOT, gltf.TRANSLATION, buffer.add(root_m, gltf.VEC3)))
         children = children_of(len(motion.bone_length_m))
         for joint in (INDEX[name] for name in children if children[name]):
             output = buffer.add(turns(joint), gltf.VEC4)
             self._channels.append(_Channel(first_joint + joint, gltf.ROTATION, output))
+        for number, twist in enumerate(twists, first_joint + len(motion.bone_length_m)):
+            output = buffer.add(partial(twisted, twist), gltf.VEC4)
+            self._channels.append(_Channel(number, gltf.ROTATION, output))
 
     def add_camera(self, shown: SceneCamera) -> None:
         """Add a camera, with the lens as extras."""
@@ -265,6 +281,7 @@ def encode(
     origin_m: Float[np.ndarray, " 3"],
     frames: range | None = None,
     is_present: Bool[np.ndarray, " frames"] | None = None,
+    body: BodyChoice = CAPSULES,
 ) -> Iterator[bytes]:
     """Write a motion as GLB, piece by piece. Equal motions give equal bytes.
 
@@ -279,7 +296,7 @@ def encode(
     """
     frames = motion.frames if frames is None else frames
     document = GlbDocument(origin_m, frames, motion.frame_rate_hz)
-    document.add_person(motion, np.ones(len(frames), bool) if is_present is None else is_present)
+    document.add_person(motion, np.ones(len(frames), bool) if is_present is None else is_present, body)
     yield from document.encode(motion.name)
 
 
@@ -289,38 +306,42 @@ def fits(scene: TakeScene) -> bool:
     return sum(keys) * _COMPONENTS[gltf.FLOAT].itemsize + len(scene.people) * _MAX_BODY_BYTES < _MAX_BYTES
 
 
-def encode_take(scene: TakeScene) -> Iterator[bytes]:
+def encode_take(scene: TakeScene, body: Body = "capsules") -> Iterator[bytes]:
     """Write the scene of a take as GLB, piece by piece. Equal scenes give equal bytes."""
     document = GlbDocument(scene.origin_m, scene.frames, scene.frame_rate_hz)
     for person in scene.people:
-        document.add_person(person.motion, person.is_present)
+        document.add_person(person.motion, person.is_present, BodyChoice(body, scene.floor))
     for camera in scene.cameras:
         document.add_camera(camera)
     document.add_floor(scene.floor_m)
     yield from document.encode("take")
 
 
-def _joint_nodes(offsets_m: Float[np.ndarray, "joints 3"], first_joint: int) -> list[gltf.Node]:
+def _joint_nodes(at_rest: BodyAtRest, first_joint: int) -> list[gltf.Node]:
+    """Nodes of the skeleton's joints, then of the twist joints."""
+    offsets_m, twists = at_rest.offsets, at_rest.twists
     children = children_of(len(offsets_m))
+    below: dict[str, list[int]] = {
+        joint.name: [first_joint + INDEX[child] for child in children[joint.name]]
+        for joint in skeleton_of(len(offsets_m))
+    }
+    for number, twist in enumerate(twists, first_joint + len(offsets_m)):
+        below[twist.parent].append(number)
+    named = [*below.items(), *((twist.name, []) for twist in twists)]
     return [
-        gltf.Node(
-            name=GLTF.name(joint.name),
-            translation=offset_m.tolist(),
-            children=[first_joint + INDEX[child] for child in children[joint.name]],
-        )
-        for joint, offset_m in zip(skeleton_of(len(offsets_m)), offsets_m, strict=True)
+        gltf.Node(name=GLTF.name(name), translation=offset_m.tolist(), children=numbers)
+        for (name, numbers), offset_m in zip(named, [*offsets_m, *at_rest.twist_offsets], strict=True)
     ]
 
 
 def _primitive(mesh: BodyMesh, buffer: _Buffer, material: int) -> gltf.Primitive:
-    joints, weights = np.zeros((len(mesh.joint), 4)), np.zeros((len(mesh.joint), 4))
-    joints[:, 0], weights[:, 0] = mesh.joint, 1.0
+    weights = np.rint(mesh.weights * _FULL_BYTE)
     return gltf.Primitive(
         attributes=gltf.Attributes(
             POSITION=buffer.add(mesh.vertices, gltf.VEC3, target=gltf.ARRAY_BUFFER),
             NORMAL=buffer.add(mesh.normals, gltf.VEC3, target=gltf.ARRAY_BUFFER),
-            JOINTS_0=buffer.add(joints, gltf.VEC4, gltf.UNSIGNED_BYTE, gltf.ARRAY_BUFFER),
-            WEIGHTS_0=buffer.add(weights, gltf.VEC4, target=gltf.ARRAY_BUFFER),
+            JOINTS_0=buffer.add(mesh.joints, gltf.VEC4, gltf.UNSIGNED_BYTE, gltf.ARRAY_BUFFER),
+            WEIGHTS_0=buffer.add(weights, gltf.VEC4, gltf.UNSIGNED_BYTE, gltf.ARRAY_BUFFER, normalized=True),
         ),
         indices=buffer.add(mesh.triangles.reshape(-1), gltf.SCALAR, gltf.UNSIGNED_SHORT, gltf.ELEMENT_ARRAY_BUFFER),
         material=material,
@@ -379,7 +400,9 @@ def read_xyz_m(path: Path, person: int = 0) -> Iterator[Float[np.ndarray, "_ joi
     """
     with path.open("rb") as file:
         reader = GlbReader(file)
-        yield from positions_m(reader, reader.document["skins"][person]["joints"])
+        nodes, joints = reader.document["nodes"], reader.document["skins"][person]["joints"]
+        twists = {GLTF.name(twist.name) for twist in TWIST_JOINTS}
+        yield from positions_m(reader, [joint for joint in joints if nodes[joint]["name"] not in twists])
 
 
 def positions_m(reader: GlbReader, joints: Sequence[int]) -> Iterator[Float[np.ndarray, "_ joints 3"]]:

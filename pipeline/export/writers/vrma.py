@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
-from pipeline.export.writers.body_mesh import body_at_rest
+from pipeline.export.writers.body_mesh import CAPSULES, body_at_rest
 from pipeline.export.writers.glb import GlbDocument, GlbReader, positions_m
 from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, skeleton_of
 
@@ -68,7 +68,7 @@ def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"], frames: ra
         Output frames of the file; ``None``: those of the motion.
     """
     document = GlbDocument(origin_m, motion.frames if frames is None else frames, motion.frame_rate_hz)
-    first_joint = document.add_skeleton(motion, body_at_rest(motion.bone_length_m, GLTF).offsets)
+    first_joint = document.add_skeleton(motion, body_at_rest(motion, GLTF, CAPSULES))
     document.animate(motion, first_joint)
     bones = {
         HUMAN_BONES[joint.name]: {"node": first_joint + index}

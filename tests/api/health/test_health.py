@@ -1,6 +1,7 @@
 """Liveness and readiness of the service, and jobs whose detector is not installed."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -112,3 +113,28 @@ def test_a_profile_without_its_networks_is_refused_and_listed(with_broker: Live)
         (profile, joints) for profile in ("fast", "balanced") for joints in ("body", "feet")
     }
     assert profiles["fast"]["default_joints"] == "body"
+
+
+def test_a_body_that_no_worker_has_is_refused_where_files_would_have_it(with_broker: Live) -> None:
+    live, session_id = with_broker, with_broker.session_id()
+    address = f"/v1/sessions/{session_id}/jobs"
+    spec = {"body": "human", "exports": ["glb"]}
+    # Without a worker nobody knows, and the job waits.
+    waiting = live.client.post(address, json=spec)
+    assert waiting.status_code == 202
+    live.client.post(waiting.json()["links"]["cancel"]).raise_for_status()
+    live.services.store.workers.report(READY)
+    part = ("spec", (None, '{"body": "human", "exports": ["fbx"]}', "application/json"))
+    refused = {
+        "/body": live.client.post(address, json=spec),
+        "/spec/body": live.client.post("/v1/jobs", files=[*keypoint_form(), part]),
+        None: live.client.post(f"{waiting.json()['links']['self']}/retry"),
+    }
+    for pointer, answer in refused.items():
+        (item,) = problem_of(answer, 422, "invalid_request")["errors"]
+        assert (item["code"], item["pointer"]) == ("body_not_installed", pointer)
+        assert item["hint"] == "Run: multicap bodies install"
+    for other in ({"body": "human", "exports": ["bvh"]}, {"body": "capsules", "exports": ["glb"]}):
+        assert live.client.post(address, json=other).status_code == 202
+    live.services.store.workers.report(replace(READY, bodies=("human",)))
+    assert live.client.post(address, json=spec).status_code == 202

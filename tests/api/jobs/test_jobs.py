@@ -68,6 +68,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "exports": ["bvh"],
         "bvh": "default",
         "timeline": "take",
+        "body": "capsules",
         "cutoff_hz": 6.0,
         "frame_range": None,
         "output_rate_hz": None,

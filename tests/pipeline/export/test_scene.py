@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.config import Export
+from pipeline.config import Body, Export
 from pipeline.data.animation import Floor
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.data.rigid import Rigid3
@@ -252,8 +252,8 @@ def test_a_take_whose_file_is_cut_off_is_no_result(
 ) -> None:
     encode = glb.encode_take
 
-    def cut(scene: TakeScene) -> Iterator[bytes]:
-        content = b"".join(encode(scene))
+    def cut(scene: TakeScene, body: Body) -> Iterator[bytes]:
+        content = b"".join(encode(scene, body))
         yield content[: len(content) * 2 // 3]
 
     monkeypatch.setattr(glb, "encode_take", cut)

@@ -147,11 +147,12 @@ def test_a_name_changes_no_report_and_no_motion_for_viewers(
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_formats_say_whether_their_files_hold_names(session: KeypointSession, cache: Path, name: Export) -> None:
-    (one, *_) = people_of(edited(session, cache), "take")
+    (one, *_) = people_of(edited(session, cache), "take", "capsules")
 
     def content(motion: SkeletonMotion) -> bytes:
         of_person = PersonContent(
-            one.track, motion, one.joints, one.timebase, "f", one.frames, one.is_present, one.origin_m, "default"
+            *(one.track, motion, one.joints, one.timebase, "f", one.frames, one.is_present, one.origin_m, "default"),
+            one.body,
         )
         return b"".join(FORMATS_BY_NAME[name].encode(of_person))
 
@@ -186,7 +187,8 @@ def test_parts_of_the_people_are_written_ahead_at_any_rate(
         folder = tmp_path / f"part-{number}"
         folder.mkdir()
         kept = FilesInPieces(pieces, tmp_path)
-        keep_people(take, slice(number, None, PERSON_PARTS), folder, FORMATS, "default", rate_hz, "take", ignore, kept)
+        rows = slice(number, None, PERSON_PARTS)
+        keep_people(take, rows, folder, FORMATS, "default", rate_hz, "take", "capsules", ignore, kept)
         assert not list(folder.iterdir())
     monkeypatch.setattr(bvh, "encode", fail)
     assert files(take, tmp_path / "found", pieces, rate_hz) == fresh
@@ -207,7 +209,7 @@ def test_stages_that_write_and_find_files_name_their_pieces_alike(session: Keypo
 
 
 def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> None:
-    one, other = list(people_of(edited(session, cache), "take"))[:2]
+    one, other = list(people_of(edited(session, cache), "take", "capsules"))[:2]
     pieces = KeptPieces()
     moved = one.track.xyz_m.copy()
     moved[0, 0, 0] += 1e-12

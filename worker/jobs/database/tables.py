@@ -311,6 +311,7 @@ workers = Table(
     Column("done", Integer, nullable=False),  # steps of the activity
     Column("total", Integer, nullable=False),
     Column("detectors", JSON, nullable=False),  # names of the installed detectors
+    Column("bodies", JSON, nullable=False, server_default="[]"),  # names of the installed bodies of people
     Column("codes", JSON, nullable=False, server_default="[]"),  # digests of the code of its stages
     Column("seen_at", UtcTimestamp, nullable=False),
 )

@@ -12,7 +12,7 @@ import pytest
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers import glb
-from pipeline.export.writers.body_mesh import BodyMesh, body_mesh
+from pipeline.export.writers.body_mesh import BodyMesh, capsules
 from pipeline.skeleton.model import INDEX, children_of, forward_kinematics, parents_of, rest_offsets_m, skeleton_of
 from tests.e2e.foreign import read_with_three, validate_with_khronos
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
@@ -75,7 +75,7 @@ def mesh_of(motion: SkeletonMotion) -> tuple[BodyMesh, np.ndarray]:
     rest_m = np.zeros_like(offsets_m)
     for index, parent in enumerate(parents_of(len(offsets_m))[1:], 1):
         rest_m[index] = rest_m[parent] + offsets_m[index]
-    return body_mesh(offsets_m, rest_m), rest_m
+    return capsules(offsets_m, rest_m), rest_m
 
 
 @MOTIONS
@@ -85,7 +85,7 @@ def test_the_body_is_closed_about_every_bone_and_shows_its_outside(
     mesh, rest_m = mesh_of(dressed(walk(1)))
     children = children_of(len(rest_m))
     with_bones = {INDEX[name] for name in children if set(children[name]) - {"LeftShoulder", "RightShoulder"}}
-    assert set(mesh.joint.tolist()) == with_bones
+    assert set(mesh.joints[:, 0].tolist()) == with_bones
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=-1), 1.0)
     corners_m = mesh.vertices[mesh.triangles]
     facing = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
@@ -104,11 +104,11 @@ def test_fingers_are_thin_and_apart_and_begin_in_a_flat_palm() -> None:
     rest_m = np.zeros_like(offsets_m)
     for index, parent in enumerate(parents_of(64)[1:], 1):
         rest_m[index] = rest_m[parent] + offsets_m[index]
-    mesh = body_mesh(offsets_m, rest_m)
+    mesh = capsules(offsets_m, rest_m)
 
     def box_m(*names: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the lowest and highest coordinates of the vertices that joints move: to the left, up, to the front."""
-        moved_m = mesh.vertices[np.isin(mesh.joint, [INDEX[name] for name in names])]
+        moved_m = mesh.vertices[np.isin(mesh.joints[:, 0], [INDEX[name] for name in names])]
         return moved_m.min(0), moved_m.max(0)
 
     palm_low_m, palm_high_m = box_m("LeftHand")

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers import vrma
-from pipeline.export.writers.body_mesh import body_at_rest
+from pipeline.export.writers.body_mesh import CAPSULES, body_at_rest
 from pipeline.skeleton.model import INDEX, forward_kinematics, parents_of, skeleton_of
 from tests.e2e.foreign import play_on_vrm, validate_with_khronos
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
@@ -32,9 +32,9 @@ REQUIRED = {
 }
 
 
-def character(path: Path, bone_length_m: np.ndarray, scale: float) -> Path:
+def character(path: Path, motion: SkeletonMotion, scale: float) -> Path:
     """Write a VRM with bones in proportion to a skeleton's, turned at random in their T-pose."""
-    rest_m = scale * body_at_rest(bone_length_m, GLTF).positions
+    rest_m = scale * body_at_rest(motion, GLTF, CAPSULES).positions
     joints, parents = skeleton_of(len(rest_m)), parents_of(len(rest_m))
     turns = Rotation.random(len(rest_m), rng=np.random.default_rng(1))
     nodes: list[dict[str, object]] = [{"name": "Root", "children": [1], "rotation": [0.0, 0.0, 0.0, 1.0]}]
@@ -81,7 +81,7 @@ def test_a_character_moves_as_the_person_does(
     characters = {}
     for path, motion in motions.items():
         path.write_bytes(b"".join(vrma.encode(motion, np.zeros(3))))
-        characters[path] = character(path.with_suffix(".vrm"), motion.bone_length_m, scale)
+        characters[path] = character(path.with_suffix(".vrm"), motion, scale)
     played = play_on_vrm(characters)
     for path, motion in motions.items():
         expected_m, found = forward_kinematics(motion), played[path]

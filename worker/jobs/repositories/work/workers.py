@@ -27,7 +27,7 @@ class Workers:
     def report(self, status: WorkerStatus) -> None:
         """Record what a worker process does now; the row is valid for ``SILENT_AFTER_S``."""
         with self._transactions.writing() as connection:
-            lists = {"detectors": list(status.detectors), "codes": list(status.codes)}
+            lists = {name: list(getattr(status, name)) for name in ("detectors", "bodies", "codes")}
             upsert(connection, workers, asdict(status) | lists | {"seen_at": now()})
             _forget_silent(connection)
 
@@ -48,6 +48,7 @@ class Workers:
                     done=row.done,
                     total=row.total,
                     detectors=tuple(row.detectors),
+                    bodies=tuple(row.bodies),
                     codes=tuple(row.codes),
                 )
                 for row in rows
@@ -68,7 +69,16 @@ def codes_at_work(connection: Connection) -> frozenset[str]:
 
 def installed_detectors(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
     """Detectors that every ready worker has, for any of them may take a chunk; ``None`` if no worker is ready."""
-    ready = [frozenset(worker.detectors) for worker in found if worker.state is WorkerState.READY]
+    return _of_all_ready((worker.state, worker.detectors) for worker in found)
+
+
+def installed_bodies(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
+    """Bodies of people that every ready worker has installed; ``None`` if no worker is ready."""
+    return _of_all_ready((worker.state, worker.bodies) for worker in found)
+
+
+def _of_all_ready(found: Iterable[tuple[WorkerState, tuple[str, ...]]]) -> frozenset[str] | None:
+    ready = [frozenset(names) for state, names in found if state is WorkerState.READY]
     return frozenset.intersection(*ready) if ready else None
 
 

@@ -1,0 +1,67 @@
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pipeline.body import installed
+from pipeline.body.makehuman import members
+from pipeline.errors import ModelError
+from pipeline.runtime.packages.index import fetch_package
+from pipeline.runtime.packages.storage import home
+
+
+@pytest.fixture
+def package() -> Path:
+    installed.install()
+    path = home() / "downloads" / installed._PACKAGE.filename
+    return path if path.is_file() else fetch_package(installed._PACKAGE)
+
+
+@pytest.fixture
+def fresh_home(package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Storage folder with the downloaded package of the body, and nothing else."""
+    (tmp_path / "downloads").mkdir()
+    (tmp_path / "downloads" / package.name).symlink_to(package)
+    monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
+    return tmp_path
+
+
+def test_the_body_is_made_of_the_package_with_the_same_bytes(fresh_home: Path, package: Path) -> None:
+    assert not installed.is_installed()
+    path = installed.install()
+    assert path.is_relative_to(fresh_home)
+    assert installed.is_installed()
+    assert path.read_bytes() == installed._made_from(package)
+    assert path.stat().st_size < 600_000
+
+
+def test_the_data_are_free(package: Path) -> None:
+    with zipfile.ZipFile(package) as wheel:
+        assert b"Creative Commons CC0 1.0 Universal" in wheel.read(f"{installed._FOLDER}/LICENSE.md")
+        assert {f"{installed._FOLDER}/{name}" for name in members()} <= set(wheel.namelist())
+
+
+def test_a_body_that_is_not_there_says_how_it_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
+    with pytest.raises(ModelError, match=r"The human body is not installed\. Run: multicap bodies install"):
+        installed.load()
+
+
+@pytest.mark.parametrize("harm", [lambda content: content[:1000], lambda content: content[:-1] + b"x", lambda _: b""])
+def test_a_damaged_file_is_refused_and_installed_again(fresh_home: Path, harm: Callable[[bytes], bytes]) -> None:
+    path = installed.install()
+    whole = path.read_bytes()
+    path.write_bytes(harm(whole))
+    with pytest.raises(ModelError, match=r"The file of the human body was changed\. Run: multicap bodies install"):
+        installed.load()
+    installed.install()
+    assert path.read_bytes() == whole
+    assert len(installed.load().triangles) > 20_000
+
+
+def test_a_package_with_other_data_is_refused(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(installed, "_SHA256", "0" * 64)
+    with pytest.raises(ModelError, match="not what it must be"):
+        installed.install()
+    assert not installed.is_installed()
