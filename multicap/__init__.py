@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.recordings import Recording
     from pipeline.capture.session import CaptureSession, open_session
+    from pipeline.character.source import CharacterSource
     from pipeline.config import ReconstructionConfig
     from pipeline.data.reconstruction import Reconstruction
     from pipeline.detect.models import install as install_network
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CaptureSession",
+    "CharacterSource",
     "ChildError",
     "Client",
     "InputError",
@@ -68,6 +70,7 @@ __all__ = [
 # References of the names above for the interpreter; a test compares both.
 _REFERENCES = {
     "CaptureSession": "pipeline.capture.session:CaptureSession",
+    "CharacterSource": "pipeline.character.source:CharacterSource",
     "ChildError": "pipeline.errors:ChildError",
     "Client": "api.cli.client:Client",
     "InputError": "pipeline.errors:InputError",

@@ -288,6 +288,9 @@ class ReconstructionConfig(JobChoices):
         Choices of what is made in place of a reconstruction; ``None``: it reconstructs.
     edits
         Edits of the people who were found, in the order in which they were made.
+    character
+        Digest of the character onto which everybody is retargeted, see ``pipeline.character.source``; ``None``: nobody
+        is.
     chunk_frames
         Output frames of one chunk, which is decoded and detected as one piece, of one camera.
     processes
@@ -298,6 +301,7 @@ class ReconstructionConfig(JobChoices):
     clustering: Mapping[str, float] = field(default_factory=dict)
     making: CalibrationChoices | ProxyChoices | VisualChoices | None = None
     edits: tuple[PeopleEdit, ...] = ()
+    character: str | None = None
     chunk_frames: Annotated[
         int,
         About("Frames of a chunk", "Frames of a camera in one chunk; results do not depend on it.", minimum=1),

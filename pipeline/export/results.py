@@ -162,7 +162,7 @@ def write_files(
     """
     timebase = reconstruction.timebase
     require(file_problems(exports, timebase.num_frames, timebase.frame_rate_hz, frame_rate_hz))
-    shown = _at_rate(reconstruction, frame_rate_hz)
+    shown = at_rate(reconstruction, frame_rate_hz)
     folder.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
 
@@ -227,7 +227,7 @@ def keep_people(
 
     ``rows`` are those of the people among the tracks.
     """
-    shown = _at_rate(reconstruction, frame_rate_hz)
+    shown = at_rate(reconstruction, frame_rate_hz)
     people = islice(people_of(shown, timeline, body), rows.start, rows.stop, rows.step)
     on_people = split(on_share, _num_frames(shown, timeline)[rows])
     for person, on_person in zip(people, on_people, strict=True):
@@ -284,7 +284,8 @@ def _skeleton_m(motion: SkeletonMotion, frames: range) -> Float[np.ndarray, "fra
     return forward_kinematics(replace(motion, root_m=root_m, parent_from_joint=turns))
 
 
-def _at_rate(reconstruction: Reconstruction, frame_rate_hz: float | None) -> Reconstruction:
+def at_rate(reconstruction: Reconstruction, frame_rate_hz: float | None) -> Reconstruction:
+    """Reconstruction with the final motion at a rate; ``None``: as it is."""
     return reconstruction if frame_rate_hz is None else resample(reconstruction, frame_rate_hz)
 
 

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession, Session
+from pipeline.character.source import CharacterSource
 from pipeline.config import ReconstructionConfig, networks_of
 from pipeline.data.cameras import Synchronization
 from pipeline.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
@@ -81,6 +82,10 @@ class Context(ABC):
     @abstractmethod
     def origin(self) -> Origin:
         """Name of the session, and its files."""
+
+    def character(self) -> CharacterSource:
+        """Character onto which everybody is retargeted; ``PipelineError`` if there is none."""
+        raise PipelineError("This executor has no characters.")
 
     @abstractmethod
     def outline(self) -> Session:

@@ -13,6 +13,7 @@ from pathlib import Path
 from pipeline.body.installed import load as load_body
 from pipeline.capture.preflight_npz import encode_record
 from pipeline.capture.session import CaptureSession, Session
+from pipeline.character.source import CharacterSource
 from pipeline.config import FILE_FORMATS, ReconstructionConfig, method_warnings
 from pipeline.data.detections import Detections
 from pipeline.data.reconstruction import Reconstruction
@@ -102,6 +103,7 @@ def reconstruct_to_files(
     name: str = "",
     sources: Sequence[StrPath] = (),
     on_file: OnFile = no_file,
+    character: CharacterSource | None = None,
 ) -> WrittenResults:
     """Reconstruct everybody in a capture session, and write the result files as the service does, by its stages.
 
@@ -117,11 +119,13 @@ def reconstruct_to_files(
         Files that the report names with their digests beside the videos, such as the calibration.
     on_file
         Called with the path of each file when it is whole and has its name.
+    character
+        Character onto which everybody is retargeted as well, see ``docs/characters.md``; ``None``: there is none.
 
     Raises
     ------
     InputError
-        See ``reconstruct``.
+        See ``reconstruct``; and if the character can't be used.
     ModelError
         If the detector, or a human body that files shall have, is not installed.
     PipelineError
@@ -130,9 +134,12 @@ def reconstruct_to_files(
     _check(session, config)
     if config.body == "human" and any(FILE_FORMATS[export].has_body for export in config.exports):
         load_body()
+    if character is not None:
+        character.open()
+        config = replace(config, character=character.sha256)
     folder, cache = Path(folder), None if cache is None else Path(cache)
     facts = session_facts(session, () if cache is None else _inputs(session))
-    files = _Destination(folder, name or folder.resolve().name or "take", tuple(map(Path, sources)))
+    files = _Destination(folder, name or folder.resolve().name or "take", tuple(map(Path, sources)), character)
     paths: list[Path] = []
     with _planned(session, config, facts, STAGE_BY_NAME.keys(), cache, files) as job:
         for stage in job.stages:
@@ -275,6 +282,7 @@ class _Destination:
     # Name of the take, and files beside its videos, for its report
     name: str
     sources: tuple[Path, ...]
+    character: CharacterSource | None = None  # Character onto which everybody is retargeted
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,6 +340,10 @@ class _TaskContext(Context):
         if files is None:
             raise PipelineError("No files are wanted of this reconstruction.")
         return Origin(files.name, _digests(self.job.session, files.sources))
+
+    def character(self) -> CharacterSource:
+        files = self.job.files
+        return super().character() if files is None or files.character is None else files.character
 
     def outline(self) -> Session:
         return self.job.session  # the caller holds the detections anyway

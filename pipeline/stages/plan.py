@@ -46,6 +46,7 @@ _MODULES = (
     "refit",
     "overlay",
     "report",
+    "character",
     "write_people",
     "export",
 )
@@ -157,7 +158,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         "appearance": is_clustering,
         "joint_centers": config.smoothing != "fit",
         "bvh": not any(FILE_FORMATS[export].has_presets for export in config.exports),
-        "timeline": not config.exports,
+        "timeline": not config.exports and config.character is None,
         "body": not any(FILE_FORMATS[export].has_body for export in config.exports),
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}

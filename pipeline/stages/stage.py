@@ -27,6 +27,7 @@ EXPECT_AGAIN, REDETECT_AGAIN = "expect_again", "redetect_again"
 IDENTIFY, FIT, EDIT, REFIT = "identify", "fit", "edit", "refit"
 WRITE, EXPORT = "write_people", "export"
 OVERLAY, REPORT = "draw_overlay", "write_report"
+RETARGET = "retarget_character"
 FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
 CHECK = "check_session"
 TAKE = CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT

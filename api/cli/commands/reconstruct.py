@@ -23,7 +23,11 @@ from api.cli.options import (
 )
 from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source, parameters
 from pipeline.capture.preflight_record import Clock
+from pipeline.character.mapping import read_bone_table
+from pipeline.character.source import CharacterSource
 from pipeline.config import method_warnings
+from pipeline.errors import InputError, Problem
+from pipeline.problem_codes.characters import BONES_INVALID
 from pipeline.quality.report import all_checks
 from pipeline.stages.local import reconstruct_to_files
 from pipeline.stages.plan import STAGE_BY_NAME
@@ -74,6 +78,18 @@ def print_summary(metrics: Mapping[str, Any]) -> None:
         warn(check.message)
 
 
+def _character(path: Path | None, bones: Path | None) -> CharacterSource | None:
+    """Character of the options, whose bones are known; raises ``InputError`` before any work."""
+    if path is None:
+        if bones is not None:
+            message = "--bones is the table of a character, but there is none."
+            raise InputError([Problem(BONES_INVALID, message, field="bones", hint="Give --character too.")])
+        return None
+    source = CharacterSource(path, {} if bones is None else read_bone_table(bones))
+    source.open()
+    return source
+
+
 @with_choices()
 def command(
     *,
@@ -98,6 +114,14 @@ def command(
     frame_rate: Annotated[
         float | None,
         typer.Option(help="Frame rate in Hz: of keypoints without timestamps, or of images."),
+    ] = None,
+    character: Annotated[
+        Path | None,
+        typer.Option(help="Character that moves as each person: a GLB or VRM file, see docs/characters.md."),
+    ] = None,
+    bones: Annotated[
+        Path | None,
+        typer.Option(help="Table of the character's bones in JSON, as character.json has it, to correct them."),
     ] = None,
     chosen: Mapping[str, Any],
     tracking: Annotated[
@@ -129,6 +153,7 @@ def command(
             clustering=parameters(clustering or [], "tau2=0.25"),
         )
         check_sources(videos, keypoints, timestamps, offset, rate)
+        moved = _character(character, bones)
         footage = [*(videos or []), *(more_videos or [])]
         session = open_source(
             footage,
@@ -147,7 +172,9 @@ def command(
             warn(warning)
         sources = (calibration, *([] if timestamps is None else [timestamps]))
         kept = None if no_cache else cache or users_cache()
-        written = reconstruct_to_files(session, out, config, bars.update, kept, sources=sources, on_file=paths.append)
+        written = reconstruct_to_files(
+            session, out, config, bars.update, kept, sources=sources, on_file=paths.append, character=moved
+        )
     metrics, warnings = written.metrics, method_warnings(config, keypoints is None)
     if as_json:
         emit(

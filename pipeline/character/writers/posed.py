@@ -1,0 +1,126 @@
+"""A character in motion in the axes of its files, Y up and facing +Z where the person faces -Y, in its own unit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.character.mapping import HIPS
+from pipeline.character.retarget import CharacterMotion, place_of
+from pipeline.export.presets import Y_UP_FROM_WORLD
+from pipeline.export.timelines import held
+from pipeline.skeleton.rotations import continuous_quat_xyzw
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosedCharacter:
+    """Content of a character's file."""
+
+    motion: CharacterMotion
+    name: str  # Name of the person
+    frames: range  # Output frames of the file, those of the motion among them
+    is_present: Bool[np.ndarray, " frames"]  # Frames of the file in which the person is there
+    origin_m: Float[np.ndarray, " 3"]  # World position in the person's metres that is the origin of the file
+
+    @property
+    def own_frames(self) -> range:
+        """Output frames of the motion."""
+        return self.motion.source.frames
+
+    @property
+    def hips(self) -> int:
+        """Number of the node of the hips."""
+        return self.motion.figure.joints[HIPS]
+
+    def held(self) -> "PosedCharacter":
+        """Character in all frames of the file: before and after its own frames the nearest pose holds."""
+        motion, own, frames = self.motion, self.own_frames, self.frames
+        source = motion.source
+        still = replace(
+            source,
+            start_frame=frames.start,
+            root_m=held(source.root_m, own, frames),
+            parent_from_joint=held(source.parent_from_joint, own, frames),
+        )
+        turns = {node: held(turns, own, frames) for node, turns in motion.turns.items()}
+        posed = replace(motion, source=still, hips=held(motion.hips, own, frames), turns=turns)
+        return replace(self, motion=posed)
+
+    def turn_of(self, node: int) -> Float[np.ndarray, "frames 3 3"]:
+        """Rotation of a node from the rest pose about the skeleton's axes; nodes above the hips do not turn."""
+        turns = self.motion.turns
+        for above in self.motion.figure.rig.ancestors(node):
+            if above in turns:
+                return turns[above]
+        return np.broadcast_to(np.eye(3), (len(self.motion.hips), 3, 3))
+
+    def hips_places(self) -> Float[np.ndarray, "frames 3"]:
+        """Places of the hips in the file's axes."""
+        return (self.motion.hips - self.motion.scale * self.origin_m) @ Y_UP_FROM_WORLD.T
+
+    def places(self, node: int) -> Float[np.ndarray, "frames 3"]:
+        """Places of a node below the hips in the person's world, in the person's metres."""
+        motion = self.motion
+        return place_of(motion.figure, motion.hips, motion.turns, node) / motion.scale
+
+    def locals(self, node: int) -> Float[np.ndarray, "frames 4"]:
+        """Rotations (x, y, z, w) of a node that turns, to its parent in the file."""
+        rig, figure = self.motion.figure.rig, self.motion.figure
+        at_rest = figure.skeleton_from_file @ rotation_of(rig.worlds[node])
+        parent = int(rig.parents[node])
+        if node == self.hips:
+            above = np.eye(3) if parent < 0 else rotation_of(rig.worlds[parent])
+            turned = above.T @ Y_UP_FROM_WORLD @ self.turn_of(node) @ at_rest
+        else:
+            above = figure.skeleton_from_file @ rotation_of(rig.worlds[parent])
+            turned = above.T @ self.turn_of(parent).swapaxes(1, 2) @ self.turn_of(node) @ at_rest
+        return continuous_quat_xyzw(Rotation.from_matrix(turned))
+
+    def hips_translations(self) -> Float[np.ndarray, "frames 3"]:
+        """Translations of the hips in their parent in the file."""
+        rig = self.motion.figure.rig
+        parent = int(rig.parents[self.hips])
+        if parent < 0:
+            return self.hips_places()
+        above = rig.worlds[parent]
+        return (self.hips_places() - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T
+
+    def turning(self) -> tuple[int, ...]:
+        """Nodes that turn, parents before their children."""
+        return tuple(node for node in self.motion.figure.rig.order if node in self.motion.turns)
+
+    def bones(self) -> tuple[int, ...]:
+        """Bones from the hips down, each after its parent, and the nodes between them; the hips first."""
+        rig = self.motion.figure.rig
+        below = rig.below(self.hips)
+        needed = {above for node in below if rig.is_bone[node] for above in rig.ancestors(node)}
+        return tuple(node for node in below if node in needed)
+
+
+def rotation_of(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
+    """Rotation of a matrix whose scales are even."""
+    turned = matrix[:3, :3]
+    return np.asarray(turned / np.linalg.norm(turned, axis=0))
+
+
+def present_ranges(is_present: Bool[np.ndarray, " frames"], frames: range) -> list[list[int]]:
+    """Ranges of output frames in which a person is there, first frame and the one after the last."""
+    borders = np.flatnonzero(np.diff(is_present.astype(np.int8), prepend=0, append=0)) + frames.start
+    return [[int(start), int(stop)] for start, stop in borders.reshape(-1, 2)]
+
+
+def bone_places(posed: PosedCharacter, nodes: tuple[int, ...], frames: range) -> Float[np.ndarray, "frames bones 3"]:
+    """Places of bones in the person's world (metres of the person) in some frames of a file."""
+    rows = PosedCharacter(posed.motion, posed.name, frames, posed.is_present[:0], posed.origin_m).held()
+    return np.stack([rows.places(node) for node in nodes], axis=1)
+
+
+def names_by_node(names: Mapping[int, str]) -> dict[int, str]:
+    """Names without white space, all different."""
+    bare = {node: "_".join(name.split()) or "bone" for node, name in names.items()}
+    taken: dict[str, int] = {}
+    for name in bare.values():
+        taken[name] = taken.get(name, 0) + 1
+    return {node: f"{name}_{node}" if taken[name] > 1 else name for node, name in bare.items()}
