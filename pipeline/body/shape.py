@@ -50,6 +50,15 @@ class BodyShapes:
     # Positions in ``BODY_JOINTS`` of the joints that move each vertex, and their weights, of sum 1
     carriers: Int[np.ndarray, "vertices 4"]
     weights: Float[np.ndarray, "vertices 4"]
+    coarse_triangles: Int[np.ndarray, "coarse_triangles 3"]  # Triangles between some of the vertices
+
+    def coarse(self) -> "BodyShapes":
+        """Shapes of the coarse mesh: its triangles, and the vertices that these have."""
+        kept, corners = np.unique(self.coarse_triangles, return_inverse=True)
+        triangles = corners.reshape(-1, 3)
+        return BodyShapes(
+            self.vertices_m[:, kept], self.joints_m, triangles, self.carriers[kept], self.weights[kept], triangles
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

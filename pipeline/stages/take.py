@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.body.installed import find as find_body
 from pipeline.capture.session import Session
 from pipeline.data.animation import Animation
 from pipeline.data.people import People
@@ -77,7 +78,7 @@ def viewer_files(
     ``take`` is at the session's frame rate, ``report`` the content of ``metrics.json``, ``first_frame`` the number of
     the first frame before the take was cut.
     """
-    motion = ViewerMotion(take, views, footage_of(session), report, first_frame)
+    motion = ViewerMotion(take, views, footage_of(session), report, first_frame, find_body())
     with (folder / MOTION).open("wb") as file:
         file.writelines(motion.encode())
     (folder / DESCRIPTION).write_bytes(motion.describe())

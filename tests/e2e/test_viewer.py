@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, Route, expect
 
+from pipeline.body import installed
+from pipeline.body.makehuman import NUM_COARSE_TRIANGLES
 from pipeline.data.people import Doubt
 from tests.api.conftest import Live, running
 from tests.e2e.browsing import axe_findings, opened
@@ -100,7 +102,8 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
 @pytest.fixture(scope="module")
 def job_ids(live: Live) -> list[str]:
     take = crowd(3, NUM_FRAMES, float(RATE_HZ), doubts=((), (Doubt(60, 0.7, 1),), ()))
-    files = viewer_files_of(take)
+    installed.install()
+    files = viewer_files_of(take, installed.load())
     found = []
     for _ in range(2):
         found.append(live.job_id())
@@ -181,6 +184,30 @@ def test_people_are_drawn_and_named(shown: Shown) -> None:
     )
     assert 0.005 < colours < 0.5
     assert shown.page.evaluate("() => globalThis.viewer.view.stage.renderer.info.render.calls") <= 10
+
+
+TRIANGLES = """() => {
+  const { stage, people: { humans, capsules } } = globalThis.viewer.view;
+  stage.renderer.render(stage.scene, stage.camera);
+  const { triangles } = stage.renderer.info.render;
+  return { triangles, humans: humans.mesh.visible, capsules: capsules.visible };
+}"""
+
+
+def test_bodies_are_humans_or_capsules(shown: Shown) -> None:
+    shown.mount()
+    humans = shown.page.evaluate(TRIANGLES)
+    assert (humans["humans"], humans["capsules"]) == (True, False)
+    shown.page.get_by_text("Show", exact=True).click()
+    shown.page.get_by_label("Foot contacts").uncheck()
+    shown.page.get_by_label("Bodies as humans").uncheck()
+    capsules = shown.page.evaluate(TRIANGLES)
+    assert (capsules["humans"], capsules["capsules"]) == (False, True)
+    shown.page.get_by_label("Bodies as humans").check()
+    discs = shown.page.evaluate(TRIANGLES)["triangles"] - 3 * NUM_COARSE_TRIANGLES
+    assert discs == humans["triangles"] - 3 * NUM_COARSE_TRIANGLES >= 0
+    shown.page.get_by_label("Bodies", exact=True).uncheck()
+    assert shown.page.evaluate(TRIANGLES) == {"triangles": discs, "humans": False, "capsules": False}
 
 
 def test_a_take_without_people_draws_none(shown: Shown) -> None:

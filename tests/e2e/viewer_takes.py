@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from api.settings import Settings
+from pipeline.body.shape import BodyShapes
 from pipeline.config import ReconstructionConfig
 from pipeline.data.animation import Animation
 from pipeline.data.cameras import FrameTimes, Timebase
@@ -71,13 +72,13 @@ def crowd(
     return Reconstruction(CAMERAS, COCO_17, timebase, tuple(tracks), tuple(observations), animation, doubts=doubts)
 
 
-def viewer_files_of(reconstruction: Reconstruction) -> dict[str, bytes]:
-    """Files for viewers by name."""
+def viewer_files_of(reconstruction: Reconstruction, shapes: BodyShapes | None = None) -> dict[str, bytes]:
+    """Files for viewers by name; bodies are humans if there are ``shapes``."""
     timebase = reconstruction.timebase
     times = FrameTimes(timebase.start_time_s + np.arange(timebase.num_frames) / timebase.frame_rate_hz)
     footage = {camera.name: Footage(times) for camera in reconstruction.cameras}
     views, report = views_of(reconstruction), json.loads(json.dumps(quality_report(reconstruction)))
-    motion = ViewerMotion(reconstruction, views, footage, report)
+    motion = ViewerMotion(reconstruction, views, footage, report, shapes=shapes)
     content = b"".join(motion.encode())
     return {"motion.bin": content, "motion.json": motion.describe()}
 

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from api.cli.commands.reconstruct import print_summary
 from api.cli.console import StageBars, console, reporting
 from api.cli.served import served
+from pipeline.body import installed as bodies
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.detect import models
 from pipeline.export.overlay import draw_skeletons, encode_png
@@ -62,6 +63,7 @@ def command(
     started_s = time.monotonic()
     with reporting(as_json=False), tempfile.TemporaryDirectory(prefix="multicap-") as data_dir:
         models.install_networks(JobSpec().config)
+        bodies.install()
         sample = samples.install()
         console.print(sample.attribution)
         videos = list(sample.videos.values())

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.body.shape import BodyShapes
 from pipeline.capture.session import Session
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Camera, FrameTimes, Synchronization
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.colors import color_rgb
+from pipeline.export.viewer.bodies import describe_body, describe_shape
 from pipeline.export.viewer.frames import (
     ABSENT,
     ERROR_STEP_PX,
@@ -70,6 +72,8 @@ class ViewerMotion:
         Content of ``metrics.json``.
     first_frame
         Number of the first frame before the take was cut; 0 if it was not.
+    shapes
+        Shapes of people's bodies, ``None`` if bodies are not installed.
     """
 
     def __init__(
@@ -79,8 +83,10 @@ class ViewerMotion:
         footage: Mapping[str, Footage],
         report: Mapping[str, Any],
         first_frame: int = 0,
+        shapes: BodyShapes | None = None,
     ) -> None:
         self._take, self._views, self._footage = reconstruction, views, footage
+        self._shapes = None if shapes is None else shapes.coarse()
         self._report, self._first_frame = report, first_frame
         num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
         self._skeleton = skeleton_of(num_bones) if num_bones else ()
@@ -116,6 +122,7 @@ class ViewerMotion:
             },
             "record": self._describe_record(),
             "people": list(self._describe_people()),
+            "body": None if self._shapes is None else describe_body(self._shapes),
             "cameras": [_describe_camera(camera, self._footage.get(camera.name)) for camera in take.cameras],
             "clocks": None if take.synchronization is None else list(_describe_clocks(take.synchronization)),
             "is_refined": take.refinement is not None and take.refinement.refined,
@@ -150,7 +157,7 @@ class ViewerMotion:
         }
 
     def _describe_people(self) -> Iterator[dict[str, Any]]:
-        offset_bytes = 0
+        offset_bytes, floor = 0, self._take.animation.floor
         figures = {person["id"]: person for person in self._report["people"]}
         for track, motion, step_m in zip(self._take.tracks, self._take.motions, self._steps_m, strict=True):
             red, green, blue = color_rgb(track.track_id)
@@ -177,6 +184,7 @@ class ViewerMotion:
                     ]
                     for contact in motion.contacts
                 ],
+                "body": None if self._shapes is None else describe_shape(self._shapes, motion, floor),
             }
             offset_bytes += track.num_frames * self._dtype.itemsize
 

@@ -1,5 +1,7 @@
 // Heat strips of people, and the spots in them that deserve a look.
 
+import { integers } from "./base64.js";
+
 export const UNKNOWN_ERROR = 255;
 const MIN_IDENTITY = 0.99;
 const MIN_CAMERAS = 2;
@@ -12,7 +14,7 @@ const ERROR_FLOOR_PX = 10;
 /** Columns of a person's strips: `Uint8Array`s of one byte a bucket, by name. */
 export function decodeStrips(description, person) {
   const { columns, people } = description.strips;
-  const bytes = Uint8Array.from(atob(people[person]), (letter) => letter.charCodeAt(0));
+  const bytes = integers(people[person], Uint8Array);
   const length = bytes.length / columns.length;
   return Object.fromEntries(columns.map((name, number) => [name, bytes.subarray(number * length, (number + 1) * length)]));
 }

@@ -4,12 +4,12 @@ import { el } from "../dom.js";
 import { KEYS } from "../keys.js";
 
 const DIRECTIONS = [["Fit", null], ["Top", "top"], ["Front", "front"], ["Side", "side"]];
-const LAYERS = [["body", "Bodies", true], ["skeleton", "Bones", false], ["trails", "Trails", true], ["contacts", "Foot contacts", true], ["cameras", "Cameras", true], ["names", "Names", true]];
+const LAYERS = [["body", "Bodies", true], ["human", "Bodies as humans", true], ["skeleton", "Bones", false], ["trails", "Trails", true], ["contacts", "Foot contacts", true], ["cameras", "Cameras", true], ["names", "Names", true]];
 
 /** `onoptions` is called with what is to be shown whenever that changes. */
 export function viewControls(viewer, onoptions) {
   const options = Object.fromEntries(LAYERS.map(([name, , isShown]) => [name, isShown]));
-  const layers = LAYERS.map(([name, label]) => {
+  const layers = LAYERS.filter(([name]) => name !== "human" || viewer.description.body).map(([name, label]) => {
     const box = el("input", { type: "checkbox", checked: options[name], onchange: () => { options[name] = box.checked; onoptions(options); } });
     return el("label", {}, box, ` ${label}`);
   });

@@ -1,7 +1,8 @@
-// People in 3D: bodies of capsules, skeletons of lines, trails and contacts of feet. One draw call for each of these.
+// People in 3D: bodies of humans or capsules, skeletons of lines, trails and contacts of feet. One draw call for each.
 
 import * as THREE from "../../vendor/three/three.module.js";
 import { standing } from "../motion/kinematics.js";
+import { HumanBodies } from "./humans.js";
 
 const TRAIL_S = 1.5;
 const TRAIL_STEPS = 45;
@@ -21,6 +22,7 @@ export class PeopleFigures {
   #people;
   #bones;
   #positions;
+  #marks; // positions of the detector's joints
   #matrix = new THREE.Matrix4();
   #direction = new THREE.Vector3();
   #turn = new THREE.Quaternion();
@@ -29,7 +31,7 @@ export class PeopleFigures {
   #scale = new THREE.Vector3();
 
   constructor(stage, store) {
-    const { skeleton, people } = store.description;
+    const { skeleton, people, body, joint_names: marks } = store.description;
     Object.assign(this, { stage });
     this.#store = store;
     this.#people = people.map((person) => ({ ...person, tint: new THREE.Color(person.color), isShown: true }));
@@ -38,10 +40,13 @@ export class PeopleFigures {
       // Collar bones start inside the chest: their capsules would stick out of the neck.
       .filter(({ parent, joint }) => parent !== null && !/^(Left|Right)Shoulder$/.test(skeleton.names[joint]));
     this.#positions = new Float32Array(3 * skeleton.names.length);
+    this.#marks = new Float32Array(3 * marks.length);
+    // Capsules are shown where the description has no human bodies.
+    this.humans = body && people.length > 0 ? new HumanBodies(stage, store.description) : null;
     this.joints = Object.fromEntries(skeleton.names.map((name, number) => [name, number]));
     // Where the people are: names are shown there.
     this.anchors = people.map(() => new THREE.Vector3(NaN, NaN, NaN));
-    this.options = { body: true, skeleton: false, trails: true, contacts: true };
+    this.options = { body: true, human: true, skeleton: false, trails: true, contacts: true };
     this.#build();
   }
 
@@ -52,18 +57,22 @@ export class PeopleFigures {
 
   /** Put everybody where they are in a frame. */
   show(frame) {
-    const { body, skeleton, contacts } = this.options;
+    const { body, human, skeleton, contacts } = this.options;
+    const isHuman = human && this.humans !== null;
     let segment = 0;
     this.#people.forEach((person, number) => {
       const isHere = person.isShown && this.#store.positions(number, frame, "skeleton", this.#positions);
       this.#anchor(number, isHere);
-      this.#showBody(number, isHere && body);
+      this.#showCapsules(number, isHere && body && !isHuman);
+      this.#showHuman(number, isHere && body && isHuman, frame);
       if (isHere && skeleton) segment = this.#addLines(segment, person.tint);
       this.#showContacts(number, person, isHere && contacts, frame);
     });
     this.lines.geometry.setDrawRange(0, 2 * segment);
     for (const name of ["position", "color"]) this.lines.geometry.getAttribute(name).needsUpdate = true;
     for (const mesh of [this.capsules, this.discs]) mesh.instanceMatrix.needsUpdate = true;
+    this.capsules.visible = body && !isHuman;
+    this.humans?.update(body && isHuman);
     this.#showTrails(frame);
     this.stage.invalidate();
   }
@@ -82,6 +91,7 @@ export class PeopleFigures {
 
   /** Remove everybody from the scene. */
   close() {
+    this.humans?.close();
     for (const mesh of [this.capsules, this.discs, this.lines, this.trails]) {
       this.stage.scene.remove(mesh);
       mesh.geometry.dispose();
@@ -118,7 +128,12 @@ export class PeopleFigures {
     if (top !== undefined) anchor.fromArray(this.#positions, 3 * top).z += 0.18;
   }
 
-  #showBody(number, isShown) {
+  #showHuman(number, isShown, frame) {
+    if (isShown && this.#store.positions(number, frame, "joints", this.#marks)) this.humans.show(number, this.#positions, this.#marks);
+    else this.humans?.hide(number);
+  }
+
+  #showCapsules(number, isShown) {
     const numBones = this.#bones.length;
     this.#bones.forEach(({ parent, joint, radius }, bone) => {
       const place = number * numBones + bone;

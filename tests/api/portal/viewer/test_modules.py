@@ -9,18 +9,24 @@ import av
 import numpy as np
 import pytest
 
+from pipeline.body import installed
+from pipeline.body.shape import shape_body
 from pipeline.data.cameras import Camera, LensModel
 from pipeline.data.people import Doubt
 from pipeline.data.rigid import Rigid3
+from pipeline.export.viewer.bodies import describe_body, describe_shape
 from pipeline.export.viewer.description import ViewerMotion
 from pipeline.geometry.camera import project
 from pipeline.quality.report import quality_report
 from pipeline.quality.views import views_of
-from pipeline.skeleton.model import forward_kinematics
+from pipeline.skeleton.model import forward_kinematics, joint_pose, skeleton_of
 from tests.api.portal.node import run_by_node
+from tests.pipeline.body.conftest import in_pose
 from tests.pipeline.export.viewer.takes import FOOTAGE, take
+from tests.pipeline.export.writers.test_bvh import walk
 from tests.pipeline.media import add_sound, write_video
 from tests.pipeline.quality.test_report import shifted
+from tests.pipeline.skeleton.hands.people import gesturing
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 from tests.pipeline.video.corpus import write_clip
 
@@ -125,6 +131,42 @@ def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "lenses.json").write_text(json.dumps(lens_cases()), encoding="utf-8")
     (folder / "videos.json").write_text(json.dumps(video_cases(folder)), encoding="utf-8")
     return folder
+
+
+@pytest.fixture(scope="module")
+def bodies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Motions with positions of the face, and everybody's skin in each frame as rotations of the fit bend it."""
+    folder = tmp_path_factory.mktemp("bodies")
+    installed.install()
+    shapes = installed.load().coarse()
+    cases = []
+    for name, motion in (("walk", walk(40)), ("hands", gesturing(40))):
+        skeleton = skeleton_of(len(motion.bone_length_m))
+        head_m, head = joint_pose(motion, "Head")
+        marks = {"nose": (0.0, -0.11, -0.01), "left_ear": (0.075, 0.0, 0.0), "right_ear": (-0.075, 0.0, 0.0)}
+        body = shape_body(shapes, motion.bone_length_m)
+        skins_m = [
+            in_pose(body, turns, root_m)[0]
+            for turns, root_m in zip(motion.parent_from_joint, motion.root_m, strict=True)
+        ]
+        cases.append(
+            {
+                "name": name,
+                "joint_names": list(marks),
+                "skeleton": {"names": [joint.name for joint in skeleton]},
+                "body": describe_body(shapes),
+                "shape": describe_shape(shapes, motion, None),
+                "positions": forward_kinematics(motion).tolist(),
+                "marks": np.stack([head_m + head.apply(place) for place in marks.values()], axis=1).tolist(),
+                "skins": np.round(skins_m, 5).tolist(),
+            }
+        )
+    (folder / "bodies.json").write_text(json.dumps(cases), encoding="utf-8")
+    return folder
+
+
+def test_bodies_follow_positions_as_they_follow_rotations(bodies: Path) -> None:
+    run_by_node(HERE / "orientations.test.mjs", bodies)
 
 
 @pytest.mark.parametrize("module", ["film", "lens", "motion", "pictures", "player"])

@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.body import installed
+from pipeline.body.makehuman import NUM_COARSE_TRIANGLES
+from pipeline.body.shape import shape_body
+from pipeline.body.standing import standing_ankle_m
 from pipeline.data.people import Doubt
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.viewer.description import ViewerMotion
 from pipeline.quality.report import quality_report
 from pipeline.quality.views import views_of
-from pipeline.skeleton.model import forward_kinematics
+from pipeline.skeleton.model import forward_kinematics, skeleton_of
 from tests.pipeline.export.viewer.takes import FOOTAGE, read_record, take
 from tests.pipeline.quality.test_report import CAMERAS, RATE_HZ, shifted
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
@@ -54,6 +58,38 @@ def test_records_hold_positions_sources_and_figures() -> None:
             np.testing.assert_allclose(found["score"], track.score[row], atol=0.002)
             assert list(found["error"]) == [255 if np.isnan(px) else 4 for px in track.error_px[row]]
             assert found["camera_error"] == (0, 0, 0)
+
+
+def test_bodies_have_the_people_s_bones() -> None:
+    installed.install()
+    shapes, reconstruction = installed.load(), two_people()
+    views, report = views_of(reconstruction), quality_report(reconstruction)
+    motion = ViewerMotion(reconstruction, views, FOOTAGE, report, shapes=shapes)
+    content = b"".join(motion.encode())
+    described = motion.describe()
+    plain, same = written(reconstruction)
+    assert content == same
+    assert plain["body"] is plain["people"][0]["body"] is None
+    assert len(described) < len(json.dumps(plain)) + 50_000
+    description = json.loads(described)
+    body = description["body"]
+
+    def numbers(text: str, kind: str, width: int) -> np.ndarray:
+        return np.frombuffer(base64.b64decode(text), kind).reshape(-1, width).astype(float)
+
+    assert len(numbers(body["triangles"], "<u2", 3)) == NUM_COARSE_TRIANGLES
+    assert set(numbers(body["weights"], "u1", 4).sum(1)) == {255}
+    for person, fitted in zip(description["people"], reconstruction.motions, strict=True):
+        floor = reconstruction.animation.floor
+        shaped = shape_body(shapes.coarse(), fitted.bone_length_m, standing_ankle_m(fitted, floor))
+        vertices_m = body["step_m"] * numbers(person["body"]["vertices"], "<i2", 3)
+        joints_m = body["step_m"] * numbers(person["body"]["joints"], "<i2", 3)
+        np.testing.assert_allclose(vertices_m, shaped.vertices_m, atol=0.6e-4)
+        assert len(joints_m) == len(body["joints"]) == 70
+        for joint, place_m in zip(skeleton_of(24), shaped.joints_m[:24], strict=True):
+            np.testing.assert_allclose(joints_m[body["joints"].index(joint.name)], place_m, atol=0.6e-4)
+        tip = body["joints"].index("LeftHandIndex3")
+        np.testing.assert_array_equal(joints_m[tip], joints_m[body["joints"].index("LeftHand")])
 
 
 def test_a_camera_s_error_is_the_mean_of_the_body_s_joints() -> None:
