@@ -38,6 +38,15 @@ class FrameLimit:
 
 
 @dataclass(frozen=True, slots=True)
+class OptionalPackage:
+    """Package that a part of Multicap needs, and that is not always installed."""
+
+    name: str
+    module: str  # Name by which it is imported
+    extra: str  # Extra of Multicap that installs it
+
+
+@dataclass(frozen=True, slots=True)
 class FileFormat(Value):
     """A format of a person's file; ``pipeline.export.formats`` writes and reads it."""
 
@@ -47,6 +56,10 @@ class FileFormat(Value):
     limit: FrameLimit | None = None
     has_body: bool = False  # Whether it holds a body that follows the skeleton
     has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset
+    ending: str | None = None  # Ending of the names of files, without the dot; ``None``: the format's name
+    package: OptionalPackage | None = (
+        None  # Package that writes and reads the files, beside those that all formats need
+    )
 
 
 @dataclass(frozen=True, slots=True)

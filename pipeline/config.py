@@ -7,9 +7,20 @@ a ``Literal`` of all names. Standard library only: the web API imports this modu
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Annotated, Literal, cast, get_args
 
-from pipeline.choices import About, FileFormat, FrameLimit, Network, OtherNames, Value, choices_of, values_of
+from pipeline.choices import (
+    About,
+    FileFormat,
+    FrameLimit,
+    Network,
+    OptionalPackage,
+    OtherNames,
+    Value,
+    choices_of,
+    values_of,
+)
 from pipeline.edits import PeopleEdit
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.problem_codes.specs import TOO_LONG_FOR_C3D
@@ -103,6 +114,17 @@ Export = (
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion", has_body=True)]
     | Annotated[
         Literal["fbx"], FileFormat("FBX, body and animation", _BYTES, "motion", has_body=True, has_presets=True)
+    ]
+    | Annotated[
+        Literal["usd"],
+        FileFormat(
+            "USD, body and animation",
+            _BYTES,
+            "motion",
+            has_body=True,
+            ending="usdc",
+            package=OptionalPackage("usd-core", module="pxr", extra="usd"),
+        ),
     ]
     | Annotated[Literal["vrma"], FileFormat("VRMA, animation for VRM characters", "model/gltf-binary", "motion")]
     | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
@@ -247,8 +269,9 @@ class JobChoices(MotionChoices):
     body: Annotated[
         Body,
         About(
-            "Body of GLB and FBX files",
-            "Body of the people in GLB and FBX files. A human needs `multicap bodies install` where files are written.",
+            "Body of GLB, FBX and USD files",
+            "Body of the people in GLB, FBX and USD files. A human needs `multicap bodies install` where files are "
+            "written.",
             group="purpose",
         ),
     ] = "capsules"
@@ -421,6 +444,22 @@ def detected_joints(choices: MotionChoices) -> JointsOfBody:
 
 FILE_FORMATS = cast(Mapping[Export, FileFormat], values_of(Export, FileFormat))
 """Formats of people's files by name."""
+
+
+def ending_of(export: Export) -> str:
+    """Ending of the names of a format's files, without the dot."""
+    return FILE_FORMATS[export].ending or export
+
+
+def is_installed(export: Export) -> bool:
+    """True if the package that a format needs is installed here, or it needs none."""
+    package = FILE_FORMATS[export].package
+    return package is None or find_spec(package.module) is not None
+
+
+def installed_formats() -> tuple[Export, ...]:
+    """Formats whose files can be written here."""
+    return tuple(filter(is_installed, FILE_FORMATS))
 
 
 def _networks_of_profiles() -> tuple[str, ...]:

@@ -17,12 +17,13 @@ from pipeline.config import (
     JobChoices,
     ReconstructionConfig,
     Smoothing,
+    installed_formats,
 )
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import UNKNOWN_PARAMETER
 from pipeline.problem_codes.fields import EXPORT_REPEATED
 from pipeline.problem_codes.sessions import TOO_MANY_FRAMES
-from pipeline.problem_codes.specs import CUTOFF_RANGE, FRAME_RANGE
+from pipeline.problem_codes.specs import CUTOFF_RANGE, FORMAT_NOT_INSTALLED, FRAME_RANGE
 from pipeline.requirements import Steps, faults, path_text, requirement
 
 CONFIG_CHOICES = {choice.name: choice for choice in choices_of(ReconstructionConfig)}
@@ -46,6 +47,7 @@ def config_problems(config: ReconstructionConfig, num_frames: int, frame_rate_hz
     yield from wrong
     if not wrong:
         yield from session_problems(config, num_frames, frame_rate_hz)
+        yield from format_problems(config.exports, installed_formats())
         yield from _foreign_parameters(config)
 
 
@@ -128,6 +130,21 @@ def file_problems(
             others = [name for name, other in FILE_FORMATS.items() if other.holds == form.holds and not other.limit]
             hint = f"Use {' or '.join(others)}, which have no such limit."
             yield Problem(form.limit.code, message, field="exports", hint=hint)
+
+
+def format_problems(exports: Collection[Export], installed: Collection[str]) -> Iterator[Problem]:
+    """Find formats whose package is missing.
+
+    Parameters
+    ----------
+    installed
+        Formats that can be written.
+    """
+    for export, form in FILE_FORMATS.items():
+        if form.package is not None and export in exports and export not in installed:
+            message = f"{export.upper()} files need the package {form.package.name}, which is not installed."
+            hint = f"Install it by Multicap's extra: pip install multicap[{form.package.extra}]. Or use another format."
+            yield Problem(FORMAT_NOT_INSTALLED, message, field="exports", hint=hint)
 
 
 def num_resampled(num_frames: int, frame_rate_hz: float, new_rate_hz: float) -> int:

@@ -11,7 +11,7 @@ import time
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from pipeline.config import Body
+from pipeline.config import Body, installed_formats
 from pipeline.runtime.kernel_cache import is_complete
 from pipeline.stages.code import stage_codes
 from worker.jobs.errors import DamagedDatabase
@@ -142,6 +142,7 @@ def _status() -> WorkerStatus | None:
         WORKING,
         detectors=_installed_detectors(),
         bodies=_installed_bodies(),
+        formats=installed_formats(),
         codes=codes,
     )
 

@@ -17,7 +17,15 @@ from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.jobs import examples
 from api.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
-from api.jobs.spec_checks import body_errors, callback_errors, for_session, network_errors, session_errors, spec_errors
+from api.jobs.spec_checks import (
+    body_errors,
+    callback_errors,
+    for_session,
+    format_errors,
+    network_errors,
+    session_errors,
+    spec_errors,
+)
 from api.jobs.webhooks import job_ended_callbacks
 from api.sessions.creation import Creation, Texts, add_creation
 from api.sessions.form import CAPTURE_FORM
@@ -75,6 +83,7 @@ def create_job(
             *spec_errors(spec, session.preflight),
             *callback_errors(spec, services, idempotent.records),
             *body_errors(spec, services, ()),
+            *format_errors(spec, services, ()),
         ]
         if has_videos(session):
             errors += network_errors(spec, services, ())
@@ -235,7 +244,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         job = idempotent.records.jobs.get(job_id)
         session = idempotent.records.sessions.get(job.session_id)
         may_retry = job.state in RETRYABLE  # else the store says why not
-        errors = body_errors(job.spec, services, None) if may_retry else []
+        errors = [*body_errors(job.spec, services, None), *format_errors(job.spec, services, None)] if may_retry else []
         if may_retry and has_videos(session):
             errors += network_errors(job.spec, services, None)
         if errors:

@@ -18,8 +18,8 @@ from pipeline.problem_codes.specs import (
     DETECTOR_NOT_INSTALLED,
     WEBHOOK_SECRET_MISSING,
 )
-from pipeline.rules import session_problems
-from worker.jobs.repositories.work.workers import installed_bodies, installed_detectors
+from pipeline.rules import format_problems, session_problems
+from worker.jobs.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.webhooks.addresses import may_be_public, url_fault
@@ -92,6 +92,21 @@ def callback_errors(spec: JobSpec, services: Services, records: TenantRecords, *
         found.append((WEBHOOK_SECRET_MISSING, "There is no secret to sign webhooks with.", hint))
     pointer = pointer_to(*field, "callback_url")
     return [ErrorItem(code=code, message=message, pointer=pointer, hint=hint) for code, message, hint in found]
+
+
+def format_errors(spec: JobSpec, services: Services, field: tuple[str, ...] | None) -> list[ErrorItem]:
+    """Refuse formats that not every worker can write; without workers, the job waits for one.
+
+    ``field`` leads to the spec in the request; ``None``: the request has no spec.
+    """
+    writable = writable_formats(services.store.workers.all())
+    if writable is None:
+        return []
+    pointer = None if field is None else pointer_to(*field, "exports")
+    return [
+        ErrorItem(code=problem.code, message=problem.message, pointer=pointer, hint=problem.hint)
+        for problem in format_problems(spec.exports, writable)
+    ]
 
 
 def network_errors(spec: JobSpec, services: Services, field: tuple[str, ...] | None) -> list[ErrorItem]:

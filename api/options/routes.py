@@ -1,7 +1,7 @@
 """Routes for a form that sends captures: the choices of a job, the installed networks, a sample capture."""
 
 import mimetypes
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path as FilePath
 from typing import Annotated
 from urllib.parse import quote
@@ -27,6 +27,7 @@ from api.options.schemas import (
 )
 from pipeline.config import (
     CHOICES,
+    FILE_FORMATS,
     JOINTS,
     NETWORKS,
     PROFILES,
@@ -39,7 +40,7 @@ from pipeline.config import (
 )
 from pipeline.problem_codes.requests import NOT_FOUND
 from pipeline.runtime.packages import samples
-from worker.jobs.repositories.work.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_detectors, writable_formats
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
@@ -64,7 +65,8 @@ _INSTALL = "Run: multicap samples install"
 )
 def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """List the choices of a job with their values, limits and defaults, and the networks that are installed."""
-    installed = installed_detectors(services.store.workers.all())
+    workers = services.store.workers.all()
+    installed, writable = installed_detectors(workers), writable_formats(workers)
     options = Options(
         profiles=tuple(_profile(name, installed) for name in PROFILES),
         detectors=tuple(
@@ -75,9 +77,19 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
             )
             for name in NETWORKS
         ),
-        choices=tuple(ChoiceOut.of(choice) for choice in CHOICES.values()),
+        choices=tuple(
+            ChoiceOut.of(choice, _missing_formats(writable) if choice.name == "exports" else ())
+            for choice in CHOICES.values()
+        ),
     )
     return conditional(options, if_none_match)
+
+
+def _missing_formats(writable: Collection[str] | None) -> tuple[str, ...]:
+    """Formats whose package a ready worker lacks; ``writable`` are those of all workers, ``None``: unknown."""
+    if writable is None:
+        return ()
+    return tuple(name for name, form in FILE_FORMATS.items() if form.package is not None and name not in writable)
 
 
 @router.get("/sample", operation_id="getSample", summary="Read the sample capture", responses={200: answer("Sample")})

@@ -1,5 +1,6 @@
 """Bodies of ``GET /v1/options``: choices, profiles and networks."""
 
+from collections.abc import Collection
 from typing import Self
 
 from pydantic import Field
@@ -73,8 +74,8 @@ class ChoiceOut(ResponseModel):
     maximum: float | None = Field(description="Largest number.")
 
     @classmethod
-    def of(cls, choice: Choice) -> Self:
-        """Build the response from a choice."""
+    def of(cls, choice: Choice, missing: Collection[str] = ()) -> Self:
+        """Build the response from a choice; ``missing`` are values that are not offered, as a package is missing."""
         about = choice.about
         return cls(
             name=choice.name,
@@ -83,7 +84,9 @@ class ChoiceOut(ResponseModel):
             group=about.group,
             kind=choice.kind,
             values=tuple(
-                ValueOut(name=name, label=value.label, note=value.note) for name, value in choice.values.items()
+                ValueOut(name=name, label=value.label, note=value.note)
+                for name, value in choice.values.items()
+                if name not in missing
             ),
             default=choice.default,
             unset=about.unset,

@@ -30,6 +30,7 @@ from api.jobs.spec_checks import (
     body_errors,
     callback_errors,
     for_session,
+    format_errors,
     limit_errors,
     network_errors,
     session_errors,
@@ -168,6 +169,7 @@ async def check(request: Request, services: Services, records: TenantRecords, se
         errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
     if arrival.spec and sent.kind.has_job:
         errors.extend(await run_in_threadpool(body_errors, arrival.spec, services, (SPEC,)))
+        errors.extend(await run_in_threadpool(format_errors, arrival.spec, services, (SPEC,)))
     if arrival.spec and sent.kind.has_job and not form.keypoints:
         errors.extend(await run_in_threadpool(network_errors, arrival.spec, services, (SPEC,)))
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:

@@ -6,7 +6,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -37,7 +37,7 @@ class PersonContent:
     is_present: Bool[np.ndarray, " frames"]  # Frames of the file in which the person is there
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
     preset: Preset  # Convention of BVH and FBX files
-    body: BodyChoice  # Body of GLB and FBX files
+    body: BodyChoice  # Body of files that have one
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +67,13 @@ class Format:
     of_take: TakeFormat | None = None  # Files of a whole take; ``None`` for formats that hold one person
 
 
+def _usd() -> ModuleType:
+    """Writer and reader of USD, which import an optional package."""
+    from pipeline.export.writers import usd  # noqa: PLC0415 - see above
+
+    return usd
+
+
 FORMATS: Mapping[Export, Format] = MappingProxyType(
     {
         "bvh": Format(
@@ -94,6 +101,17 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
             holds_name=True,
             has_origin=True,
             of_take=TakeFormat(fbx.encode_take, fbx.read_xyz_m, lambda _: True),
+        ),
+        "usd": Format(
+            lambda person: _usd().encode(person.motion, person.origin_m, person.frames, person.is_present, person.body),
+            lambda path, _: _usd().read_xyz_m(path),
+            holds_name=True,
+            has_origin=True,
+            of_take=TakeFormat(
+                lambda scene, _, body: _usd().encode_take(scene, body),
+                lambda path, _, person: _usd().read_xyz_m(path, person),
+                lambda _: True,
+            ),
         ),
         "vrma": Format(
             lambda person: vrma.encode(person.motion, person.origin_m, person.frames),

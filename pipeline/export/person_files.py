@@ -46,7 +46,7 @@ class PersonOfTake:
     frames: range  # Output frames of the files, those of the track among them
     # Frames of the files in which the person is there; all in files of the person's own frames
     is_present: Bool[np.ndarray, " frames"]
-    body: BodyChoice  # Body in GLB and FBX files
+    body: BodyChoice  # Body in files that have one
 
 
 def people_of(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:
@@ -169,8 +169,11 @@ def without_resting_fingers(track: Track3D, joints: JointSet) -> Track3D:
 
 @contextlib.contextmanager
 def replacing(path: Path, pieces: Iterable[bytes]) -> Iterator[Path]:
-    """Write a file under a temporary name for the block; rename it to ``path`` if the block succeeds."""
-    part = path.with_name(f".{path.name}.part")
+    """Write a file under a temporary name for the block; rename it to ``path`` if the block succeeds.
+
+    The temporary name has the ending of ``path``, by which readers know the format.
+    """
+    part = path.with_name(f".part-{path.name}")
     try:
         with part.open("wb") as file:
             file.writelines(pieces)

@@ -18,6 +18,8 @@ from pipeline.config import (
     JobChoices,
     Preset,
     Timeline,
+    ending_of,
+    installed_formats,
 )
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.reconstruction import Reconstruction
@@ -44,7 +46,7 @@ from pipeline.problem_codes.warnings import TAKE_TOO_LARGE
 from pipeline.progress import OnShare, ignore, part_of, split
 from pipeline.quality.report import encode as encode_metrics
 from pipeline.quality.report import quality_report
-from pipeline.rules import file_problems, require
+from pipeline.rules import file_problems, format_problems, require
 from pipeline.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
@@ -97,7 +99,8 @@ def write_results(
     Raises
     ------
     InputError
-        If there are more frames than result files, or one of the formats, may have.
+        If there are more frames than result files, or one of the formats, may have, or the package of a format is not
+        installed.
     PipelineError
         If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
@@ -143,7 +146,7 @@ def write_files(
     timeline
         Frames of each person's files: all those of the take, or those in which the person is there.
     body
-        Body of the people in GLB and FBX files.
+        Body of the people in GLB, FBX and USD files.
     on_share
         Called with the progress while files are read back, and after each file.
     kept
@@ -156,12 +159,18 @@ def write_files(
     Raises
     ------
     InputError
-        If there are more frames than result files, or one of the formats, may have.
+        If there are more frames than result files, or one of the formats, may have, or the package of a format is not
+        installed.
     OSError
         If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
     timebase = reconstruction.timebase
-    require(file_problems(exports, timebase.num_frames, timebase.frame_rate_hz, frame_rate_hz))
+    require(
+        (
+            *file_problems(exports, timebase.num_frames, timebase.frame_rate_hz, frame_rate_hz),
+            *format_problems(exports, installed_formats()),
+        )
+    )
     shown = at_rate(reconstruction, frame_rate_hz)
     folder.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
@@ -253,7 +262,7 @@ class _TakeFiles:
 
     def path(self, export: Export) -> Path:
         """Path of the file of a format."""
-        return self._folder / f"{TAKE}.{export}"
+        return self._folder / f"{TAKE}.{ending_of(export)}"
 
     def write(self, export: Export, on_share: OnShare) -> bool:
         """Write the file of a format and read it back; return whether there is one."""
@@ -292,7 +301,7 @@ def at_rate(reconstruction: Reconstruction, frame_rate_hz: float | None) -> Reco
 def _paths(person: PersonOfTake, folder: Path, parts_folder: Path, exports: Collection[Export]) -> dict[str, Path]:
     """Paths of a person's files by format, and of the part of ``skeletons.json``."""
     stem = f"person-{person.track.track_id}"
-    of_files = {str(export): folder / f"{stem}.{export}" for export in exports}
+    of_files = {str(export): folder / f"{stem}.{ending_of(export)}" for export in exports}
     return {SKELETONS: parts_folder / f"{stem}.{SKELETONS}", **of_files}
 
 

@@ -13,6 +13,12 @@ CUTOFF_RANGE = SPECS.code("cutoff_range", _SPEC, "The cutoff is not below half o
 TOO_LONG_FOR_C3D = SPECS.code(
     "too_long_for_c3d", _SPEC, "A C3D file holds at most 65,535 frames.", "Use `trc` or `csv`."
 )
+FORMAT_NOT_INSTALLED = SPECS.code(
+    "format_not_installed",
+    _SPEC,
+    "The package that writes a format is not installed, or not on every ready worker.",
+    "Run the command in `hint`, of a service on the workers' machine, or use another format.",
+)
 DETECTOR_NOT_INSTALLED = SPECS.code(
     "detector_not_installed",
     ("422",),

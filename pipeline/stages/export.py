@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
-from pipeline.config import FILE_FORMATS
+from pipeline.config import FILE_FORMATS, ending_of
 from pipeline.stages.stage import EXPORT, IDENTIFY, TAKE, WRITE, Context, Output, ResultFile, Stage, Task, indexed
 
 
@@ -46,7 +46,7 @@ def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
     A file of a format that is no person's is of the whole take.
     """
     for name, file_format in FILE_FORMATS.items():
-        if path.suffix == f".{name}":
+        if path.suffix == f".{ending_of(name)}":
             person = path.stem if path.stem in names else None
             return ResultFile(path.name, name, person, file_format.media_type, path, names.get(path.stem))
     return ResultFile(path.name, path.stem, None, "application/json", path)

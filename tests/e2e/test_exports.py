@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from trc import TRCData
 
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig
+from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig, ending_of, installed_formats
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
@@ -39,7 +39,7 @@ from tests.e2e.foreign import (
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.export.writers.test_bvh import encoded, orders_in, tumbling, with_fingers
 
-EXPORTS = tuple(FILE_FORMATS)
+EXPORTS = installed_formats()
 OF_PRESETS = tuple(export for export, form in FILE_FORMATS.items() if form.has_presets)
 PRESET_NAMES = tuple(PRESETS)
 # World axes of a file's x, y and z, and units a metre.
@@ -77,7 +77,7 @@ class ExportedCapture:
     folder: Path
 
     def paths(self, export: Export, preset: Preset = "default") -> dict[Path, SkeletonMotion]:
-        return {self.folder / preset / f"{one.name}.{export}": one for one in self.reconstruction.motions}
+        return {self.folder / preset / f"{one.name}.{ending_of(export)}": one for one in self.reconstruction.motions}
 
 
 def exported(name: str, reconstruction: Reconstruction, folder: Path) -> ExportedCapture:
@@ -337,6 +337,10 @@ def test_blender(capture: ExportedCapture, tmp_path: Path) -> None:
         path: ("default", motion, 1e-4) for path, motion in capture.paths("glb").items()
     }
     files: list[tuple[Path, float, dict[str, object]]] = [(path, rate_hz, {}) for path in opened]
+    if "usd" in EXPORTS:
+        for path, motion in capture.paths("usd").items():
+            opened[path] = ("default", motion, 1e-4)
+            files.append((path, rate_hz, {}))
     for preset in PRESET_NAMES:
         for path, motion in capture.paths("bvh", preset).items():
             opened[path] = (preset, motion, 1e-3)

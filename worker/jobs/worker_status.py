@@ -23,4 +23,5 @@ class WorkerStatus:
     total: int = 0
     detectors: tuple[str, ...] = ()  # Names of the installed detectors
     bodies: tuple[str, ...] = ()  # Names of the installed bodies of people
+    formats: tuple[str, ...] = ()  # Formats of people's files that it can write
     codes: tuple[str, ...] = ()  # Digests of the stages' code that it runs

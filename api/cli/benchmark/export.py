@@ -3,20 +3,22 @@
 import tempfile
 import time
 from collections import Counter, defaultdict
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 
 from api.cli.benchmark.takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
 from api.cli.console import JsonOption, emit, print_table, reporting
-from pipeline.config import FILE_FORMATS, ReconstructionConfig
+from pipeline.config import Export, ReconstructionConfig, installed_formats
 from pipeline.data.animation import Animation, SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_files
+from pipeline.rules import require, value_problems
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
@@ -68,7 +70,7 @@ def _longer_motion(motion: SkeletonMotion, number: int, num_frames: int) -> Skel
     )
 
 
-def measure(num_people: int, num_frames: int) -> dict[str, Any]:
+def measure(num_people: int, num_frames: int, exports: Collection[Export]) -> dict[str, Any]:
     """Measure seconds by kind of file, and the peak memory of the process before and after."""
     take = long_take(num_people, num_frames)
     before_mib = peak_rss_mib()
@@ -80,12 +82,12 @@ def measure(num_people: int, num_frames: int) -> dict[str, Any]:
         def count(path: Path) -> None:
             nonlocal last_s
             now_s = time.perf_counter()
-            kind = path.suffix.removeprefix(".") if path.stem.startswith("person-") else path.stem
+            kind = path.suffix.removeprefix(".") if path.stem.startswith("person-") else path.name
             seconds[kind] += now_s - last_s
             num_bytes[kind] += path.stat().st_size
             last_s = now_s
 
-        write_files(take, Path(folder), tuple(FILE_FORMATS), on_file=count)
+        write_files(take, Path(folder), exports, on_file=count)
     return {
         "people": num_people,
         "frames": num_frames,
@@ -100,12 +102,17 @@ def measure(num_people: int, num_frames: int) -> dict[str, Any]:
 def export(
     people: Annotated[int, typer.Option(min=1, max=100, help="Number of people.")] = 10,
     frames: Annotated[int, typer.Option(min=2, max=1_000_000, help="Number of frames of the take.")] = 10_000,
+    exports: Annotated[
+        str | None, typer.Option(help="Formats, separated by commas.", show_default="all that are installed")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Time all formats of a long take, from memory to verified files; simulated people, four cameras."""
+    """Time formats of a long take, from memory to verified files; simulated people, four cameras."""
     with reporting(as_json):
         warm_up()
-        result = measure(people, frames)
+        chosen = installed_formats() if exports is None else tuple(exports.split(","))
+        require(value_problems({"exports": chosen}))
+        result = measure(people, frames, cast(Collection[Export], chosen))
     if as_json:
         emit(result)
         return

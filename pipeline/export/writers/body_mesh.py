@@ -1,4 +1,4 @@
-"""Body at rest of GLB and FBX files: its joints, and a mesh that follows them.
+"""Body at rest of GLB, FBX and USD files: its joints, and a mesh that follows them.
 
 The mesh is a human, shaped by the person's bones, whose forearms have twist joints beside the skeleton's own; or an
 ellipsoid around each bone, attached to the bone's joint.

@@ -1,11 +1,12 @@
-"""Liveness and readiness of the service, and jobs whose detector is not installed."""
+"""Liveness and readiness of the service, and jobs whose detector or format is not installed."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 
-from pipeline.config import NETWORKS, JobChoices, networks_of
+from pipeline.config import FILE_FORMATS, NETWORKS, JobChoices, networks_of
 from tests.api.conftest import Live, keypoint_form, problem_of
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
@@ -95,6 +96,35 @@ def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> Non
     assert (item["code"], item["pointer"]) == ("detector_not_installed", None)
     listed = {one["name"]: one["installed"] for one in live.client.get("/v1/options").json()["detectors"]}
     assert listed == {name: name == "movenet-multipose-int8" for name in NETWORKS}
+
+
+def test_a_format_that_no_worker_writes_is_refused_and_not_offered(with_broker: Live) -> None:
+    live, session_id = with_broker, with_broker.session_id()
+    address, spec = f"/v1/sessions/{session_id}/jobs", {"exports": ["bvh", "usd"]}
+
+    def offered() -> set[str]:
+        (exports,) = (one for one in live.client.get("/v1/options").json()["choices"] if one["name"] == "exports")
+        return {value["name"] for value in exports["values"]}
+
+    # Without a ready worker nobody knows, and the job waits.
+    assert offered() == set(FILE_FORMATS)
+    job = live.client.post(address, json=spec)
+    live.client.post(job.json()["links"]["cancel"]).raise_for_status()
+    live.services.store.workers.report(READY)
+    assert offered() == set(FILE_FORMATS) - {"usd"}
+    part = ("spec", (None, json.dumps(spec), "application/json"))
+    refused = {
+        "/exports": live.client.post(address, json=spec),
+        "/spec/exports": live.client.post("/v1/jobs", files=[*keypoint_form(), part]),
+        None: live.client.post(f"{job.json()['links']['self']}/retry"),
+    }
+    for pointer, answer in refused.items():
+        (item,) = problem_of(answer, 422, "invalid_request")["errors"]
+        assert (item["code"], item["pointer"]) == ("format_not_installed", pointer)
+        assert "multicap[usd]" in item["hint"]
+    live.services.store.workers.report(replace(READY, formats=("bvh", "usd")))
+    assert offered() == set(FILE_FORMATS)
+    assert live.client.post(address, json=spec).status_code == 202
 
 
 def test_a_profile_without_its_networks_is_refused_and_listed(with_broker: Live) -> None:

@@ -18,7 +18,7 @@ from api.jobs.spec_checks import spec_errors
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.choices import Choice
-from pipeline.config import CHOICES, FILE_FORMATS, ReconstructionConfig
+from pipeline.config import CHOICES, ReconstructionConfig, installed_formats
 from pipeline.data.cameras import Timebase
 from pipeline.errors import InputError
 from pipeline.rules import config_problems
@@ -121,7 +121,7 @@ CHOSEN = st.fixed_dictionaries(
         "cutoff_hz": st.floats(0.5, 100.0),
         "frame_range": st.none() | st.tuples(st.integers(0, 10**6), st.integers(0, 10**6)),
         "output_rate_hz": st.none() | st.floats(1.0, 240.0),
-        "exports": st.lists(st.sampled_from(list(FILE_FORMATS)), unique=True, max_size=3).map(tuple),
+        "exports": st.lists(st.sampled_from(installed_formats()), unique=True, max_size=3).map(tuple),
     }
 )
 

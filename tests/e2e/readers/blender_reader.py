@@ -1,4 +1,4 @@
-"""Program for Blender's Python: bones in every frame of BVH, GLB and FBX files, areas of bodies, and a picture.
+"""Program for Blender's Python: bones in every frame of BVH, GLB, FBX and USD files, areas of bodies, and a picture.
 
     python blender_reader.py JOB.json
 
@@ -35,6 +35,8 @@ def load(path: str, options: Mapping[str, Any]) -> Any:
         bpy.ops.import_anim.bvh(filepath=path, update_scene_fps=True, update_scene_duration=True, **options)
     elif path.endswith(".fbx"):
         bpy.ops.import_scene.fbx(filepath=path, **options)
+    elif path.endswith(".usdc"):
+        bpy.ops.wm.usd_import(filepath=path, **options)
     else:
         bpy.ops.import_scene.gltf(filepath=path, **options)
     return next(one for one in bpy.data.objects if one not in before and one.type == "ARMATURE")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pygltflib import GLTF2
 
-from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
+from pipeline.config import Export, ReconstructionConfig, ending_of, installed_formats
 from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
@@ -29,9 +29,9 @@ from tests.pipeline.export.writers.test_bvh import tumbling
 from tests.pipeline.quality.test_report import CAMERAS, observe
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
-EXPORTS = tuple(FILE_FORMATS)
+EXPORTS = installed_formats()
 # Files with a whole take.
-OF_TAKE = {f"take.{name}" for name, form in FORMATS.items() if form.of_take}
+OF_TAKE = {f"take.{ending_of(name)}" for name in EXPORTS if FORMATS[name].of_take}
 CSV: tuple[Export, ...] = ("csv",)
 LEGS = [index for index, name in enumerate(COCO_17.names) if name.endswith(("knee", "ankle"))]
 
@@ -77,7 +77,7 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
     assert {path.name for path in paths} == {
         "skeletons.json",
         "metrics.json",
-        *(f"person-1.{export}" for export in EXPORTS),
+        *(f"person-1.{ending_of(export)}" for export in EXPORTS),
         *OF_TAKE,
     }
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in paths}
@@ -87,7 +87,7 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
     check = json.loads(paths[-1].read_bytes())["exports"]
     assert set(check) == {"skeletons", *EXPORTS}
     for export, figures in check.items():
-        of_joints = export not in {"bvh", "glb", "fbx", "vrma"}
+        of_joints = export not in {"bvh", "glb", "fbx", "usd", "vrma"}
         if of_joints and np.isnan(xyz_m).all():
             assert figures == {"max_distance_mm": None}
         elif export in {"bvh", "fbx"} and len(xyz_m) > 1:
@@ -181,7 +181,8 @@ def test_survey_coordinates_have_an_origin_near_the_people(tmp_path: Path) -> No
     check = json.loads((tmp_path / "metrics.json").read_bytes())["exports"]
     assert all(figures["max_distance_mm"] < 0.1 for figures in check.values()), check
     origin_m = np.array(check["c3d"]["origin_m"])
-    assert [name for name, figures in check.items() if "origin_m" in figures] == ["glb", "fbx", "vrma", "c3d"]
+    with_origin = {"glb", "fbx", "usd", "vrma", "c3d"}
+    assert {name for name, figures in check.items() if "origin_m" in figures} == with_origin & set(EXPORTS)
     assert check["glb"]["origin_m"] == origin_m.tolist() == origin_m.round().tolist()
     assert np.linalg.norm(origin_m - away_m) < 10.0
     # Other programs find the origin where the documentation says, and the people near it.

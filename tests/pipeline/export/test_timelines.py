@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from trc import TRCData
 
-from pipeline.config import FILE_FORMATS
+from pipeline.config import ending_of, installed_formats
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
@@ -25,7 +25,7 @@ from tests.pipeline.export.bvh_readers import read_with_bvhio
 from tests.pipeline.export.test_results import take
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
-EXPORTS = tuple(FILE_FORMATS)
+EXPORTS = installed_formats()
 NUM_FRAMES, RATE_HZ = 60, 25.0
 OF_PERSON = {"person-1": range(60), "person-2": range(10, 40)}
 # Frames of the second person in which nobody saw anything.
@@ -176,7 +176,9 @@ def test_only_the_files_of_people_depend_on_the_timeline(
     for name in ("skeletons.json", "metrics.json", "person-1.bvh", "person-1.trc", "person-1.c3d", "person-1.glb"):
         assert (tmp_path / name).read_bytes() == (of_take / name).read_bytes(), name
     for export in EXPORTS:
-        assert (tmp_path / f"person-2.{export}").read_bytes() != (of_take / f"person-2.{export}").read_bytes()
+        assert (tmp_path / f"person-2.{ending_of(export)}").read_bytes() != (
+            of_take / f"person-2.{ending_of(export)}"
+        ).read_bytes()
 
 
 def test_all_files_have_the_frames_of_the_take_at_another_rate(two_people: Reconstruction, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
+from pipeline.config import Export, ReconstructionConfig, installed_formats
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
@@ -31,7 +32,10 @@ from pipeline.stages.stage import EXPORT, PERSON_PARTS, REPORT, WRITE
 from pipeline.stages.take import viewer_files
 from tests.pipeline.simulations import write_simulation
 
-FORMATS = tuple(FILE_FORMATS)
+FORMATS = installed_formats()
+# Writers of formats whose files hold the person's name, and of the other formats.
+WITH_NAMES = (fbx, glb, vrma, *([import_module("pipeline.export.writers.usd")] if "usd" in FORMATS else []))
+WITHOUT_NAMES = (bvh, c3d_file, csv_table, trc)
 HALF = 25
 
 
@@ -98,7 +102,7 @@ def test_files_are_written_once_and_renamed_people_anew(
 ) -> None:
     plain, pieces = edited(session, cache), KeptPieces()
     first = files(plain, tmp_path / "first", pieces)
-    for format_ in (bvh, c3d_file, csv_table, fbx, glb, trc, vrma):
+    for format_ in (*WITHOUT_NAMES, *WITH_NAMES):
         monkeypatch.setattr(format_, "encode", fail)
     monkeypatch.setattr(skeletons_json, "encode_track", fail)
     assert files(plain, tmp_path / "again", pieces) == first
@@ -109,7 +113,7 @@ def test_files_are_written_once_and_renamed_people_anew(
     fresh = files(renamed, tmp_path / "fresh", KeptPieces())
     # Of the renamed person the files that hold the name are written, and no others.
     written: list[str] = []
-    for format_ in (bvh, c3d_file, csv_table, trc):
+    for format_ in WITHOUT_NAMES:
         monkeypatch.setattr(format_, "encode", fail)
     monkeypatch.setattr(skeletons_json, "encode_track", fail)
 
@@ -117,12 +121,14 @@ def test_files_are_written_once_and_renamed_people_anew(
         written.append(motion.name)
         return encode(motion, *others)
 
-    for format_ in (fbx, glb, vrma):
+    for format_ in WITH_NAMES:
         monkeypatch.setattr(format_, "encode", partial(noted, format_.encode))
     assert files(renamed, tmp_path / "kept", pieces) == fresh
-    assert written == ["Zoë", "Zoë", "Zoë"]
+    assert written == ["Zoë"] * len(WITH_NAMES)
     changed = {name for name in fresh if fresh[name] != first[name]}
-    assert changed == {"skeletons.json", "person-2.fbx", "person-2.glb", "person-2.vrma", "take.fbx", "take.glb"}
+    of_take = {"take.fbx", "take.glb", "take.usdc"} & set(fresh)
+    of_person = {"person-2.fbx", "person-2.glb", "person-2.usdc", "person-2.vrma"} & set(fresh)
+    assert changed == {"skeletons.json", *of_person, *of_take}
 
 
 def test_a_name_changes_no_report_and_no_motion_for_viewers(

@@ -312,6 +312,7 @@ workers = Table(
     Column("total", Integer, nullable=False),
     Column("detectors", JSON, nullable=False),  # names of the installed detectors
     Column("bodies", JSON, nullable=False, server_default="[]"),  # names of the installed bodies of people
+    Column("formats", JSON, nullable=False, server_default="[]"),  # names of the formats that it can write
     Column("codes", JSON, nullable=False, server_default="[]"),  # digests of the code of its stages
     Column("seen_at", UtcTimestamp, nullable=False),
 )

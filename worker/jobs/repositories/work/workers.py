@@ -27,7 +27,7 @@ class Workers:
     def report(self, status: WorkerStatus) -> None:
         """Record what a worker process does now; the row is valid for ``SILENT_AFTER_S``."""
         with self._transactions.writing() as connection:
-            lists = {name: list(getattr(status, name)) for name in ("detectors", "bodies", "codes")}
+            lists = {name: list(getattr(status, name)) for name in ("detectors", "bodies", "formats", "codes")}
             upsert(connection, workers, asdict(status) | lists | {"seen_at": now()})
             _forget_silent(connection)
 
@@ -49,6 +49,7 @@ class Workers:
                     total=row.total,
                     detectors=tuple(row.detectors),
                     bodies=tuple(row.bodies),
+                    formats=tuple(row.formats),
                     codes=tuple(row.codes),
                 )
                 for row in rows
@@ -75,6 +76,11 @@ def installed_detectors(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
 def installed_bodies(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
     """Bodies of people that every ready worker has installed; ``None`` if no worker is ready."""
     return _of_all_ready((worker.state, worker.bodies) for worker in found)
+
+
+def writable_formats(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
+    """Formats of people's files that every ready worker can write; ``None`` if no worker is ready."""
+    return _of_all_ready((worker.state, worker.formats) for worker in found)
 
 
 def _of_all_ready(found: Iterable[tuple[WorkerState, tuple[str, ...]]]) -> frozenset[str] | None:

@@ -4,12 +4,17 @@ import sqlalchemy as sa
 from tests.worker.jobs.conftest import StoreBench
 from worker.jobs.database.tables import workers
 from worker.jobs.errors import NewerDatabase
-from worker.jobs.repositories.work.workers import installed_bodies, installed_detectors
+from worker.jobs.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 75)
 READY = WorkerStatus(
-    "host:2", WorkerState.READY, "A worker works", detectors=("movenet-multipose", "other"), bodies=("human",)
+    "host:2",
+    WorkerState.READY,
+    "A worker works",
+    detectors=("movenet-multipose", "other"),
+    bodies=("human",),
+    formats=("bvh", "usd"),
 )
 
 
@@ -58,6 +63,13 @@ def test_a_body_is_installed_where_every_worker_has_it() -> None:
     assert installed_bodies([STARTING, READY]) == frozenset({"human"})
     other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", detectors=("other",))
     assert installed_bodies([READY, other]) == frozenset()
+
+
+def test_a_format_is_written_where_every_worker_can() -> None:
+    assert writable_formats([STARTING]) is None
+    assert writable_formats([STARTING, READY]) == frozenset({"bvh", "usd"})
+    other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", formats=("bvh",))
+    assert writable_formats([READY, other]) == frozenset({"bvh"})
 
 
 def test_a_worker_refuses_a_database_of_a_newer_version(jobs: StoreBench) -> None:
