@@ -15,7 +15,7 @@ UFBX := .venv-ufbx
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean
+.PHONY: help setup demo serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean blender-extension
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -99,12 +99,15 @@ $(UFBX)/.installed: $(READERS)/ufbx.lock
 		--only-binary :all: --no-binary pufbx -r $<
 	touch $@
 
-verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed  ## Open exports in Blender (installs 800 MB), three.js and other software
+verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed  ## Open exports in Blender (installs 800 MB), three.js and other software; try the extension
 	$(BIN)/multicap models install
 	$(BIN)/multicap samples install
 	$(BIN)/multicap bodies install
-	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
+	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export tests/api/blender
 	@echo "Blender's pictures are in build/exports/."
+
+blender-extension: $(VENV)/.installed  ## Build the extension for Blender into build/
+	$(BIN)/python -P -m api.blender.build build
 
 $(LITERT)/.installed: tests/pipeline/detect/conversion/litert/litert.lock
 	$(PYTHON) -m venv --clear $(LITERT)

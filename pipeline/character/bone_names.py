@@ -2,18 +2,20 @@
 
 Names of Mixamo, Unreal (mannequins and MetaHuman), VRM, Unity, Rigify, Character Creator, Daz, MakeHuman, 3ds Max Biped
 and CMU come down to a side, a word and numbers. The bones of the trunk have too many names; they follow from the tree.
+
+This module knows the standard library alone: the extension for Blender has a copy of it.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-
-from pipeline.character.rig import CharacterRig
-from pipeline.joints import FINGERS
+from typing import Protocol
 
 SIDES = ("Left", "Right")
 HEAD = "Head"
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+"""Fingers of a hand, as ``pipeline.joints`` has them."""
 
 # What stands before names: namespaces, and prefixes of exporters.
 _NAMESPACE = re.compile(r"^.*[:|]")
@@ -79,6 +81,21 @@ VRM_JOINTS: Mapping[str, str] = MappingProxyType(
 """Joints of the skeleton by the names of VRM's humanoid bones; a thumb with a metacarpal bone is apart."""
 
 
+class NamedBones(Protocol):
+    """Tree of bones with names, numbered."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Name of each bone."""
+
+    @property
+    def order(self) -> Sequence[int]:
+        """Numbers of all bones, parents before their children."""
+
+    def below(self, number: int, /) -> Sequence[int]:
+        """A bone and all bones below it, parents first."""
+
+
 @dataclass(frozen=True, slots=True)
 class BoneName:
     """Name of a bone, taken to pieces."""
@@ -106,7 +123,7 @@ def bone_name(name: str) -> BoneName:
     return BoneName(side, letters, tuple(int(word[:9]) for word in words if word.isdigit()))
 
 
-def joints_by_name(rig: CharacterRig, humanoid: Mapping[str, int]) -> dict[str, int]:
+def joints_by_name(rig: NamedBones, humanoid: Mapping[str, int]) -> dict[str, int]:
     """Bones of limbs, fingers and the head that their names, or the table of a VRM, tell: nodes by joint.
 
     Joints are those of the skeleton, with ``LeftToeBase`` and ``RightToeBase``.
@@ -142,7 +159,7 @@ def _by_table(humanoid: Mapping[str, int]) -> dict[str, int]:
     return found
 
 
-def _fingers(rig: CharacterRig, side: str, hand: int) -> dict[str, int]:
+def _fingers(rig: NamedBones, side: str, hand: int) -> dict[str, int]:
     """Bones of the fingers of a hand."""
     chains: dict[str, list[int]] = {}
     for node in rig.below(hand)[1:]:
@@ -163,11 +180,11 @@ def _finger(name: BoneName) -> str | None:
         return _FINGER_WORDS[matched[1]]
     # MakeHuman and Biped number the fingers.
     if name.word == "finger" and name.numbers and len(name.numbers) > 1 and 1 <= name.numbers[0] <= len(FINGERS):
-        return list(FINGERS)[name.numbers[0] - 1]
+        return FINGERS[name.numbers[0] - 1]
     return None
 
 
-def twist_bones(rig: CharacterRig) -> Iterator[int]:
+def twist_bones(rig: NamedBones) -> Iterator[int]:
     """Bones whose names say that they share the twist of a limb."""
     for number, name in enumerate(rig.names):
         if re.search(r"twist|roll", bone_name(name).word):

@@ -136,10 +136,12 @@ class Live:
         people: Sequence[PersonSpan] | None = None,
         overlays: Mapping[str, bytes] = MappingProxyType({}),
         scenes: Mapping[str, bytes] = MappingProxyType({}),
+        names: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         """Finish a job as a worker would; ``motion``, ``overlays`` and ``scenes`` are other files by name.
 
-        They are files for viewers, videos, and GLB files of everybody.
+        They are files for viewers, videos, and GLB files of everybody, or of a person as in ``person-1.glb``;
+        ``names`` are those of people.
         """
         revision = self.services.store.jobs.get(job_id).revision
         result = self._put(job_id, "person-1.bvh", "bvh", content, revision)
@@ -147,7 +149,10 @@ class Live:
         videos = [self._put(job_id, name, "overlay", one, revision) for name, one in overlays.items()]
         files += [replace(video, media_type="video/mp4") for video in videos]
         of_all = [self._put(job_id, name, "glb", one, revision) for name, one in scenes.items()]
-        files += [replace(scene, media_type="model/gltf-binary") for scene in of_all]
+        files += [
+            replace(scene, media_type="model/gltf-binary", person_name=names.get(scene.person or ""))
+            for scene in of_all
+        ]
         while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
             results, said, found = (files, warnings, people) if claim.stage == "export" else ([], (), None)
@@ -164,7 +169,7 @@ class Live:
     def _put(self, job_id: str, name: str, kind: str, content: bytes, revision: int) -> Result:
         key, digest = result_key(job_id, name, revision), hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
-        person = "person-1" if kind == "bvh" else None
+        person = name.partition(".")[0] if kind in {"bvh", "glb"} and name.startswith("person-") else None
         return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest, revision)
 
 

@@ -1,0 +1,122 @@
+"""Armatures of the scene: their bones, and actions on them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import bpy
+from mathutils import Quaternion
+
+from api.blender.extension.answers import RequestError
+from api.blender.extension.bone_tree import HIPS, BoneMap, BoneTree, completed, problems_of
+from api.blender.extension.glb_motion import PersonMotion
+from api.blender.extension.retarget import RestArmature, RestBone, Retargeting
+from api.blender.extension.scene import scene_rate_hz
+
+_FRAMES_A_STEP = 25
+# Difference between the axes of the scale of an armature, as a share.
+_EVEN = 1e-3
+
+
+def tree_of(armature: Any) -> BoneTree:
+    """Bones of an armature as a tree."""
+    bones = list(armature.data.bones)
+    numbers = {bone.name: number for number, bone in enumerate(bones)}
+    return BoneTree(tuple(numbers), tuple(-1 if bone.parent is None else numbers[bone.parent.name] for bone in bones))
+
+
+def rest_of(armature: Any) -> RestArmature:
+    """Rest pose of an armature. Raises ``RequestError`` if its scale is uneven or 0."""
+    place, turn, scale = armature.matrix_world.decompose()
+    if min(scale) <= 0.0 or max(scale) - min(scale) > _EVEN * max(scale):
+        raise RequestError(f"The scale of {armature.name} is uneven or mirrored. Apply it: Object, Apply, Scale.")
+    tree = tree_of(armature)
+    bones = [armature.data.bones[tree.names[number]] for number in tree.order]
+    return RestArmature(
+        {
+            bone.name: RestBone(
+                None if bone.parent is None else bone.parent.name,
+                tuple(bone.head_local),
+                tuple(bone.matrix_local.to_quaternion()),
+                bone.use_inherit_rotation,
+            )
+            for bone in bones
+        },
+        tuple(place),
+        tuple(turn),
+        sum(scale) / len(scale),
+    )
+
+
+def constrained(armature: Any, bones: Sequence[str]) -> list[str]:
+    """Bones of some that constraints pull out of the pose of an action."""
+    return [
+        bone
+        for bone in bones
+        if any(not item.mute and item.influence > 0.0 for item in armature.pose.bones[bone].constraints)
+    ]
+
+
+def put_on(armature: Any, motion: PersonMotion, bones: Mapping[str, str], name: str) -> Iterator[float]:
+    """Put the motion of a person on an armature, as a new action; yield the share that is done, now and then.
+
+    Frame 0 of the scene is the first frame; other frame rates of the scene keep the time. The action that the
+    armature had before stays in the file. Raises ``RequestError`` if bones are missing.
+    """
+    tree = tree_of(armature)
+    problems = problems_of(tree, bones)
+    if problems:
+        raise RequestError(" ".join(problems))
+    mapped: BoneMap = completed(tree, bones)
+    poses = Retargeting(motion, rest_of(armature), mapped)
+    hips, frames_a_key = bones[HIPS], scene_rate_hz(bpy.context.scene) / motion.frame_rate_hz
+    turns: dict[str, list[float]] = {}
+    places: list[float] = []
+    before: dict[str, Quaternion] = {}
+    for number, pose in enumerate(poses.frames()):
+        for bone, turn in pose.turns.items():
+            key = Quaternion(turn)
+            # Keys of a curve have the sign of those before, so that it does not swing round between them.
+            if bone in before and before[bone].dot(key) < 0.0:
+                key.negate()
+            before[bone] = key
+            turns.setdefault(bone, []).extend(key)
+        places.extend(pose.hips)
+        if number % _FRAMES_A_STEP == 0:
+            yield number / motion.num_frames
+    action, curves = _new_action(armature, name)
+    for bone in armature.pose.bones:
+        bone.matrix_basis.identity()
+        bone.location, bone.scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+        bone.rotation_quaternion, bone.rotation_euler = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for bone, values in turns.items():
+        armature.pose.bones[bone].rotation_mode = "QUATERNION"
+        path = f'pose.bones["{bpy.utils.escape_identifier(bone)}"].rotation_quaternion'
+        for axis in range(4):
+            _add_curve(curves, path, axis, values[axis::4], frames_a_key)
+    path = f'pose.bones["{bpy.utils.escape_identifier(hips)}"].location'
+    for axis in range(3):
+        _add_curve(curves, path, axis, places[axis::3], frames_a_key)
+    action.use_fake_user = True
+    yield 1.0
+
+
+def _new_action(armature: Any, name: str) -> tuple[Any, Any]:
+    """New action of an armature, and the collection of its curves, whichever way this version of Blender keeps them."""
+    data = armature.animation_data or armature.animation_data_create()
+    action = bpy.data.actions.new(name)
+    data.action = action
+    if hasattr(action, "fcurves"):
+        return action, action.fcurves
+    slot = action.slots.new(id_type="OBJECT", name=armature.name)
+    data.action_slot = slot
+    strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
+    return action, strip.channelbag(slot, ensure=True).fcurves
+
+
+def _add_curve(curves: Any, path: str, axis: int, values: Sequence[float], frames_a_key: float) -> None:
+    curve = curves.new(path, index=axis)
+    curve.keyframe_points.add(len(values))
+    pairs = [number for frame, value in enumerate(values) for number in (frame * frames_a_key, value)]
+    curve.keyframe_points.foreach_set("co", pairs)
+    curve.keyframe_points.foreach_set("interpolation", [1] * len(values))  # Linear
+    curve.update()

@@ -1,0 +1,153 @@
+"""Panel in the sidebar of the 3D view."""
+
+from typing import Any
+
+import bpy
+
+from api.blender.extension.work import current, panel_state, preferences_of
+
+
+class MULTICAP_UL_items(bpy.types.UIList):  # noqa: N801 - Blender asks for this form of names
+    """Captures and jobs."""
+
+    def draw_item(
+        self, _context: Any, layout: Any, _data: Any, item: Any, _icon: Any, _active: Any, _name: Any
+    ) -> None:
+        layout.label(text=item.label)
+
+
+class MULTICAP_UL_people(bpy.types.UIList):  # noqa: N801 - likewise
+    """People, each with a box to tick."""
+
+    def draw_item(
+        self, _context: Any, layout: Any, _data: Any, item: Any, _icon: Any, _active: Any, _name: Any
+    ) -> None:
+        layout.prop(item, "is_chosen", text=item.label)
+
+
+class MULTICAP_UL_bones(bpy.types.UIList):  # noqa: N801 - likewise
+    """Joints with their bones."""
+
+    def draw_item(self, _context: Any, layout: Any, data: Any, item: Any, _icon: Any, _active: Any, _name: Any) -> None:
+        row = layout.split(factor=0.45)
+        row.label(text=item.joint)
+        if data.armature is not None:
+            row.prop_search(item, "bone", data.armature.data, "bones", text="")
+
+
+class _Panel(bpy.types.Panel):
+    bl_space_type, bl_region_type, bl_category = "VIEW_3D", "UI", "Multicap"
+
+
+class MULTICAP_PT_service(_Panel):  # noqa: N801 - likewise
+    """Service: connection, what runs, messages."""
+
+    bl_label = "Multicap"
+
+    def draw(self, context: Any) -> None:
+        state, preferences, layout = panel_state(context), preferences_of(context), self.layout
+        layout.prop(preferences, "address", text="")
+        layout.prop(preferences, "key", text="Key")
+        row = layout.row(align=True)
+        row.operator("multicap.connect", text="Connect again" if state.is_connected else "Connect", icon="LINKED")
+        row.operator("multicap.open_page", text="", icon="URL")
+        if current.is_busy:
+            layout.label(text=state.doing)
+            row = layout.row(align=True)
+            row.progress(factor=max(state.fraction, 0.0), text=f"{max(state.fraction, 0.0):.0%}")
+            row.operator("multicap.stop", text="", icon="CANCEL")
+        width = max(20, int(context.region.width / (8 * context.preferences.system.ui_scale)) if context.region else 40)
+        for number, line in enumerate(lines_of(state.message, width)):
+            layout.label(text=line, icon="NONE" if number else "ERROR" if state.is_error else "INFO")
+
+
+class MULTICAP_PT_captures(_Panel):  # noqa: N801 - likewise
+    """Captures, their jobs, and the people of a job."""
+
+    bl_label, bl_parent_id = "Captures", "MULTICAP_PT_service"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return bool(panel_state(context).is_connected)
+
+    def draw(self, context: Any) -> None:
+        state, layout = panel_state(context), self.layout
+        row = layout.row(align=True)
+        row.prop(state, "search", text="", icon="VIEWZOOM")
+        row.operator("multicap.refresh", text="", icon="FILE_REFRESH")
+        layout.template_list("MULTICAP_UL_items", "captures", state, "captures", state, "capture", rows=4)
+        if state.cursor:
+            layout.operator("multicap.refresh", text="More").is_next = True
+        layout.operator("multicap.jobs")
+        if state.jobs:
+            layout.template_list("MULTICAP_UL_items", "jobs", state, "jobs", state, "job", rows=2)
+            row = layout.row(align=True)
+            row.operator("multicap.people")
+            row.operator("multicap.cancel_job", text="", icon="X")
+        if state.people:
+            layout.template_list("MULTICAP_UL_people", "people", state, "people", state, "person", rows=3)
+            layout.prop(state, "has_timeline")
+            layout.prop(state, "has_cameras")
+            layout.operator("multicap.import_people", icon="IMPORT")
+
+
+class MULTICAP_PT_character(_Panel):  # noqa: N801 - likewise
+    """Motion on an armature of the scene."""
+
+    bl_label, bl_parent_id, bl_options = "On an armature", "MULTICAP_PT_service", {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return bool(panel_state(context).is_connected)
+
+    def draw(self, context: Any) -> None:
+        state, layout = panel_state(context), self.layout
+        layout.prop(state, "armature")
+        if state.armature is not None:
+            layout.template_list("MULTICAP_UL_bones", "bones", state, "bones", state, "bone", rows=6)
+            layout.operator("multicap.recognise")
+            layout.operator("multicap.put_on", icon="ARMATURE_DATA")
+
+
+class MULTICAP_PT_send(_Panel):  # noqa: N801 - likewise
+    """New capture from a folder."""
+
+    bl_label, bl_parent_id, bl_options = "New capture", "MULTICAP_PT_service", {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        state = panel_state(context)
+        return bool(state.is_connected and state.may_write)
+
+    def draw(self, context: Any) -> None:
+        state, layout = panel_state(context), self.layout
+        for name in ("folder", "calibration", "name"):
+            layout.prop(state, name)
+        layout.operator("multicap.send", icon="EXPORT")
+
+
+def lines_of(text: str, width: int) -> list[str]:
+    """Text in lines of at most some letters: labels of Blender have one line.
+
+    >>> lines_of("Nothing answers there.", 16)
+    ['Nothing answers', 'there.']
+    """
+    lines: list[str] = []
+    for word in text.split():
+        if lines and len(lines[-1]) + 1 + len(word) <= width:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    return lines
+
+
+PANELS = (
+    MULTICAP_UL_items,
+    MULTICAP_UL_people,
+    MULTICAP_UL_bones,
+    MULTICAP_PT_service,
+    MULTICAP_PT_captures,
+    MULTICAP_PT_character,
+    MULTICAP_PT_send,
+)
+"""Classes to register."""

@@ -1,0 +1,138 @@
+"""Program for Blender's Python: installs the extension from its zip, and does what a user would.
+
+    python program.py JOB.json
+
+``JOB.json`` is ``{"zip", "address", "key", "steps", "out"}``; a step is a name and its arguments. What each step
+found is written to ``out``.
+"""
+
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+NAME = "bl_ext.user_default.multicap"
+
+
+def install(path: str) -> Any:
+    """Install the extension; return its module ``work``."""
+    bpy.ops.extensions.package_install_files(filepath=path, repo="user_default", enable_on_install=True)
+    return sys.modules[f"{NAME}.work"]
+
+
+class PanelUser:
+    """User of the panel."""
+
+    def __init__(self, job: dict[str, Any]) -> None:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        self._work = install(job["zip"])
+        preferences = bpy.context.preferences.addons[NAME].preferences
+        preferences.address, preferences.key = job["address"], job["key"]
+
+    @property
+    def panel(self) -> Any:
+        return bpy.context.window_manager.multicap
+
+    def press(self, name: str, *, seconds: float = 60.0, **options: Any) -> dict[str, Any]:
+        """Press a button, and wait until nothing runs."""
+        with contextlib.suppress(RuntimeError):  # The panel says what is wrong.
+            getattr(bpy.ops.multicap, name)(**options)
+        longest_s, end_s = 0.0, time.monotonic() + seconds
+        while True:
+            start_s = time.monotonic()
+            is_busy = self._work.pump()
+            longest_s = max(longest_s, time.monotonic() - start_s)
+            if not is_busy or time.monotonic() > end_s:
+                break
+            time.sleep(0.01)
+        return {
+            "message": self.panel.message,
+            "is_error": self.panel.is_error,
+            "is_busy": is_busy,
+            "longest_s": longest_s,
+        }
+
+    def show_people(self) -> dict[str, Any]:
+        """Connect, and go to the people of the newest job of the newest capture."""
+        said = [self.press(name)["message"] for name in ("connect", "jobs", "people")]
+        panel = self.panel
+        return {
+            "messages": said,
+            "captures": [item.label for item in panel.captures],
+            "jobs": [item.label for item in panel.jobs],
+            "people": [item.label for item in panel.people],
+            "tenant": panel.tenant,
+        }
+
+    def set_panel(self, **values: Any) -> None:
+        for name, value in values.items():
+            setattr(self.panel, name, value)
+
+    def choose(self, people: list[int]) -> None:
+        for number, person in enumerate(self.panel.people):
+            person.is_chosen = number in people
+
+    def open_armature(self, path: str) -> None:
+        """Import a character of the user's own, and choose it."""
+        before = set(bpy.data.objects)
+        bpy.ops.import_scene.gltf(filepath=path)
+        self.panel.armature = next(one for one in bpy.data.objects if one not in before and one.type == "ARMATURE")
+
+    def bones(self) -> dict[str, str]:
+        return {item.joint: item.bone for item in self.panel.bones}
+
+    def scene(self) -> dict[str, Any]:
+        """What the scene holds, with the world positions of bones in each frame."""
+        scene = bpy.context.scene
+        armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+        heads: dict[str, dict[str, list[list[float]]]] = {
+            thing.name: {bone.name: [] for bone in thing.pose.bones} for thing in armatures
+        }
+        for frame in range(scene.frame_start, scene.frame_end + 1):
+            scene.frame_set(frame)
+            for thing in armatures:
+                for bone in thing.pose.bones:
+                    heads[thing.name][bone.name].append(list(thing.matrix_world @ bone.head))
+        return {
+            "rate_hz": scene.render.fps / scene.render.fps_base,
+            "frames": [scene.frame_start, scene.frame_end],
+            "objects": {thing.name: thing.type for thing in bpy.data.objects},
+            "actions": sorted(action.name for action in bpy.data.actions),
+            "collections": [collection.name for collection in scene.collection.children],
+            "heads": heads,
+            "rest": {
+                thing.name: {bone.name: list(thing.matrix_world @ bone.head_local) for bone in thing.data.bones}
+                for thing in armatures
+            },
+        }
+
+    def stop_sending(self) -> dict[str, Any]:
+        """Begin to send, stop after the first progress; return how long the button took."""
+        bpy.ops.multicap.send()
+        while self.panel.fraction <= 0.0:
+            self._work.pump()
+            time.sleep(0.005)
+        start_s = time.monotonic()
+        bpy.ops.multicap.stop()
+        took_s = time.monotonic() - start_s
+        self._work.pump()
+        return {"message": self.panel.message, "took_s": took_s}
+
+    def unregister(self) -> list[str]:
+        """Switch the extension off; return what it left in Blender."""
+        bpy.ops.preferences.addon_disable(module=NAME)
+        return [name for name in dir(bpy.types) if name.lower().startswith("multicap")]
+
+
+job = json.loads(Path(sys.argv[1]).read_text())
+user = PanelUser(job)
+found = []
+for name, options in job["steps"]:
+    step: Callable[..., Any] = getattr(user, name)
+    found.append(step(**options))
+Path(job["out"]).write_text(json.dumps(found))
