@@ -66,6 +66,7 @@ class Services:
             max_keypoints_bytes=self.settings.max_keypoints_bytes,
             max_session_bytes=self.settings.max_session_bytes,
             max_calibration_bytes=self.settings.max_calibration_bytes,
+            max_character_bytes=self.settings.max_character_bytes,
             max_json_bytes=self.settings.max_json_bytes,
             max_cameras=self.settings.max_cameras,
         )
@@ -108,9 +109,16 @@ async def _calibration_id(
     return canonical_id(calibration_id, "calibration")
 
 
+async def _character_id(
+    character_id: Annotated[str, Path(description="Id of a character.", json_schema_extra=_UUID)],
+) -> str:
+    return canonical_id(character_id, "character")
+
+
 ServicesDep = Annotated[Services, Depends(_services)]
 SessionId = Annotated[str, Depends(_session_id)]
 CalibrationId = Annotated[str, Depends(_calibration_id)]
+CharacterId = Annotated[str, Depends(_character_id)]
 JobId = Annotated[str, Depends(_job_id)]
 UploadId = Annotated[str, Depends(_upload_id)]
 Limit = Annotated[int, Query(ge=1, le=200, description="How many at most.")]

@@ -138,9 +138,9 @@ def opened(services: Services, file: Download) -> BinaryIO:
         _require_size(services, file)
         return services.artifacts.open(file.key)
     except NotFound:
-        raise _missing(file) from None
+        raise missing_file(file) from None
     except DamagedArtifact as error:
-        raise _damaged(file) from error
+        raise damaged_file(file) from error
 
 
 def expired() -> ApiError:
@@ -171,16 +171,18 @@ def _require_size(services: Services, file: Download) -> None:
     try:
         num_bytes = services.artifacts.size(file.key)
     except NotFound:
-        raise _missing(file) from None
+        raise missing_file(file) from None
     if num_bytes != file.num_bytes:
-        raise _damaged(file)
+        raise damaged_file(file)
 
 
-def _missing(file: Download) -> ApiError:
+def missing_file(file: Download) -> ApiError:
+    """Error for a stored file that is missing."""
     return expired() if file.remedy is None else ApiError(EXPIRED, "The file is missing.", hint=file.remedy)
 
 
-def _damaged(file: Download) -> ApiError:
+def damaged_file(file: Download) -> ApiError:
+    """Error for a stored file that differs from what was written."""
     if file.remedy is None:
         return damaged([file.key.rpartition("/")[2]])
     return ApiError(ARTIFACT_DAMAGED, "The stored file is damaged.", hint=file.remedy)

@@ -2,6 +2,7 @@
 
 from api.calibrations import routes as calibrations
 from api.callers import routes as callers
+from api.characters import routes as characters
 from api.contract.resource import Resource
 from api.events import routes as events
 from api.health import routes as health
@@ -18,8 +19,10 @@ from api.uploads import routes as uploads
 RESOURCES: tuple[Resource, ...] = (
     uploads.RESOURCE,
     calibrations.CREATION,
+    characters.CREATION,
     sessions.CREATION,
     calibrations.RESOURCE,
+    characters.RESOURCE,
     sessions.RESOURCE,
     videos.RESOURCE,
     thumbnails.RESOURCE,

@@ -88,6 +88,9 @@ class Settings(StorageSettings):
     )
     max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Largest size of all files of a session.")
     max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Largest size of a calibration file.")
+    max_character_bytes: int = Field(
+        default=512 * MIB, gt=0, description="Largest size of a character's file; larger ones than 512 MiB aren't read."
+    )
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Largest size of a JSON body or part.")
     max_session_joints: int = Field(
         default=25_000_000,
@@ -167,11 +170,15 @@ class Settings(StorageSettings):
         default=tuple(module_command("pipeline.capture.preflight")),
         description="Program that checks a session's files (the preflight), run in a child process.",
     )
+    character_command: tuple[str, ...] = Field(
+        default=tuple(module_command("pipeline.character.check")),
+        description="Program that checks a character's file, run in a child process with the limits of a preflight.",
+    )
     preflight_timeout_s: float = Field(
         default=20.0,
         gt=0,
-        description="Time limit of a preflight, in addition to 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
-        "keypoints. After half of it no further picture is looked at.",
+        description="Time limit of a preflight, in addition to 0.2 s a file, 60 s a GiB of videos or of a character, "
+        "and 1800 s a GiB of keypoints. After half of it no further picture is looked at.",
     )
     preflight_wait_s: float = Field(
         default=10.0,

@@ -8,7 +8,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.contract.schemas import Id, NextCursor, ResponseModel, printable_name
-from api.http.bodies.form_kinds import UploadedFiles
+from api.http.bodies.form_kinds import UploadedFootage
 from api.jobs.schemas import JobError
 from api.sessions.schemas import CameraManifest, Up
 from pipeline.job_choices import (
@@ -122,7 +122,7 @@ class CalibrationSpec(BaseModel):
         return CalibrationChoices(self.board, has_intrinsics, self.stature_m, points, has_photographs)
 
 
-class UploadedCalibration(UploadedFiles, CalibrationSpec):
+class UploadedCalibration(UploadedFootage, CalibrationSpec):
     """Calibration of uploaded files, each given by the id of its upload. Unknown fields are refused."""
 
     calibration: UUID | None = Field(default=None, description="Upload of a calibration file.")

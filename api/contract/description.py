@@ -28,6 +28,7 @@ _CONVENTIONS = """
 _TAGS = {
     "uploads": "Large files in pieces, by tus 1.0. After an interrupted connection a client continues at the offset.",
     "calibrations": "Calibrations of cameras: sent as files, or made from a board.",
+    "characters": "Characters of the user's own, onto which motion is retargeted.",
     "sessions": "Capture sessions: the videos or keypoints of all cameras with their calibration.",
     "jobs": "Reconstructions of sessions: start, follow, cancel and retry them.",
     "results": "Result files of a job: BVH and other formats for each person, joints, metrics.",
@@ -55,7 +56,7 @@ _MEANINGS = {
     400: "The request can't be read.",
     401: "The request has no valid key.",
     403: "The request's host, origin or key does not allow this.",
-    404: "There is no such session, job, upload, result or address.",
+    404: "There is no such session, job, upload, character, result or address.",
     408: "The request arrives too slowly.",
     409: "The state of the job, session or upload does not allow this.",
     410: "The file was removed.",

@@ -29,6 +29,7 @@ from pipeline.problem_codes.requests import (
 SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
 CALIBRATION_ID = "01890a5b-9d2c-7f10-8a11-2b3c4d5e6f70"
+CHARACTER_ID = "01890a5b-a1b2-7c3d-8e4f-5a6b7c8d9e0f"
 SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 UPLOAD_IDS = [f"01890a5c-7c1e-7a4b-8f00-00000000000{index}" for index in range(3)]

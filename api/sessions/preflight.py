@@ -1,7 +1,7 @@
-"""Preflight: the check of a session's files in a child process with limits on time, memory and output.
+"""Preflight: the check of a client's files in a child process with limits on time, memory and output.
 
-The web API never opens a client's file. The program ``python -m pipeline.capture.preflight`` opens them and prints one
-JSON object: the preflight record, or ``{"problems": [...]}``.
+The web API never opens a client's file. The programs ``python -m pipeline.capture.preflight`` and ``python -m
+pipeline.character.check`` open them and print one JSON object: what they contain, or ``{"problems": [...]}``.
 """
 
 import errno
@@ -12,10 +12,10 @@ import resource
 import signal
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 import structlog
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -41,6 +41,7 @@ _S_PER_VIDEO_BYTE = 60 / 2**30
 _S_PER_KEYPOINTS_BYTE = 1800 / 2**30
 # Share of the time after which no further picture is looked at: a session is not refused for its pictures.
 _PICTURES_SHARE = 0.5
+_S_PER_CHARACTER_BYTE = 60 / 2**30
 # Time of sending the files over a connection of some 140 Mbit/s.
 _S_PER_SENT_BYTE = 60 / 2**30
 
@@ -56,6 +57,69 @@ def allowance_s(form: Form) -> float:
 def further_wait_s(form: Form) -> float:
     """Further time that a form's files may wait for their check: about the time of sending them again."""
     return sum(file.num_bytes for file in (*form.videos, *form.keypoints)) * _S_PER_SENT_BYTE
+
+
+def character_wait_s(num_bytes: int) -> float:
+    """Further time that a character's file may wait for its check: about the time of sending it again."""
+    return num_bytes * _S_PER_SENT_BYTE
+
+
+class CharacterJoint(BaseModel):
+    """Joint of the skeleton, and the character's bone for it.
+
+    Parameters
+    ----------
+    joint, bone, recognised_by
+        See ``pipeline.character.mapping.BoneMapping``; ``None``: the joint has no bone.
+    is_required
+        Whether each character has such a bone.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    joint: str
+    bone: str | None
+    recognised_by: Literal["vrm", "names", "shape", "table"] | None
+    is_required: bool
+
+
+class SkeletonBone(BaseModel):
+    """Bone in the rest pose, in the file's unit, Z up, facing -Y; ``parent`` is the next bone above it."""
+
+    model_config = ConfigDict(frozen=True)
+
+    bone: str
+    parent: str | None
+    position: tuple[float, float, float]
+
+
+class CharacterFacts(BaseModel):
+    """Facts about a character's file."""
+
+    model_config = ConfigDict(frozen=True)
+
+    format: Literal["GLB", "VRM 0.x", "VRM 1.0"]
+    method: Literal["vrm", "names", "shape", "table"]
+    stature: float  # Height in the rest pose, in the file's unit
+    num_bones: int
+    num_vertices: int  # Of meshes that bones move
+
+
+class CharacterBones(BaseModel):
+    """Bones of a character, as ``pipeline.character.mapping.BoneMapping`` says; lists of bones are their names."""
+
+    model_config = ConfigDict(frozen=True)
+
+    joints: tuple[CharacterJoint, ...]
+    spine: tuple[str, ...]
+    neck: tuple[str, ...]
+    twists: dict[str, str]
+    at_rest: tuple[str, ...]
+    skeleton: tuple[SkeletonBone, ...]
+
+
+class CharacterContents(CharacterFacts, CharacterBones):
+    """Contents of a character's file, as the program prints them."""
 
 
 class CalibrationContents(BaseModel):
@@ -80,12 +144,12 @@ class CalibrationContents(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class PreflightProgram:
-    """Program that checks files, with its limits.
+    """Programs that check files, with their limits.
 
     Parameters
     ----------
     command
-        Program and first arguments.
+        Program of sessions and calibrations, with its first arguments.
     timeout_s
         Time limit in addition to the time for the files (``allowance_s``); then it is killed with all its children.
     max_bytes
@@ -94,6 +158,8 @@ class PreflightProgram:
         Largest size of a written file.
     max_memory_bytes
         Largest memory of the process.
+    character_command
+        Program of characters, with its first arguments.
     """
 
     command: tuple[str, ...]
@@ -101,6 +167,7 @@ class PreflightProgram:
     max_bytes: int
     max_record_bytes: int
     max_memory_bytes: int
+    character_command: tuple[str, ...] = ()
 
     def check(
         self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0, thumbnails: Path | None = None
@@ -136,7 +203,7 @@ class PreflightProgram:
         if thumbnails is not None:
             pictures_s = _PICTURES_SHARE * (self.timeout_s + allowance_s)
             written += ["--thumbnails", str(thumbnails), f"--pictures-s={pictures_s}"]
-        session = _parsed(self._answer([*arguments, *written], record.parent, allowance_s))
+        session = _parsed(self._answer([*self.command, *arguments, *written], record.parent, allowance_s))
         if session is None or not record.is_file() or not _has_thumbnails(session, thumbnails):
             raise _failed()
         return session
@@ -161,14 +228,43 @@ class PreflightProgram:
             As ``check``.
         """
         try:
-            return CalibrationContents.model_validate_json(self._answer(arguments, folder, 0.0))
+            return CalibrationContents.model_validate_json(self._answer([*self.command, *arguments], folder, 0.0))
         except ValidationError:
             raise _failed() from None
 
-    def _answer(self, arguments: Sequence[str], folder: Path, allowance_s: float) -> bytes:
-        """Run the program, and return what it prints about usable files."""
+    def read_character(self, file: Path, corrections: Mapping[str, str | None], folder: Path) -> CharacterContents:
+        """Read a character.
+
+        Parameters
+        ----------
+        corrections
+            Bones by joint that go before those that are recognised; ``None``: the joint has no bone.
+        folder
+            Folder for temporary files, which the caller removes.
+
+        Returns
+        -------
+            What the program printed.
+
+        Raises
+        ------
+        InvalidFilesError, ApiError, OSError
+            As ``check``.
+        """
+        allowance_s = file.stat().st_size * _S_PER_CHARACTER_BYTE
+        with tempfile.NamedTemporaryFile(dir=folder) as table:
+            table.write(json.dumps({"bones": dict(corrections)}).encode())
+            table.flush()
+            command = [*self.character_command, str(file), "--bones", table.name]
+            try:
+                return CharacterContents.model_validate_json(self._answer(command, folder, allowance_s))
+            except ValidationError:
+                raise _failed() from None
+
+    def _answer(self, command: Sequence[str], folder: Path, allowance_s: float) -> bytes:
+        """Run a program, and return what it prints about usable files."""
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
-            exit_code = self._run([*self.command, *arguments], self.timeout_s + allowance_s, folder, output, log)
+            exit_code = self._run(command, self.timeout_s + allowance_s, folder, output, log)
             printed = _read(output, self.max_bytes)
             if exit_code == 0 and printed:
                 return printed

@@ -1,4 +1,4 @@
-"""Arrival of sessions and calibrations: as a form with files, or as JSON that names uploads."""
+"""Arrival of sessions, calibrations and characters: as a form with files, or as JSON that names uploads."""
 
 import contextlib
 import shutil
@@ -50,7 +50,7 @@ _FOOTAGE = {"video": VIDEOS, KEYPOINTS: KEYPOINTS, TIMESTAMPS: TIMESTAMPS}
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A session or a calibration as a client sent it, in a folder of the spool.
+    """A session, a calibration or a character as a client sent it, in a folder of the spool.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ async def received(
     kind: FormKind,
     types: Collection[str],
 ) -> AsyncIterator[Sent]:
-    """Receive a session or a calibration as a form, or as JSON that names uploads; its files are there in the block.
+    """Receive a record as a form, or as JSON that names uploads; its files are there in the block.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ async def received(
     if not is_answered:
         services.checks.require_room(request.state.caller.owner)
         await run_in_threadpool(idempotent.records.require_room, to_come, unfinished_jobs=int(kind.has_job))
-    async with _folder(services.settings.spool_dir) as folder:
+    async with spool_folder(services.settings.spool_dir) as folder:
         if names_uploads:
             if not is_answered:
                 services.disk.require_room()
@@ -124,7 +124,7 @@ def _unsupported(types: Collection[str]) -> ApiError:
 
 
 @contextlib.asynccontextmanager
-async def _folder(spool_dir: Path) -> AsyncIterator[Path]:
+async def spool_folder(spool_dir: Path) -> AsyncIterator[Path]:
     """Folder of the spool, removed at the end of the block."""
     folder = spool_dir / str(uuid_utils.uuid7())
     folder.mkdir(parents=True)

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
-from api.http.bodies.form_kinds import UploadedFiles
+from api.http.bodies.form_kinds import UploadedFootage
 from pipeline.capture.preflight_record import Clock, PreflightCamera
 from pipeline.job_choices import proxy_name
 from pipeline.problem_codes.fields import JSON_VALUE
@@ -136,7 +136,7 @@ class Manifest(BaseModel):
     )
 
 
-class UploadedSession(UploadedFiles):
+class UploadedSession(UploadedFootage):
     """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
 
     keypoints: tuple[UUID, ...] = Field(

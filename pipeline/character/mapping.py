@@ -33,6 +33,9 @@ OPTIONAL = tuple(f"{side}{joint}" for side in SIDES for joint in ("Shoulder", "T
 )
 """Joints that a character may lack."""
 
+Recognition = Literal["vrm", "names", "shape", "table"]
+"""How a bone was recognised: by a VRM's table, by names, by the shape of the tree, by a user's table."""
+
 _MAX_TABLE_BYTES = 1 << 20
 _HINT = 'Write a JSON object such as {"bones": {"LeftArm": "upperarm_l", "LeftShoulder": null}}.'
 
@@ -44,6 +47,7 @@ class BoneMapping:
     # How they were recognised: by a VRM's table, by names, by the shape of the tree; ``table``: by a user's table too
     method: Literal["vrm", "names", "shape", "table"]
     bones: Mapping[str, str]  # Bone of each joint, ``Hips`` among them
+    recognised_by: Mapping[str, Recognition]  # How the bone of each joint was recognised
     # Bones between hips and arms, and between arms and head, from below
     spine: tuple[str, ...]
     neck: tuple[str, ...]
@@ -56,6 +60,7 @@ class BoneMapping:
         return {
             "method": self.method,
             "bones": {**self.bones, **dict.fromkeys(self.missing)},
+            "recognised_by": dict(self.recognised_by),
             "spine": list(self.spine),
             "neck": list(self.neck),
             "twists": dict(self.twists),
@@ -121,7 +126,7 @@ def map_bones(character: CharacterFile, table: Mapping[str, str | None] | None =
         joints = {joint: node for joint, node in recognised.items() if joint not in stated} | nodes
         wrong = _wrong(rig, joints, character.name)
         if not wrong:
-            return _completed("table" if stated else method, rig, joints, HIPS in nodes)
+            return _completed(method, rig, joints, stated)
         found_problems.append(wrong)
     # The problems of names are those that a user can understand, unless names told nothing.
     raise InputError(min(found_problems, key=len))
@@ -150,7 +155,7 @@ def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Prob
                 CHARACTER_BONES,
                 f"No bone of the character was recognised as {listed_names(missing)}.",
                 file=name,
-                hint="State the bones by a table: --bones FILE, see docs/characters.md.",
+                hint="State them by a table of bones (`bones`, or the option --bones), see docs/characters.md.",
             )
         ]
     wrong = []
@@ -165,11 +170,14 @@ def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Prob
 
 
 def _completed(
-    method: Literal["vrm", "names", "shape", "table"], rig: CharacterRig, joints: Mapping[str, int], has_hips: bool
+    method: Literal["vrm", "names", "shape"],
+    rig: CharacterRig,
+    joints: Mapping[str, int],
+    stated: Mapping[str, str | None],
 ) -> BoneMapping:
     """Mapping with the bones of the trunk, and those that share the twist of limbs."""
     arms = [joints[f"{side}Arm"] for side in SIDES]
-    hips = joints[HIPS] if has_hips else rig.common_ancestor(*(joints[joint] for joint in REQUIRED))
+    hips = joints[HIPS] if stated.get(HIPS) is not None else rig.common_ancestor(*(joints[joint] for joint in REQUIRED))
     chest = rig.common_ancestor(*arms, joints[HEAD])
     if hips is None or chest is None:  # Excluded by ``_wrong``.
         raise ValueError("the bones have no common ancestor")
@@ -177,9 +185,12 @@ def _completed(
     of_joints = {HIPS: hips, **{joint: joints[joint] for joint in (*REQUIRED, *OPTIONAL) if joint in joints}}
     twists = _twists(rig, of_joints)
     used = {*of_joints.values(), *spine, *neck, *twists}
+    # Hips are where the limbs and the head meet in the tree.
+    recognised: dict[str, Recognition] = {joint: "shape" if joint == HIPS else method for joint in of_joints}
     return BoneMapping(
-        method,
+        "table" if stated else method,
         {joint: rig.names[node] for joint, node in of_joints.items()},
+        recognised | {joint: "table" for joint, bone in stated.items() if bone is not None},
         tuple(rig.names[node] for node in spine),
         tuple(rig.names[node] for node in neck),
         {rig.names[node]: joint for node, joint in twists.items()},

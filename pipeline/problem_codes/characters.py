@@ -2,7 +2,7 @@
 
 from pipeline.problem_codes.model import CodeGroup
 
-_WHERE = ("command",)
+_WHERE = ("422", "command")
 
 CHARACTERS = CodeGroup(
     "Characters", "Characters of the user's own, onto which motion is retargeted; see [characters](characters.md)."

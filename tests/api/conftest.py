@@ -258,10 +258,11 @@ def live(service: Live) -> Iterator[Live]:
         database.execute("PRAGMA foreign_keys = ON")
         database.execute("DELETE FROM sessions")
         database.execute("DELETE FROM calibrations")
+        database.execute("DELETE FROM characters")
         database.execute("DELETE FROM uploads")
     for path in service.settings.uploads_dir.iterdir():
         path.unlink()
-    for folder in ("sessions", "jobs"):
+    for folder in ("sessions", "jobs", "characters"):
         shutil.rmtree(service.settings.data_dir / "artifacts" / folder, ignore_errors=True)
 
 

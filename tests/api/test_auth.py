@@ -1,6 +1,7 @@
 """Authorization: every route of the contract with missing, wrong and weak keys, and keys of another tenant."""
 
 import contextlib
+import hashlib
 import json
 import re
 import socket
@@ -20,8 +21,11 @@ from api.settings import Settings
 from pipeline.edits import PersonSpan
 from tests.api.conftest import Live, form, problem_of, running
 from tests.small_disk import fill, small_disk
+from worker.jobs.files.artifacts import character_key
 from worker.jobs.files.stores import default_data_dir
+from worker.jobs.model.characters import StoredCharacterFile
 from worker.jobs.model.rights import Actor, Key, LinkScope, Scope
+from worker.jobs.tenant_records import TenantRecords
 
 CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))
 OPERATIONS = [
@@ -66,11 +70,11 @@ class Guarded:
     def ask(self, method: str, path: str, secret: str | None, **options: Any) -> httpx2.Response:
         headers = {"Authorization": f"Bearer {secret}"} if secret is not None else {}
         address = re.sub(r"\{(\w+)\}", lambda found: self.ids[found[1]], path)
-        if method == "POST" and re.fullmatch("/v1/(calibrations|sessions|jobs)(/from-files)?", path):
+        if method == "POST" and re.fullmatch("/v1/(calibrations|characters|sessions|jobs)(/from-files)?", path):
             options.setdefault("files", form())
         if method == "POST" and path.endswith("/from-uploads"):
             options.setdefault("json", {})
-        if (method, path) in {("PATCH", "/v1/sessions/{session_id}"), ("PATCH", "/v1/calibrations/{calibration_id}")}:
+        if method == "PATCH" and re.fullmatch(r"/v1/(calibrations|characters|sessions)/\{\w+\}", path):
             options.setdefault("json", {"name": "walk"})
         if (method, path) == ("PATCH", "/v1/jobs/{job_id}/people"):
             options.setdefault("json", {"edits": []})
@@ -90,6 +94,16 @@ def refused(answer: httpx2.Response, status: int, code: str) -> None:
         problem_of(answer, status, code)
 
 
+def character_of(live: Live, records: TenantRecords) -> str:
+    """Id of a stored character."""
+    summary = {"format": "GLB", "method": "names", "stature": 1.7, "num_bones": 0, "num_vertices": 0}
+    bones: dict[str, Any] = {"joints": [], "spine": [], "neck": [], "twists": {}, "at_rest": [], "skeleton": []}
+    character_id = records.characters.reserve_id()
+    file = StoredCharacterFile("robot.glb", character_key(character_id), 5, hashlib.sha256(b"robot").hexdigest())
+    live.services.artifacts.put_bytes(file.key, b"robot")
+    return records.characters.add(character_id, "Robot", file, summary, bones, {}).id
+
+
 @pytest.fixture(scope="module")
 def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
     with running(make_settings(max_json_bytes=64 * 1024, max_wrong_keys_per_minute=100_000)) as live:
@@ -107,6 +121,7 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         del live.client.headers["Authorization"]
         records = live.services.store.of("theirs", actor=Actor(key.id))
         ids = {
+            "character_id": character_of(live, records),
             "calibration_id": records.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id,
             "session_id": session_id,
             "job_id": job_id,

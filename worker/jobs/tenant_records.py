@@ -9,6 +9,7 @@ from worker.jobs.database.quotas import NO_QUOTAS, read_usage, require_room
 from worker.jobs.database.transactions import OpenTransaction
 from worker.jobs.model.rights import Usage
 from worker.jobs.repositories.calibrations import Calibrations
+from worker.jobs.repositories.characters import Characters
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
 from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.results import Results
@@ -25,6 +26,7 @@ class Records:
     def __init__(self, access: Access) -> None:
         self.sessions = Sessions(access)
         self.calibrations = Calibrations(access)
+        self.characters = Characters(access)
         self.jobs = Jobs(access)
         self.visuals = Visuals(access)
         self.results = Results(access)

@@ -1,4 +1,4 @@
-"""Forms of sessions and calibrations: their parts with names and size limits.
+"""Forms of sessions, calibrations and characters: their parts with names and size limits.
 
 A part above its limit is refused at once. All other problems with names and parts are collected while the rest is read,
 so that one response lists all of them.
@@ -17,7 +17,7 @@ from typing import BinaryIO, Literal
 
 from api.errors import ApiError, ErrorItem, pointer_to
 from api.http.bodies.field_places import FieldPlaces
-from api.http.bodies.form_kinds import IMAGES, KEYPOINTS, MANIFEST, VIDEOS, VIEWS, FormKind
+from api.http.bodies.form_kinds import CHARACTER, IMAGES, KEYPOINTS, MANIFEST, VIDEOS, VIEWS, FormKind
 from pipeline.capture.parts import recordings_of
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import (
@@ -61,6 +61,7 @@ class FormLimits:
     max_keypoints_bytes: int
     max_session_bytes: int
     max_calibration_bytes: int
+    max_character_bytes: int
     max_json_bytes: int
     max_cameras: int
 
@@ -143,8 +144,9 @@ class Parts:
         self._limits = limits
         self._kind = kind
         self._places = places
-        of_views = {VIDEOS: limits.max_file_bytes, IMAGES: limits.max_file_bytes, KEYPOINTS: limits.max_keypoints_bytes}
-        self._max_file_bytes = {part: of_views.get(part, limits.max_calibration_bytes) for part in kind.parts}
+        limit_of = {VIDEOS: limits.max_file_bytes, IMAGES: limits.max_file_bytes, KEYPOINTS: limits.max_keypoints_bytes}
+        limit_of |= {CHARACTER: limits.max_character_bytes}
+        self._max_file_bytes = {part: limit_of.get(part, limits.max_calibration_bytes) for part in kind.parts}
         self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
         self._counts = dict.fromkeys(self._max_file_bytes, 0)
         self._names: set[str] = set()

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from pipeline.problem_codes.model import Code
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
-INTRINSICS, IMAGES = "intrinsics", "images"
+INTRINSICS, IMAGES, CHARACTER = "intrinsics", "images", "character"
 VIEWS = (VIDEOS, KEYPOINTS, IMAGES)
 """Parts with a file for each camera; the other parts have one file."""
 
@@ -32,13 +32,9 @@ class UploadedFiles(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    videos: tuple[UUID, ...] = Field(
-        default=(), description="Uploads of the videos, one for each camera, or of a zip of its images."
-    )
-
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""
-        return [("videos", upload) for upload in self.videos]
+        return []
 
     def named(self) -> Iterable[str]:
         """Names of the form's documents that the fields stand for."""
@@ -51,6 +47,18 @@ class UploadedFiles(BaseModel):
     def upload_ids(self) -> tuple[str, ...]:
         """Ids of all uploads."""
         return tuple(sorted({str(upload_id) for _, upload_id in self.uploads()}))
+
+
+class UploadedFootage(UploadedFiles):
+    """Files of cameras that are sent as uploads. Unknown fields are refused."""
+
+    videos: tuple[UUID, ...] = Field(
+        default=(), description="Uploads of the videos, one for each camera, or of a zip of its images."
+    )
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        return [("videos", upload) for upload in self.videos]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

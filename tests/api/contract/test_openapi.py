@@ -53,15 +53,18 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert schema["openapi"].startswith("3.1")
     names = [operation["operationId"] for operation in operations(schema)]
     assert sorted(names) == [
-        "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration",
-        "createCalibrationFromFiles", "createCalibrationFromUploads", "createJob", "createLink",
+        "cancelJob", "changeCharacter", "closeBrowserSession", "continueUpload", "createCalibration",
+        "createCalibrationFromFiles", "createCalibrationFromUploads", "createCharacter",
+        "createCharacterFromFiles", "createCharacterFromUploads", "createJob", "createLink",
         "createSession", "createSessionAndJob", "createSessionAndJobFromFiles", "createSessionAndJobFromUploads",
-        "createSessionFromFiles", "createSessionFromUploads", "createUpload", "deleteCalibration", "deleteJob",
+        "createSessionFromFiles", "createSessionFromUploads", "createUpload", "deleteCalibration",
+        "deleteCharacter", "deleteJob",
         "deleteSession", "deleteUpload", "describeUploads", "editJobPeople", "getAllResults", "getCalibration",
-        "getCalibrationFile", "getCaller", "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion",
+        "getCalibrationFile", "getCaller", "getCharacter", "getCharacterFile",
+        "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion",
         "getMotionDescription", "getOptions", "getReadiness", "getResult", "getSample", "getSampleFile",
         "getSession", "getSessionThumbnail", "getSessionVideo", "getUpload", "listAttempts", "listCalibrations",
-        "listJobs",
+        "listCharacters", "listJobs",
         "listLinks", "listResults", "listSessionJobs", "listSessions", "makeJobVisuals", "openBrowserSession",
         "renameCalibration",
         "renameSession",
@@ -74,7 +77,7 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert len({operation["summary"] for operation in operations(schema)}) == len(names)
 
 
-@pytest.mark.parametrize("path", ["/v1/calibrations", "/v1/jobs", "/v1/sessions"])
+@pytest.mark.parametrize("path", ["/v1/calibrations", "/v1/characters", "/v1/jobs", "/v1/sessions"])
 def test_what_takes_two_bodies_has_an_operation_for_each(schema: dict[str, Any], path: str) -> None:
     """Generators of clients keep one body of an operation, or mix both."""
     content = schema["paths"][path]["post"]["requestBody"]["content"]
@@ -84,14 +87,14 @@ def test_what_takes_two_bodies_has_an_operation_for_each(schema: dict[str, Any],
         assert operation["requestBody"]["content"] == {content_type: content[content_type]}
         assert operation["responses"] == schema["paths"][path]["post"]["responses"]
     bodies = [operation["requestBody"]["content"] for operation in operations(schema) if "requestBody" in operation]
-    assert sum(len(body) > 1 for body in bodies) == 3
+    assert sum(len(body) > 1 for body in bodies) == 4
 
 
 def test_files_are_declared_as_bytes(schema: dict[str, Any]) -> None:
     """Else clients decode text, parse JSON, and write other bytes than came."""
     files = {
-        "getAllResults", "getCalibrationFile", "getMotion", "getResult", "getSampleFile", "getSessionThumbnail",
-        "getSessionVideo",
+        "getAllResults", "getCalibrationFile", "getCharacterFile", "getMotion", "getResult", "getSampleFile",
+        "getSessionThumbnail", "getSessionVideo",
     }  # fmt: skip
     contents = {
         operation["operationId"]: operation["responses"]["200"]["content"]

@@ -36,7 +36,7 @@ schema = schemathesis.openapi.from_path(COMMITTED)
 schema.config.generation.update(with_security_parameters=False)
 # A body that is wrong and too large is refused for its size.
 schema.config.checks.negative_data_rejection.expected_statuses.append("413")
-INTAKES = {"/v1/calibrations", "/v1/jobs", "/v1/sessions"}
+INTAKES = {"/v1/calibrations", "/v1/characters", "/v1/jobs", "/v1/sessions"}
 SETTINGS = settings(
     max_examples=75,
     deadline=None,
@@ -137,7 +137,11 @@ def test_contract_is_kept(service: Live, known: dict[str, str]) -> None:
 def test_calls_that_follow_from_each_other(service: Live, known: dict[str, str]) -> None:
     """Ids of responses are used in further calls, for example to read deleted jobs and to retry canceled jobs."""
     # The stream of a job without workers does not end, and generated files of a form are not a session.
-    sent = [f"create{what}{way}" for what in ("Calibration", "Session", "SessionAndJob") for way in ("", "FromFiles")]
+    sent = [
+        f"create{what}{way}"
+        for what in ("Calibration", "Character", "Session", "SessionAndJob")
+        for way in ("", "FromFiles")
+    ]
     followed = schema.exclude(operation_id=["streamJobEvents", *sent])
     calls: Counter[str] = Counter()
 

@@ -24,6 +24,7 @@ from pipeline.edits import MAX_EDITS
 from tests.e2e.serving import serving
 from tests.hostile.keypoints import keypoint_files, simulate
 from tests.hostile.test_other_tenants import form
+from tests.pipeline.character.characters import bones_of, character
 from tests.waiting import wait_for
 from worker.jobs.model.rights import Scope
 from worker.jobs.store import JobStore
@@ -47,6 +48,7 @@ class Costly:
     session_id: str
     job_id: str
     calibration_id: str
+    character_id: str
     link_id: str
 
     def upload(self, content: bytes) -> str:
@@ -103,6 +105,17 @@ def requests_of(made: Costly) -> dict[str, Callable[[], object]]:
         "getCalibrationFile": lambda: client.get(
             f"/v1/calibrations/{made.calibration_id}/file", params={"format": "qca"}
         ),
+        "createCharacter": lambda: client.post(
+            "/v1/characters", files={"character": ("r.glb", made.files["robot.glb"])}
+        ),
+        "createCharacter.wrong": lambda: client.post("/v1/characters", json=WIDE),
+        "listCharacters": lambda: client.get("/v1/characters", params={"limit": 100}),
+        "getCharacter": lambda: client.get(f"/v1/characters/{made.character_id}"),
+        "getCharacterFile": lambda: client.get(f"/v1/characters/{made.character_id}/file"),
+        "changeCharacter": lambda: client.patch(
+            f"/v1/characters/{made.character_id}", json={"bones": {"LeftShoulder": None}}
+        ),
+        "deleteCharacter": lambda: client.delete(f"/v1/characters/{made.session_id}"),
         "createSession": lambda: client.post("/v1/sessions", files=form(made.files, {})[:-1]),
         "createSession.manifest": lambda: client.post(
             "/v1/sessions", files=[*form(made.files, {})[:-1], ("manifest", (None, json.dumps(manifest)))]
@@ -179,11 +192,13 @@ def prepare(client: httpx2.Client) -> Costly:
         client.post(f"/v1/sessions/{job['session_id']}/jobs", json={"exports": ["csv"]}).raise_for_status()
     calibration = {"calibration": ("calibration.json", files["calibration.json"])}
     made = client.post("/v1/calibrations", files=calibration).raise_for_status().json()
+    files["robot.glb"] = character(bones_of("default"))
+    robot = client.post("/v1/characters", files={"character": ("r.glb", files["robot.glb"])}).raise_for_status().json()
     wait_for(lambda: not client.get("/v1/jobs", params={"state": "queued"}).json()["jobs"], timeout_s=600.0)
     wait_for(lambda: client.get(f"/v1/jobs/{job['id']}").json()["state"] == "succeeded", timeout_s=120.0)
     address = f"/v1/jobs/{job['id']}/links"
     link = client.post(address, json={"scope": "job", "expires_in_s": 60}).raise_for_status().json()
-    return Costly(client, files, job["session_id"], job["id"], made["id"], link["id"])
+    return Costly(client, files, job["session_id"], job["id"], made["id"], robot["id"], link["id"])
 
 
 def test_every_operation_is_driven() -> None:
@@ -193,7 +208,7 @@ def test_every_operation_is_driven() -> None:
     }
     # The operations with one kind of body have the handlers of those with both.
     operations = {name for name in operations if not name.endswith(("FromFiles", "FromUploads"))}
-    driven = requests_of(Costly(httpx2.Client(), {"calibration.json": b""}, "", "", "", ""))
+    driven = requests_of(Costly(httpx2.Client(), {"calibration.json": b"", "robot.glb": b""}, "", "", "", "", ""))
     assert {name.partition(".")[0] for name in driven} - {"contract"} == operations
 
 

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, func, select
 
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.jobs.backup.errors import BackupError
-from worker.jobs.database.tables import artifacts, jobs, results, sessions, uploads
+from worker.jobs.database.tables import artifacts, characters, jobs, results, sessions, uploads
 from worker.jobs.files.artifacts import record_key, require_key, stage_key, thumbnail_key
 from worker.jobs.model.states import JobState
 
@@ -71,7 +71,7 @@ class StoredFile:
 
     path: str  # Below the data folder
     sha256: str | None
-    needed: bool  # Whether a session, a job or a result is lost without it
+    needed: bool  # Whether a session, a job, a result or a character is lost without it
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def files_of_rows(connection: Connection, with_artifacts: bool) -> dict[str, Sto
     """
     found = list(_uploads(connection))
     if with_artifacts:
-        found += [*_of_sessions(connection), *_outputs(connection), *_results(connection)]
+        found += [*_of_sessions(connection), *_outputs(connection), *_results(connection), *_of_characters(connection)]
     return {file.path: file for file in found}
 
 
@@ -166,3 +166,8 @@ def _results(connection: Connection) -> Iterator[StoredFile]:
     )
     for row in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
         yield _artifact(row.key, row.sha256, needed=True)
+
+
+def _of_characters(connection: Connection) -> Iterator[StoredFile]:
+    for file in connection.scalars(select(characters.c.file).order_by(characters.c.id)):
+        yield _artifact(file["key"], file["sha256"], needed=True)

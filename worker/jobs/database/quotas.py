@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 from sqlalchemy import Connection, func, select
 
-from worker.jobs.database.tables import artifacts, calibrations, jobs, results, sessions, uploads
+from worker.jobs.database.tables import artifacts, calibrations, characters, jobs, results, sessions, uploads
 from worker.jobs.errors import QuotaExceeded
 from worker.jobs.model.jobs import SIDE_KINDS
 from worker.jobs.model.rights import Usage
@@ -27,8 +27,8 @@ NO_QUOTAS = Quotas()
 def read_usage(connection: Connection, tenant: str) -> Usage:
     """Read how much a tenant has now.
 
-    ``stored_bytes`` counts input files of sessions, outputs of chunks, results, calibrations, and uploads by their
-    announced sizes.
+    ``stored_bytes`` counts input files of sessions, outputs of chunks, results, calibrations, characters, and uploads
+    by their announced sizes.
     """
     mine = jobs.c.tenant == tenant
     num_sessions, input_bytes = connection.execute(
@@ -39,6 +39,7 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
         select(func.coalesce(func.sum(results.c.num_bytes), 0)).join(jobs).where(mine, jobs.c.state != JobState.EXPIRED)
     )
     calibrated = select(func.coalesce(func.sum(calibrations.c.num_bytes), 0)).where(calibrations.c.tenant == tenant)
+    moved = select(func.coalesce(func.sum(characters.c.num_bytes), 0)).where(characters.c.tenant == tenant)
     num_uploads, upload_bytes = connection.execute(
         select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)
     ).one()
@@ -49,7 +50,11 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
         unfinished_jobs=connection.scalar(unfinished) or 0,
         stored_bytes=sum(
             int(some or 0)
-            for some in (input_bytes, *(connection.scalar(query) for query in (found, shown, calibrated)), upload_bytes)
+            for some in (
+                input_bytes,
+                *(connection.scalar(query) for query in (found, shown, calibrated, moved)),
+                upload_bytes,
+            )
         ),
         uploads=num_uploads,
     )

@@ -16,6 +16,7 @@ from pipeline.stages.stage import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model.calibrations import Calibration
+from worker.jobs.model.characters import Character, CharacterSummary, StoredCharacterFile
 from worker.jobs.model.jobs import JobProblem, JobRecord, Making, NewestJob, Result, StageProgress
 from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.model.states import ChunkState, JobState
@@ -176,6 +177,17 @@ def calibration_of(row: Row[Any]) -> Calibration:
         job_state=None if row.job_state is None else JobState(row.job_state),
         problem=None if row.problem is None else JobProblem.from_json(row.problem),
     )
+
+
+def character_summary_of(row: Row[Any]) -> CharacterSummary:
+    """Character without its bones, from its row."""
+    return CharacterSummary(row.id, row.name, row.created_at, StoredCharacterFile(**row.file), row.facts)
+
+
+def character_of(row: Row[Any]) -> Character:
+    """Character from its row."""
+    file = StoredCharacterFile(**row.file)
+    return Character(row.id, row.name, row.created_at, file, row.facts, row.bones, row.corrections)
 
 
 def _eta_s(row: Row[Any], stages: Iterable[StageProgress]) -> float | None:

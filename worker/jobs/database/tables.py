@@ -133,6 +133,22 @@ calibrations = Table(
     Index(None, "tenant", "id"),
 )
 
+# Characters of the user's own: files with a skeleton, and what was recognised in them.
+characters = Table(
+    "characters",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant", String(64), nullable=False),
+    Column("name", String, nullable=False),
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("file", JSON, nullable=False),  # name, key, size and digest
+    Column("facts", JSON, nullable=False),  # format, size, numbers of bones and vertices: what lists show
+    Column("bones", JSON, nullable=False),  # bones as they were recognised, and the skeleton
+    Column("corrections", JSON, nullable=False),  # bones by joint that a user stated; null: the joint has none
+    Column("num_bytes", BigInteger, nullable=False),  # of the file and the bones
+    Index(None, "tenant", "id"),
+)
+
 chunks = Table(
     "chunks",
     metadata,

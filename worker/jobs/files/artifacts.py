@@ -1,4 +1,4 @@
-"""Files of sessions and jobs: inputs, outputs of chunks, results, interim outputs of unfinished jobs.
+"""Files of sessions, jobs and characters: inputs, outputs of chunks, results, interim outputs of unfinished jobs.
 
 ::
 
@@ -10,6 +10,7 @@
     jobs/<job>/revisions/<revision>/<name>/<name>    after edits of its people
     jobs/<job>/visuals/<revision>/<name>/<name>      overlay videos and the report
     jobs/<job>/interim/<attempt>/<output key>
+    characters/<character>/file
 
 A result file has a folder of its own: it stays as long as a revision lists it, whatever becomes of the files beside it.
 """
@@ -54,6 +55,16 @@ def session_prefix(session_id: str) -> str:
 def job_prefix(job_id: str) -> str:
     """Prefix of the keys of a job's results and interim outputs."""
     return f"jobs/{job_id}/"
+
+
+def character_prefix(character_id: str) -> str:
+    """Prefix of the keys of a character's files."""
+    return f"characters/{character_id}/"
+
+
+def character_key(character_id: str) -> str:
+    """Key of a character's file as it was sent."""
+    return f"{character_prefix(character_id)}file"
 
 
 def input_key(session_id: str, number: int, name: str) -> str:

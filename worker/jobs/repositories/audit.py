@@ -29,6 +29,10 @@ class AuditAction(StrEnum):
     CALIBRATION_CREATED = "calibration-created"
     CALIBRATION_RENAMED = "calibration-renamed"
     CALIBRATION_DELETED = "calibration-deleted"
+    CHARACTER_CREATED = "character-created"
+    CHARACTER_RENAMED = "character-renamed"
+    CHARACTER_CORRECTED = "character-corrected"
+    CHARACTER_DELETED = "character-deleted"
     LINK_CREATED = "link-created"
     LINK_REVOKED = "link-revoked"
     KEY_CREATED = "key-created"
@@ -38,7 +42,7 @@ class AuditAction(StrEnum):
 
 
 def record_event(connection: Connection, actor: Actor, tenant: str, action: AuditAction, subject: str) -> None:
-    """Record an action on a session, a calibration, a job, an upload or a key, whose id is ``subject``."""
+    """Record an action on a session, a calibration, a character, a job, an upload or a key; ``subject`` is its id."""
     connection.execute(
         insert(audit).values(
             done_at=now(), tenant=tenant, key_id=actor.key_id, request_id=actor.request_id, act=action, subject=subject

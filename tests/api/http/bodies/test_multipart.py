@@ -31,6 +31,7 @@ LIMITS = FormLimits(
     max_keypoints_bytes=10_000,
     max_session_bytes=20_000,
     max_calibration_bytes=5_000,
+    max_character_bytes=5_000,
     max_json_bytes=500,
     max_cameras=3,
 )

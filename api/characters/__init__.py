@@ -1,0 +1,1 @@
+"""Characters of the user's own: sent as files, their bones recognised and corrected."""
