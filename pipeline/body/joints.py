@@ -17,9 +17,9 @@ from pipeline.skeleton.model import INDEX, WHOLE_SKELETON
 NUM_TWISTS = 3
 """Number of twist joints of a forearm."""
 
-# Middle of the range of a hand's turns about the arm, whose rest pose is palm down. Palms turn up by the front: a
-# negative turn about +X on both sides.
-_MIDDLE_TWIST_RAD = np.radians(-75.0)
+MIDDLE_TWIST_RAD = float(np.radians(-75.0))
+"""Middle of the range of a hand's turns about the arm, whose rest pose is palm down. Palms turn up by the front: a
+negative turn about +X on both sides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def twist_quat(
     """Rotations (x, y, z, w) of a twist joint from those of the skeleton's joints, each frame by itself."""
     hand = parent_from_joint[:, INDEX[twist.hand]]
     angle_rad = 2.0 * np.arctan2(hand[:, 0], hand[:, 3])
-    angle_rad = (angle_rad - _MIDDLE_TWIST_RAD + np.pi) % (2.0 * np.pi) - np.pi + _MIDDLE_TWIST_RAD
+    angle_rad = (angle_rad - MIDDLE_TWIST_RAD + np.pi) % (2.0 * np.pi) - np.pi + MIDDLE_TWIST_RAD
     half_rad = 0.5 * twist.share * angle_rad
     quat = np.zeros((len(hand), 4))
     quat[:, 0], quat[:, 3] = np.sin(half_rad), np.cos(half_rad)

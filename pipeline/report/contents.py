@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from pipeline.body.installed import find as find_body
 from pipeline.capture.session import Session
 from pipeline.choices import Choice
 from pipeline.config import CHOICES, ReconstructionConfig
@@ -45,7 +46,7 @@ def contents_of(
     SHA-256 of the take's files by name.
     """
     views = views_of(take)
-    metrics, motion = quality_report(take, views), motion_of(take, views)
+    metrics, motion = quality_report(take, views), motion_of(take, views, shapes=find_body())
     pictures: list[Picture] = []
     notes: list[str] = []
     shown = take.cameras[:MAX_PICTURES]

@@ -8,16 +8,20 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
+from pipeline.body.shape import BodyShapes
+from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Camera
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.colors import color_rgb
+from pipeline.export.viewer.bodies import describe_body, describe_shape
 from pipeline.export.viewer.description import person_frames
 from pipeline.export.viewer.frames import ERROR_STEP_PX, UNKNOWN_ERROR, PersonFrames
 from pipeline.export.viewer.strips import COLUMNS, encode_strips, frames_a_bucket
 from pipeline.joints import without_hands
 from pipeline.quality.views import PersonViews
-from pipeline.skeleton.model import SkeletonJoint, skeleton_of
+from pipeline.skeleton.model import SkeletonJoint, parents_of, skeleton_of
 
 ABSENT = -32768
 """Coordinate of a joint without a position."""
@@ -25,7 +29,8 @@ ABSENT = -32768
 MAX_MOTION_BYTES = 4 * 2**20
 """Largest size of the motion in 3D; of a longer take each n-th frame is kept."""
 
-_LARGEST = 32767
+_LARGEST, _LARGEST_TURN = 32767, 127
+_BYTES_OF_POSITION, _BYTES_OF_TURN = 6, 4
 _STEP_M = 1e-3
 # Radius of the limb that ends at a joint, in metres, by the end of the joint's name.
 _RADII = (
@@ -54,12 +59,19 @@ class ReportMotion:
     error_px: Float[np.ndarray, " frames"]
 
 
-def motion_of(take: Reconstruction, views: Sequence[PersonViews], max_bytes: int = MAX_MOTION_BYTES) -> ReportMotion:
-    """Prepare motion and quality of a take for the report."""
+def motion_of(
+    take: Reconstruction,
+    views: Sequence[PersonViews],
+    max_bytes: int = MAX_MOTION_BYTES,
+    shapes: BodyShapes | None = None,
+) -> ReportMotion:
+    """Prepare motion and quality of a take for the report; people have human bodies if there are ``shapes``."""
+    coarse = None if shapes is None else shapes.coarse()
     num_bones = max((len(motion.bone_length_m) for motion in take.motions), default=0)
     skeleton = skeleton_of(num_bones) if num_bones else ()
     num_frames = take.timebase.num_frames
-    stride = stride_for([track.num_frames for track in take.tracks], 6 * num_bones, max_bytes)
+    record_bytes = (_BYTES_OF_POSITION + (0 if coarse is None else _BYTES_OF_TURN)) * num_bones
+    stride = stride_for([track.num_frames for track in take.tracks], record_bytes, max_bytes)
     num_people, error_px = np.zeros(num_frames, int), np.full(num_frames, np.nan)
     num_body_joints = len(without_hands(take.joints).names)
     people, strips, positions_m = [], [], []
@@ -73,9 +85,18 @@ def motion_of(take: Reconstruction, views: Sequence[PersonViews], max_bytes: int
         kept_m = person.skeleton_m[first * stride - track.start_frame :: stride]
         positions_m.append(np.pad(kept_m, ((0, 0), (0, num_bones - kept_m.shape[1]), (0, 0)), constant_values=np.nan))
         red, green, blue = color_rgb(track.track_id)
+        motion = take.motions[number]
         people.append(
             {
-                "name": take.motions[number].name,
+                "body": None
+                if coarse is None
+                else {
+                    **describe_shape(coarse, motion, take.animation.floor),
+                    "turns": encode_turns(
+                        motion, range(first * stride - track.start_frame, track.num_frames, stride), num_bones
+                    ),
+                },
+                "name": motion.name,
                 "color": f"#{red:02x}{green:02x}{blue:02x}",
                 "start": first,
                 "count": len(kept_m),
@@ -96,6 +117,7 @@ def motion_of(take: Reconstruction, views: Sequence[PersonViews], max_bytes: int
         "num_joints": num_bones,
         "bones": _bones(skeleton),
         "top": next((number for number, joint in enumerate(skeleton) if joint.name == "HeadEnd"), 0),
+        "body": None if coarse is None else describe_body(coarse),
         "people": people,
         "positions": base64.b64encode(content).decode("ascii"),
         "cameras": [_describe_camera(camera) for camera in take.cameras],
@@ -151,6 +173,20 @@ def encode_positions(
         for person_m in people_m
     )
     return step_m, origin_m.tolist(), content
+
+
+def encode_turns(motion: SkeletonMotion, rows: range, num_joints: int) -> str:
+    """Encode orientations of joints in frames of a motion: quaternions (x, y, z, w) in steps of 1/127, in base64.
+
+    Joints that the motion has not have the quaternion 0.
+    """
+    quat = np.zeros((len(rows), num_joints, 4))
+    world: list[Rotation] = []
+    for joint, parent in enumerate(parents_of(len(motion.bone_length_m)) if len(rows) else ()):
+        own = Rotation.from_quat(motion.parent_from_joint[rows.start :: rows.step, joint])
+        world.append(world[parent] * own if joint else own)
+        quat[:, joint] = world[joint].as_quat()
+    return base64.b64encode(np.rint(quat * _LARGEST_TURN).astype("i1").tobytes()).decode("ascii")
 
 
 def _mean_error_px(person: PersonFrames) -> Float[np.ndarray, " frames"]:

@@ -13,7 +13,9 @@ from pipeline.report.motion import ReportMotion
 from pipeline.report.pictures import Picture
 
 _ASSETS = Path(__file__).parent / "assets"
-_STYLE, _SCRIPTS = "report.css", ("scene.js", "report.js")
+_STYLE, _SCRIPTS = "report.css", ("humans.js", "scene.js", "report.js")
+# Largest number of people who are drawn as humans from the start: a plain canvas takes its time.
+_MAX_HUMANS = 5
 _SPEEDS = (0.1, 0.25, 0.5, 1, 2)
 
 Rows = Sequence[tuple[str, ...]]
@@ -119,6 +121,7 @@ def _take(contents: ReportContents) -> Markup:
         element("label", "Speed ", element("select", speeds, id="speed")),
         element("label", "View ", element("select", views, id="view")),
         element("button", "Fit", type="button", id="fit"),
+        _choice_of_humans(contents),
         class_="controls",
     )
     stage = element(
@@ -191,6 +194,13 @@ def _person_row(figures: Mapping[str, Any], person: Mapping[str, Any]) -> tuple[
         _figure(figures["stature_m"], "m", 2),
         str(len(figures["identity"]["doubts"])),
     )
+
+
+def _choice_of_humans(contents: ReportContents) -> Markup:
+    if contents.motion.document["body"] is None:
+        return Markup()
+    is_chosen = len(contents.metrics["people"]) <= _MAX_HUMANS
+    return element("label", element("input", type="checkbox", id="humans", checked=is_chosen), " Humans")
 
 
 def _strip(figures: Mapping[str, Any]) -> Markup:

@@ -7,6 +7,7 @@ from typing import Literal
 import pytest
 from playwright.sync_api import Page, expect
 
+from pipeline.body import installed
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.edits import Cut, Rename
@@ -15,6 +16,20 @@ from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.captures import keypoint_capture
 from tests.e2e.foreign import READERS
 
+# Number of bright colours that many pixels of the 3D view have.
+SHADES = """() => {
+  const scene = document.getElementById("scene");
+  const sheet = Object.assign(document.createElement("canvas"), { width: scene.width, height: scene.height });
+  const context = sheet.getContext("2d", { willReadFrequently: true });
+  context.drawImage(scene, 0, 0);
+  const { data } = context.getImageData(0, 0, sheet.width, sheet.height);
+  const count = {};
+  for (let place = 0; place < data.length; place += 4) {
+    const rgb = data.slice(place, place + 3);
+    if (Math.max(...rgb) - Math.min(...rgb) > 60) count[rgb] = (count[rgb] ?? 0) + 1;
+  }
+  return Object.values(count).filter((number) => number > 20).length;
+}"""
 POLICY = "Content Security Policy"
 HOSTILE = "</script><img src=x onerror=document.title='taken'>\"'&"
 
@@ -38,6 +53,7 @@ def renamed(session: KeypointSession) -> KeypointSession:
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Report of simulated people, of whom one has a hostile name too, as the take and a file have."""
+    installed.install()
     folder = tmp_path_factory.mktemp("capture")
     keypoint_capture(folder)
     session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
@@ -83,6 +99,19 @@ def test_it_works_from_a_file_and_asks_nobody(report: Path) -> None:
         page.locator("#view").select_option(index=1)
         assert picture(page) != orbited
     assert requests == [report.as_uri()]
+
+
+def test_people_are_humans_or_limbs(report: Path) -> None:
+    with opened(report.as_uri()) as page:
+        choice = page.get_by_label("Humans")
+        expect(choice).to_be_checked()
+        humans, shades = picture(page), page.evaluate(SHADES)
+        choice.uncheck()
+        assert picture(page) != humans
+        # Limbs have one colour, humans light and shadow.
+        assert page.evaluate(SHADES) < shades / 2
+        choice.check()
+        assert picture(page) == humans
 
 
 def picture(page: Page) -> str:

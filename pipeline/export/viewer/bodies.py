@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.body.joints import BODY_JOINTS, TWIST_JOINTS
+from pipeline.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
 from pipeline.body.makehuman import FULL_WEIGHT, UNITS_PER_M
 from pipeline.body.shape import BodyShapes, shape_body
 from pipeline.body.standing import standing_ankle_m
@@ -23,6 +23,7 @@ def describe_body(shapes: BodyShapes) -> Mapping[str, Any]:
             {"name": twist.name, "parent": twist.parent, "hand": twist.hand, "share": twist.share}
             for twist in TWIST_JOINTS
         ],
+        "middle_twist_rad": MIDDLE_TWIST_RAD,
         "step_m": 1.0 / UNITS_PER_M,
         "triangles": _in_base64(shapes.triangles, "<u2"),
         "carriers": _in_base64(shapes.carriers, "u1"),

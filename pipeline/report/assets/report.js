@@ -3,6 +3,7 @@
 const take = JSON.parse(document.getElementById("take").textContent);
 const one = (identifier) => document.getElementById(identifier);
 const scene = new Scene(one("scene"), take);
+if (one("humans")) scene.showsHumans = one("humans").checked;
 const lastFrame = Math.max(0, take.num_frames - 1);
 let frame = 0;
 let isPlaying = false;
@@ -172,6 +173,7 @@ function fit() {
 
 one("play").addEventListener("click", () => setPlaying(!isPlaying));
 one("head").addEventListener("input", () => seek(Number(one("head").value)));
+one("humans")?.addEventListener("change", ({ target }) => { scene.showsHumans = target.checked; scene.draw(); });
 one("fit").addEventListener("click", fit);
 one("view").addEventListener("change", (event) => {
   scene.view.camera = event.target.value === "" ? null : take.cameras[Number(event.target.value)];

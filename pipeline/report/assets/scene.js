@@ -1,4 +1,4 @@
-// The motion in 3D on a plain canvas: people as round limbs, ground, cameras. No library, no network.
+// The motion in 3D on a plain canvas: people as humans or round limbs, ground, cameras. No library, no network.
 
 const NEAR_M = 0.05;
 const GROUND = "#141a19";
@@ -16,14 +16,20 @@ class Motion {
     this.offsets = take.people.map(({ count }) => (offset += count) - count);
   }
 
-  /** Positions of a person's joints in a frame, three numbers each, NaN if absent; null if the person is not there. */
-  positions(person, frame) {
+  /** Rows of a person around a frame, and the share of the way between them; null if the person is not there. */
+  place(person, frame) {
     const { start, count, start_frame: first, num_frames: length } = this.take.people[person];
     if (frame < first - 0.5 || frame > first + length - 0.5 || count === 0) return null;
     const place = Math.min(Math.max(frame / this.take.stride - start, 0), count - 1);
     const before = Math.floor(place);
-    const behind = Math.min(before + 1, count - 1);
-    const share = place - before;
+    return { before, behind: Math.min(before + 1, count - 1), share: place - before };
+  }
+
+  /** Positions of a person's joints in a frame, three numbers each, NaN if absent; null if the person is not there. */
+  positions(person, frame) {
+    const place = this.place(person, frame);
+    if (place === null) return null;
+    const { before, behind, share } = place;
     const size = 3 * this.take.num_joints;
     const [one, other] = [before, behind].map((row) => (this.offsets[person] + row) * size);
     const found = new Float64Array(size);
@@ -93,6 +99,8 @@ class Scene {
   constructor(canvas, take) {
     Object.assign(this, { canvas, take, motion: new Motion(take), view: new View() });
     this.context = canvas.getContext("2d");
+    this.humans = take.body ? new ReportHumans(take) : null;
+    this.showsHumans = true;
     this.centers = take.cameras.map(({ rotation: r, translation_m: t }) => [0, 1, 2].map((axis) => -(r[0][axis] * t[0] + r[1][axis] * t[1] + r[2][axis] * t[2])));
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
@@ -215,6 +223,32 @@ class Scene {
       if (shadow.every((end) => end[2] > NEAR_M)) stroke(view.toScreen(shadow[0]), view.toScreen(shadow[1]), Math.max(1, 1.6 * radius * view.focal[0] / depth), "#000");
     }
     context.globalAlpha = 1;
+    if (this.humans && this.showsHumans) this.#drawHumans(frame);
+    else this.#drawLimbs(limbs, stroke);
+    for (const [place, { name, color }] of names) this.#label(place, name, color, 13);
+  }
+
+  #drawHumans(frame) {
+    const { context, motion, view } = this;
+    const triangles = this.take.people.flatMap((_, person) => {
+      const positions = motion.positions(person, frame);
+      return positions && Number.isFinite(positions[0]) ? this.humans.facing(person, positions, motion.place(person, frame), view) : [];
+    });
+    context.lineWidth = 1;
+    for (const { corners: [a, b, c], color } of triangles.sort((one, other) => other.depth - one.depth)) {
+      context.fillStyle = context.strokeStyle = color;
+      context.beginPath();
+      context.moveTo(a[0], a[1]);
+      context.lineTo(b[0], b[1]);
+      context.lineTo(c[0], c[1]);
+      context.closePath();
+      context.fill();
+      context.stroke(); // no seams between neighbours
+    }
+  }
+
+  #drawLimbs(limbs, stroke) {
+    const { view } = this;
     limbs.sort((one, other) => other.depth - one.depth);
     for (const { a, b, radius, color, depth } of limbs) {
       const width = Math.max(2, 2 * radius * view.focal[0] / depth);
@@ -222,7 +256,6 @@ class Scene {
       stroke(from, to, width + 2, "#0b0f0e");
       stroke(from, to, width, color);
     }
-    for (const [place, { name, color }] of names) this.#label(place, name, color, 13);
   }
 
   #label(place, text, color, size) {

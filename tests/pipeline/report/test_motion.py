@@ -4,11 +4,15 @@ import base64
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from pipeline.body import installed
+from pipeline.body.joints import BODY_JOINTS
 from pipeline.quality.views import views_of
-from pipeline.report.motion import ABSENT, encode_positions, motion_of, stride_for
-from pipeline.skeleton.model import forward_kinematics
+from pipeline.report.motion import ABSENT, encode_positions, encode_turns, motion_of, stride_for
+from pipeline.skeleton.model import INDEX, forward_kinematics, joint_pose
 from tests.pipeline.export.viewer.takes import take
+from tests.pipeline.export.writers.test_bvh import walk
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 
@@ -54,6 +58,28 @@ def test_a_long_take_is_thinned_out_evenly() -> None:
     np.testing.assert_allclose(found_m, np.concatenate([expected_m[0][2::3], expected_m[1][1::3]]), atol=0.6e-3)
     # The quality is that of all frames.
     assert thin.num_people.tolist() == [0] * 7 + [1] * 43 + [2] * 17 + [1] * 13 + [0] * 20
+
+
+def test_turns_of_joints_bend_bodies() -> None:
+    installed.install()
+    people = take(track_of(walker(60), 1, 7), track_of(walker(30) + 1.0, 2, 50))
+    num_bones = motion_of(people, views_of(people)).document["num_joints"]
+    thin = motion_of(people, views_of(people), max_bytes=30 * 10 * num_bones, shapes=installed.load())
+    assert thin.stride == 3
+    assert thin.document["body"]["joints"][:num_bones] == BODY_JOINTS[:num_bones]
+    for person, motion, first in zip(thin.document["people"], people.motions, (2, 1), strict=True):
+        steps = np.frombuffer(base64.b64decode(person["body"]["turns"]), "i1").reshape(-1, num_bones, 4)
+        assert len(steps) == person["count"]
+        for joint in ("Hips", "LeftForeArm", "RightFoot"):
+            _, expected = joint_pose(motion, joint)
+            found = Rotation.from_quat(steps[:, INDEX[joint]] / 127.0)
+            assert np.degrees((expected[first::3].inv() * found).magnitude()).max() < 1.0
+
+
+def test_fingers_that_a_person_has_not_have_no_turn() -> None:
+    steps = np.frombuffer(base64.b64decode(encode_turns(walk(4), range(1, 4), 64)), "i1").reshape(3, 64, 4)
+    assert (np.abs(np.linalg.norm(steps[:, :24] / 127.0, axis=-1) - 1.0) < 0.02).all()
+    assert not steps[:, 24:].any()
 
 
 @pytest.mark.parametrize("num_frames", [[1], [1, 1, 1], [10, 3], [100_000, 7]])

@@ -12,8 +12,6 @@ const STRAIGHT_SINE = 0.15;
 const USUAL_WEIGHT = 0.02;
 // Share of the head's turn that the neck has.
 const NECK_SHARE = 1 / 3;
-// Middle of the range of a hand's turns about the arm, as in pipeline/body/joints.py.
-const MIDDLE_TWIST_RAD = (-75 * Math.PI) / 180;
 
 /** Number of values of a joint's transform: the columns of a matrix of 4 x 4, one after the other. */
 export const TRANSFORM_VALUES = 16;
@@ -24,15 +22,15 @@ export class BodyPose {
   #marks;
   #twists;
   #turns; // matrix of each joint, rest to world, row by row
-  #parents;
+  #middleTwist; // middle of the range of a hand's turns about the arm
 
-  /** `body`, `skeleton` and `joint_names` are those of a description. */
-  constructor({ body, skeleton, joint_names: marks }) {
+  /** `body` and `joint_names` are those of a description. */
+  constructor({ body, joint_names: marks }) {
     this.numJoints = body.joints.length;
     this.#joints = Object.fromEntries(body.joints.map((name, number) => [name, number]));
     this.#marks = Object.fromEntries(marks.map((name, number) => [name, number]));
     this.#twists = body.twists.map(({ name, parent, hand, share }) => ({ joint: this.#joints[name], parent: this.#joints[parent], hand: this.#joints[hand], share }));
-    this.#parents = skeleton.parents;
+    this.#middleTwist = body.middle_twist_rad;
     this.#turns = body.joints.map(() => [1, 0, 0, 0, 1, 0, 0, 0, 1]);
   }
 
@@ -136,7 +134,7 @@ export class BodyPose {
   #twistForearms(rest, positions, out, start) {
     for (const { joint, parent, hand, share } of this.#twists) {
       const turn = times(transposed(this.#turns[parent]), this.#turns[hand]);
-      const angle = wrapped(twistAboutX(turn) - MIDDLE_TWIST_RAD) + MIDDLE_TWIST_RAD;
+      const angle = wrapped(twistAboutX(turn) - this.#middleTwist) + this.#middleTwist;
       const between = (values) => at(values, parent).map((value, axis) => value + share * (values[3 * hand + axis] - value));
       const twisted = times(this.#turns[parent], about([1, 0, 0], share * angle));
       writeTransform(twisted, at(rest, joint), between(positions), out, start + TRANSFORM_VALUES * joint);
