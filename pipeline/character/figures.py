@@ -21,7 +21,7 @@ _CM_PER_M = 100.0
 class RetargetingFigures:
     """Figures of a character's motion; lengths are those of the person's world, NaN without any contact."""
 
-    slide_cm: float  # Largest mean distance of a standing point from its place
+    slide_cm: float  # Largest mean distance of a standing point from its place on the ground
     penetration_cm: float  # Largest depth of a sole below the floor while it stands
     contacts_kept: float  # Share of the frames of contacts in which the point is at its place
     # Angles between limbs of the character and of the person: median, 95th percentile
@@ -36,7 +36,7 @@ def figures_of(motion: CharacterMotion) -> RetargetingFigures:
             continue
         side = contact.side.capitalize()
         foot = motion.figure.joints[f"{side}Foot"]
-        ankle = place_of(motion.figure, motion.hips, motion.turns, foot)[contact.rows]
+        ankle = (place_of(motion.figure, motion.hips, motion.turns, foot) - motion.ground)[contact.rows]
         turned = (motion.turns[foot] @ motion.figure.upright[foot].T)[contact.rows]
         measures = motion.figure.feet[side]
         sole = {part: ankle + turned @ place for part, place in (("heel", measures.heel), ("toe", measures.ball))}

@@ -1,4 +1,4 @@
-"""Files of a take's people on a character: GLB, BVH, and a description of its bones with figures of each person."""
+"""Files of a take's people on a character: GLB, BVH, FBX, and its bones with figures of each person."""
 
 import json
 from collections.abc import Collection, Iterator
@@ -11,7 +11,7 @@ from typing import Any
 from pipeline.character.figure import CharacterFigure
 from pipeline.character.figures import figures_of
 from pipeline.character.retarget import retarget
-from pipeline.character.writers import character_bvh, character_glb
+from pipeline.character.writers import character_bvh, character_fbx, character_glb
 from pipeline.character.writers.posed import PosedCharacter, bone_places
 from pipeline.config import Export, Timeline
 from pipeline.data.reconstruction import Reconstruction
@@ -47,14 +47,14 @@ def write_character_files(
     """Retarget everybody of a take onto a character and write their files, ``character.json`` after them.
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name. GLB is
-    always written, BVH if it is among the formats.
+    always written, BVH and FBX if they are among the formats.
 
     Parameters
     ----------
     folder
         Folder of the files, which exists.
     exports
-        Formats of the people's files; others than BVH don't count.
+        Formats of the people's files; others than BVH and FBX don't count.
     frame_rate_hz
         Rate of the motion in the files; ``None``: the session's rate.
     timeline
@@ -72,7 +72,7 @@ def write_character_files(
         If a file can't be written, the disk is full, or the content of a file differs from the written content.
     """
     shown = at_rate(take, frame_rate_hz)
-    formats: tuple[Export, ...] = ("glb", "bvh") if "bvh" in exports else ("glb",)
+    formats: tuple[Export, ...] = ("glb", *(export for export in exports if export in ("bvh", "fbx")))
     described: list[dict[str, Any]] = []
     people = list(people_of(shown, timeline, "capsules"))
     for person, on_person in zip(people, split(on_share, [len(person.frames) for person in people]), strict=True):
@@ -98,17 +98,25 @@ def write_character_files(
 def _write(posed: PosedCharacter, export: Export, path: Path, on_read: OnShare) -> float | None:
     """Write a file of a person and read it back; returns the largest distance of a bone, in the person's mm."""
     names, scale = posed.motion.figure.rig.names, posed.motion.scale
-    if export == "glb":
-        if not character_glb.fits(posed):
-            raise PipelineError(f"{path.name} would be larger than 4,096 MiB, which GLB does not allow.")
-        bones, encode = posed.bones(), character_glb.encode
-    else:
-        bones, encode = character_bvh.depth_first(posed), character_bvh.encode
-    with replacing(path, encode(posed)) as part:
-        if export == "glb":
-            read = character_glb.read_xyz(part, tuple(names[node] for node in bones))
-        else:
-            read = character_bvh.read_xyz(part, scale, posed.origin_m)
+    bones = character_bvh.depth_first(posed) if export == "bvh" else posed.bones()
+    of_bones = tuple(names[node] for node in bones)
+    match export:
+        case "bvh":
+            pieces = character_bvh.encode(posed)
+        case "fbx":
+            pieces = character_fbx.encode(posed)
+        case _:
+            if not character_glb.fits(posed):
+                raise PipelineError(f"{path.name} would be larger than 4,096 MiB, which GLB does not allow.")
+            pieces = character_glb.encode(posed)
+    with replacing(path, pieces) as part:
+        match export:
+            case "bvh":
+                read = character_bvh.read_xyz(part, scale, posed.origin_m)
+            case "fbx":
+                read = character_fbx.read_xyz(part, of_bones, scale)
+            case _:
+                read = character_glb.read_xyz(part, of_bones)
         return furthest_mm(path, posed.frames, partial(bone_places, posed, bones), read, on_read)
 
 

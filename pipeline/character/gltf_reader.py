@@ -4,9 +4,10 @@ The rest pose is the one in which the mesh was bound to the bones, where a skin 
 are often saved in the middle of a movement.
 """
 
+import contextlib
 import struct
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,15 @@ class CharacterFile:
     humanoid: Mapping[str, int]  # Nodes by the names of VRM's humanoid bones; empty in other files
 
 
+@contextlib.contextmanager
+def checked(name: str) -> Iterator[None]:
+    """Block in which errors of a file become an ``InputError`` with the file's name."""
+    try:
+        yield
+    except _CharacterError as error:
+        raise InputError([Problem(error.code, error.message, file=name, hint=error.hint)]) from error
+
+
 def read_character_file(path: Path) -> CharacterFile:
     """Read a character from a GLB or VRM file.
 
@@ -82,7 +92,7 @@ def read_character_file(path: Path) -> CharacterFile:
         If the file can't be read, is in another format, is damaged, or is larger than ``MAX_BYTES``, or has more than
         ``MAX_NODES`` nodes.
     """
-    try:
+    with checked(path.name):
         try:
             if path.stat().st_size > MAX_BYTES:
                 message = f"The file has more than {MAX_BYTES >> 20} MiB."
@@ -91,21 +101,17 @@ def read_character_file(path: Path) -> CharacterFile:
         except OSError as error:
             raise _CharacterError(f"The file can't be read: {error.strerror or error}.", hint="Check it.") from error
         return _read(path.name, content)
-    except _CharacterError as error:
-        raise InputError([Problem(error.code, error.message, file=path.name, hint=error.hint)]) from error
 
 
 def decode_character(name: str, content: bytes) -> CharacterFile:
     """Read a character from the bytes of a GLB or VRM file; errors are those of ``read_character_file``."""
-    try:
+    with checked(name):
         return _read(name, content)
-    except _CharacterError as error:
-        raise InputError([Problem(error.code, error.message, file=name, hint=error.hint)]) from error
 
 
 def _read(name: str, content: bytes) -> CharacterFile:
     document, binary = _chunks(content)
-    reader = _DocumentReader(document, binary)
+    reader = GltfDocument(document, binary)
     rig, skinned = reader.rig(), []
     for mesh_node in reader.skinned_nodes():
         found = reader.skinned(mesh_node, rig)
@@ -149,28 +155,29 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:
     return document, binary
 
 
-class _DocumentReader:
-    """Checked access to the JSON of a file."""
+class GltfDocument:
+    """Checked access to the JSON of a file and its buffer; errors are those of ``checked``."""
 
     def __init__(self, document: dict[str, Any], binary: memoryview) -> None:
         self._document, self._binary = document, binary
-        self._nodes = self._objects("nodes")
-        if len(self._nodes) > MAX_NODES:
-            message = f"The file has {len(self._nodes):,} nodes; at most {MAX_NODES:,} are read."
+        self.nodes = self._objects("nodes")
+        if len(self.nodes) > MAX_NODES:
+            message = f"The file has {len(self.nodes):,} nodes; at most {MAX_NODES:,} are read."
             raise _CharacterError(message, CHARACTER_TOO_LARGE, "Leave out what is not the character.")
-        if not self._nodes:
+        if not self.nodes:
             raise _CharacterError("The file has no nodes.")
         self._views, self._accessors = self._objects("bufferViews"), self._objects("accessors")
-        self._meshes, self._skins = self._objects("meshes"), self._objects("skins")
+        self.meshes, self.skins = self._objects("meshes"), self._objects("skins")
+        self.materials = self._objects("materials")
         for number, buffer in enumerate(self._objects("buffers")):
             if number or "uri" in buffer:
                 raise _CharacterError("The file keeps a part of its content in other files.")
             if self._count(buffer, "byteLength") > len(binary):
                 raise _CharacterError("The file is cut off.")
-        self._joints_of = [self._indices(skin, "joints", self._nodes) for skin in self._skins]
-        if not all(self._joints_of):
+        self.joints_of = [self._indices(skin, "joints", self.nodes) for skin in self.skins]
+        if not all(self.joints_of):
             raise _CharacterError("A skin has no bones.")
-        if sum(map(len, self._joints_of)) > _MAX_JOINTS:
+        if sum(map(len, self.joints_of)) > _MAX_JOINTS:
             message = f"The skins of the file have more than {_MAX_JOINTS:,} bones."
             raise _CharacterError(message, CHARACTER_TOO_LARGE, "Leave out what is not the character.")
         self._bind: dict[int, Float[np.ndarray, "joints 4 4"]] = {}
@@ -180,10 +187,10 @@ class _DocumentReader:
         """Nodes in the pose in which the mesh was bound."""
         names = self._names()
         parents = self._parents()
-        places = [self._place(node) for node in self._nodes]
+        places = [self._place(node) for node in self.nodes]
         is_bone = np.zeros(len(names), bool)
-        for number in range(len(self._skins)):
-            is_bone[list(self._joints_of[number])] = True
+        for number in range(len(self.skins)):
+            is_bone[list(self.joints_of[number])] = True
         translations, rotations, scales = (read_only(np.array(column)) for column in zip(*places, strict=True))
         is_skeleton = is_bone if is_bone.any() else np.ones(len(names), bool)
         return self._bound(CharacterRig(names, read_only(parents), translations, rotations, scales, is_skeleton))
@@ -192,10 +199,10 @@ class _DocumentReader:
         """CharacterRig in the pose of its skins: places of bones in bones of the same skin."""
         translations, rotations, scales = map(np.array, (rig.translations, rig.rotations, rig.scales))
         is_bound = np.zeros(len(rig.names), bool)
-        for number in range(len(self._skins)):
-            joints = self._joints_of[number]
+        for number in range(len(self.skins)):
+            joints = self.joints_of[number]
             place_of = {joint: place for place, joint in enumerate(joints)}
-            joint_from_mesh = self._bind_matrices(number)
+            joint_from_mesh = self.bind_matrices(number)
             mesh_from_joint = _inverses(joint_from_mesh)
             if mesh_from_joint is None:
                 continue
@@ -212,22 +219,22 @@ class _DocumentReader:
     def skinned_nodes(self) -> list[tuple[int, int]]:
         """Meshes that bones move: number of the mesh and of the skin."""
         return [
-            (self._index(node, "mesh", self._meshes), self._index(node, "skin", self._skins))
-            for node in self._nodes
+            (self.index(node, "mesh", self.meshes), self.index(node, "skin", self.skins))
+            for node in self.nodes
             if "mesh" in node and "skin" in node
         ]
 
     def skinned(self, mesh_and_skin: tuple[int, int], rig: CharacterRig) -> Skinned | None:
         """Vertices of a mesh that bones move; ``None`` if they are compressed, or there are none."""
         mesh, skin = mesh_and_skin
-        joints = np.array(self._joints_of[skin])
-        scene_from_mesh = rig.worlds[joints] @ self._bind_matrices(skin)
+        joints = np.array(self.joints_of[skin])
+        scene_from_mesh = rig.worlds[joints] @ self.bind_matrices(skin)
         positions, bones = [], []
-        for primitive in _objects_in(self._meshes[mesh], "primitives"):
+        for primitive in objects_in(self.meshes[mesh], "primitives"):
             attributes = primitive.get("attributes")
             if not isinstance(attributes, dict) or not {"POSITION", "JOINTS_0", "WEIGHTS_0"} <= attributes.keys():
                 continue
-            found = [self._rows(attributes, name, kind) for name, kind in _SKINNED]
+            found = [self.rows(attributes, name, kind) for name, kind in _SKINNED]
             self._num_vertices += 0 if found[0] is None else len(found[0])
             if self._num_vertices > _MAX_VERTICES:
                 raise _CharacterError(f"The file has more than {_MAX_VERTICES:,} vertices.", CHARACTER_TOO_LARGE)
@@ -267,13 +274,13 @@ class _DocumentReader:
                 continue
             for bone, value in pairs:
                 if isinstance(bone, str) and "node" in value:
-                    found.setdefault(bone, self._index(value, "node", self._nodes))
+                    found.setdefault(bone, self.index(value, "node", self.nodes))
             break
         return found
 
     def _names(self) -> tuple[str, ...]:
         """Names of the nodes, made different by a number where they are not."""
-        given = [node.get("name") for node in self._nodes]
+        given = [node.get("name") for node in self.nodes]
         names = [printable(name[:_MAX_NAME]) if isinstance(name, str) and name else "node" for name in given]
         taken = Counter(names)
         unique = [f"{name}#{number}" if taken[name] > 1 else name for number, name in enumerate(names)]
@@ -282,9 +289,9 @@ class _DocumentReader:
         return tuple(unique)
 
     def _parents(self) -> Int[np.ndarray, " nodes"]:
-        parents = np.full(len(self._nodes), -1)
-        for number, node in enumerate(self._nodes):
-            for child in self._indices(node, "children", self._nodes):
+        parents = np.full(len(self.nodes), -1)
+        for number, node in enumerate(self.nodes):
+            for child in self._indices(node, "children", self.nodes):
                 if parents[child] >= 0:
                     raise _CharacterError("A node has two parents.")
                 parents[child] = number
@@ -323,11 +330,11 @@ class _DocumentReader:
             raise _CharacterError("A node is too far away, or too large.")
         return translation, rotation / length, np.where(np.abs(scales) < _MIN_SCALE, _MIN_SCALE, scales)
 
-    def _bind_matrices(self, skin: int) -> Float[np.ndarray, "joints 4 4"]:
+    def bind_matrices(self, skin: int) -> Float[np.ndarray, "joints 4 4"]:
         """Matrices from a mesh to each bone of its skin in the bound pose."""
         if skin not in self._bind:
-            num_joints = len(self._joints_of[skin])
-            rows = self._rows(self._skins[skin], "inverseBindMatrices", "MAT4")
+            num_joints = len(self.joints_of[skin])
+            rows = self.rows(self.skins[skin], "inverseBindMatrices", "MAT4")
             if rows is None:
                 matrices = np.tile(np.eye(4), (num_joints, 1, 1))
             elif len(rows) < num_joints:
@@ -339,18 +346,18 @@ class _DocumentReader:
             self._bind[skin] = matrices
         return self._bind[skin]
 
-    def _rows(self, owner: Mapping[str, Any], name: str, kind: str) -> Shaped[np.ndarray, "rows columns"] | None:
+    def rows(self, owner: Mapping[str, Any], name: str, kind: str) -> Shaped[np.ndarray, "rows columns"] | None:
         """Rows of the accessor that a field names; ``None`` without one, or if it is compressed."""
         if name not in owner:
             return None
-        accessor = self._accessors[self._index(owner, name, self._accessors)]
+        accessor = self._accessors[self.index(owner, name, self._accessors)]
         component = accessor.get("componentType")
         dtype = _COMPONENTS.get(component) if isinstance(component, int) else None
         if accessor.get("type") != kind or dtype is None:
             raise _CharacterError(f"The accessor of {name} has another type than its use asks for.")
         if "sparse" in accessor or "bufferView" not in accessor:
             return None
-        view = self._views[self._index(accessor, "bufferView", self._views)]
+        view = self._views[self.index(accessor, "bufferView", self._views)]
         if isinstance(view.get("extensions"), dict):
             return None
         if self._count(view, "buffer") != 0:
@@ -371,9 +378,15 @@ class _DocumentReader:
         return rows
 
     def _objects(self, name: str) -> list[dict[str, Any]]:
-        return _objects_in(self._document, name)
+        return objects_in(self._document, name)
 
-    def _index(self, owner: Mapping[str, Any], name: str, targets: Sequence[object]) -> int:
+    def require(self, is_true: bool, message: str) -> None:
+        """Refuse the file with a message unless something is true of it."""
+        if not is_true:
+            raise _CharacterError(message)
+
+    def index(self, owner: Mapping[str, Any], name: str, targets: Sequence[object]) -> int:
+        """Number in a field that names one of some targets."""
         number = owner.get(name)
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(targets):
             raise _CharacterError(f"The field {name} names something that the file does not have.")
@@ -383,7 +396,7 @@ class _DocumentReader:
         numbers = owner.get(name, [])
         if not isinstance(numbers, list) or len(numbers) > MAX_NODES:
             raise _CharacterError(f"The field {name} is no list.")
-        return tuple(self._index({name: number}, name, targets) for number in numbers)
+        return tuple(self.index({name: number}, name, targets) for number in numbers)
 
     def _count(self, owner: Mapping[str, Any], name: str) -> int:
         number = owner.get(name, 0)
@@ -395,7 +408,8 @@ class _DocumentReader:
 _SKINNED = (("POSITION", "VEC3"), ("JOINTS_0", "VEC4"), ("WEIGHTS_0", "VEC4"))
 
 
-def _objects_in(owner: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+def objects_in(owner: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    """List of objects in a field of a file."""
     values = owner.get(name, [])
     if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
         raise _CharacterError(f"The field {name} is no list of objects.")

@@ -26,6 +26,7 @@ def reach(
     hinge: Float[np.ndarray, " 3"],
     lengths: tuple[float, float],
     place: Float[np.ndarray, "frames 3"],
+    is_firm: bool,
 ) -> BentLimb:
     """Bend a limb and turn it so that its end is at a place, or as near as it reaches.
 
@@ -40,6 +41,8 @@ def reach(
         Direction of both bones in the T-pose, and axis about which a positive rotation bends the second one.
     lengths
         Lengths of both bones.
+    is_firm
+        Whether a limb that is bent beyond straight bends the other way if it does not reach the place else.
     """
     first, second = lengths
     upper, lower = limb.upper @ along, limb.lower @ along
@@ -52,8 +55,12 @@ def reach(
     in_plane = np.maximum(np.sqrt(np.maximum(1.0 - aside**2, 0.0)), _TINY)
     bent = np.arctan2(np.einsum("fi,fi->f", lower, np.cross(axis, upper)), np.einsum("fi,fi->f", lower, upper))
     wanted = np.arccos(np.clip(cosine / in_plane, -1.0, 1.0))
-    # A limb that bends beyond straight does so as far as it did.
-    wanted = np.where(bent < 0.0, np.maximum(-wanted, bent), wanted)
+    if is_firm:
+        # A limb that was bent beyond straight stays so, unless it has to bend much farther than it did.
+        beyond = np.clip(-bent / np.maximum(wanted, _TINY) * 3.0 - 1.0, 0.0, 1.0)
+        wanted = wanted * (1.0 - 2.0 * beyond * beyond * (3.0 - 2.0 * beyond))
+    else:
+        wanted = np.where(bent < 0.0, np.maximum(-wanted, bent), wanted)
     turned = Rotation.from_rotvec(axis * (wanted - bent)[:, None]).as_matrix()
     lower = np.einsum("fij,fj->fi", turned, lower)
     reached = first * upper + second * lower

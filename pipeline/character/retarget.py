@@ -23,6 +23,7 @@ from pipeline.data.animation import Floor, SkeletonMotion
 from pipeline.data.arrays import read_only
 from pipeline.joints import FINGERS
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
+from pipeline.skeleton.feet.support import belt_m
 from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
 from pipeline.skeleton.model import INDEX, forward_kinematics, parents_of
 
@@ -35,6 +36,8 @@ _DOWN, _UP = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
 _OUTWARDS: Mapping[str, Float[np.ndarray, " 3"]] = {"Left": np.array([1.0, 0, 0]), "Right": np.array([-1.0, 0, 0])}
 # Time over which hips are lowered for legs that are too short, before and after.
 _LOWER_S, _SMOOTH_S = 0.12, 0.04
+# Time over which hips shift for the proportions of legs; weight of no shift beside a foot that stands.
+_SHIFT_S, _FLIGHT_WEIGHT = 0.15, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +52,7 @@ class CharacterMotion:
     turns: Mapping[int, Float[np.ndarray, "frames 3 3"]]
     stands: Mapping[str, Bool[np.ndarray, " frames"]]  # Frames in which a foot is held, by side
     floor: ScaledFloor | None
+    ground: Float[np.ndarray, "frames 3"]  # Way of the ground since the first frame: that of a treadmill's belt
 
 
 def retarget(source: SkeletonMotion, figure: CharacterFigure, floor: Floor | None) -> CharacterMotion:
@@ -74,6 +78,7 @@ def retarget(source: SkeletonMotion, figure: CharacterFigure, floor: Floor | Non
         {node: read_only(turns) for node, turns in fit.turns.items()},
         {side: path.stands for side, path in fit.paths.items()},
         fit.floor,
+        read_only(fit.ground),
     )
 
 
@@ -88,6 +93,9 @@ class _Fit:
         self.scale = figure.leg_length / float(np.mean(legs_m))
         self.floor = scaled(floor, self.scale)
         self._lift = self._height_of_soles(floor)
+        ankles_m = self._places_m[:, [INDEX[f"{side}Foot"] for side in SIDES]]
+        is_known = np.ones(ankles_m.shape[:2], bool)
+        self.ground = self.scale * belt_m(ankles_m, is_known, source.root_m, source.frame_rate_hz)
         self.paths: dict[str, FootPath] = {}
         self.turns: dict[int, Float[np.ndarray, "frames 3 3"]] = {}
         self.hips = np.zeros((len(source.root_m), 3))
@@ -130,7 +138,8 @@ class _Fit:
             ankle = self.place(f"{side}Foot") + self._lift[:, None] * _UP
             contacts = [c for c in self._source.contacts if c.pinned and c.side == side.lower()]
             foot = self.joint(f"{side}Foot")
-            self.paths[side] = place_foot(ankle, foot, figure.feet[side], contacts, self.floor, rate_hz)
+            path = place_foot(ankle - self.ground, foot, figure.feet[side], contacts, self.floor, rate_hz)
+            self.paths[side] = path._replace(ankle=path.ankle + self.ground)
         middle = self.place(HIPS) + self._lift[:, None] * _UP
         hips = self.joint(HIPS)
         at_rest = {side: figure.positions[self._joints[f"{side}UpLeg"]] for side in SIDES}
@@ -139,7 +148,8 @@ class _Fit:
             side: (figure.length(f"{side}UpLeg", f"{side}Leg"), figure.length(f"{side}Leg", f"{side}Foot"))
             for side in SIDES
         }
-        # Only the heights of hips are free: they are lowered for feet that stand out of reach.
+        middle = middle + self._shift_for_legs(middle, {side: hips @ (at_rest[side] - rest) for side in SIDES}, lengths)
+        # Hips are lowered for feet that stand out of reach all the same.
         lowered = np.zeros(len(middle))
         for side in SIDES:
             start = middle + hips @ (at_rest[side] - rest)
@@ -154,11 +164,33 @@ class _Fit:
         for side in SIDES:
             start, path = middle + hips @ (at_rest[side] - rest), self.paths[side]
             limb = BentLimb(self.joint(f"{side}UpLeg"), self.joint(f"{side}Leg"), path.ankle)
-            limb = reach(start, limb, _DOWN, np.array(KNEE_HINGE), lengths[side], path.ankle)
+            limb = reach(start, limb, _DOWN, np.array(KNEE_HINGE), lengths[side], path.ankle, is_firm=True)
             for joint, turned in zip(
                 ("UpLeg", "Leg", "Foot", "ToeBase"), (limb.upper, limb.lower, path.foot, path.toes), strict=True
             ):
                 self.set_turn(f"{side}{joint}", turned)
+
+    def _shift_for_legs(
+        self,
+        middle: Float[np.ndarray, "frames 3"],
+        beside: Mapping[str, Float[np.ndarray, "frames 3"]],
+        lengths: Mapping[str, tuple[float, float]],
+    ) -> Float[np.ndarray, "frames 3"]:
+        """Shift of the hips with which legs on standing feet have the person's directions, as nearly as both allow.
+
+        It is that of thighs and shins of other proportions than the person's. Over time it is smooth, so that hips do
+        not follow each step. ``beside`` are the ways from the middle of the hips to their joints.
+        """
+        total, weights = np.zeros_like(middle), np.zeros(len(middle))
+        for side in SIDES:
+            first, second = lengths[side]
+            leg = first * (self.joint(f"{side}UpLeg") @ _DOWN) + second * (self.joint(f"{side}Leg") @ _DOWN)
+            stands = self.paths[side].stands.astype(float)
+            total += stands[:, None] * (self.paths[side].ankle - middle - beside[side] - leg)
+            weights += stands
+        sigma = _SHIFT_S * self._source.frame_rate_hz
+        total, weights = (gaussian_filter1d(values, sigma, axis=0, mode="nearest") for values in (total, weights))
+        return total / (weights + _FLIGHT_WEIGHT)[:, None]
 
     def move_trunk(self) -> None:
         """Bend spine and neck evenly between the joints of the skeleton, and turn collar bones and head."""
@@ -202,7 +234,15 @@ class _Fit:
         middle = (led["Left"] + led["Right"]) / 2
         for side, sign in zip(SIDES, (0.5, -0.5), strict=True):
             place = led[side] + share * (middle + sign * self.scale * apart_m - led[side])
-            limb = reach(starts[side], arms[side], _OUTWARDS[side], np.array(ARM_HINGES[side]), lengths[side], place)
+            limb = reach(
+                starts[side],
+                arms[side],
+                _OUTWARDS[side],
+                np.array(ARM_HINGES[side]),
+                lengths[side],
+                place,
+                is_firm=False,
+            )
             self.set_turn(f"{side}Arm", limb.upper)
             self.set_turn(f"{side}ForeArm", limb.lower)
             self.set_turn(f"{side}Hand", self.joint(f"{side}Hand"))

@@ -5,7 +5,7 @@ from pipeline.stages.stage import RETARGET, TAKE, Context, Output, ResultFile, S
 KIND = "character"
 """Kind of the files among those of a job."""
 
-_MEDIA_TYPES = {"glb": "model/gltf-binary", "bvh": "text/plain; charset=utf-8"}
+_MEDIA_TYPES = {"glb": "model/gltf-binary", "bvh": "text/plain; charset=utf-8", "fbx": "application/octet-stream"}
 
 
 def retarget_character(task: Task, context: Context) -> Output:

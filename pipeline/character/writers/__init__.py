@@ -1,1 +1,1 @@
-"""Files of characters in motion: GLB with the character's own mesh, BVH of its bones."""
+"""Files of characters in motion: GLB and FBX with the character's own mesh, BVH of its bones."""

@@ -35,8 +35,8 @@ from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
 from pipeline.export.writers.euler import euler_deg
-from pipeline.export.writers.fbx_drawn import add_camera, add_material, add_mesh
-from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, array, read, write
+from pipeline.export.writers.fbx_drawn import BoundVertices, add_camera, add_material, add_mesh, add_skin
+from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, read, write
 from pipeline.export.writers.fbx_scene import (
     ROTATION,
     ROTATION_ORDERS,
@@ -47,7 +47,6 @@ from pipeline.export.writers.fbx_scene import (
     choice,
     integer,
     local,
-    matrix,
     number,
     safe_name,
     setting,
@@ -166,7 +165,7 @@ class _People:
         body = body_at_rest(motion, convention, self._body)
         orders = rotation_orders(motion, convention).axes
         joints = skeleton_of(len(body.offsets))
-        top = _add_top(scene, motion, top_name, self._origin_m, self._frames.start)
+        top = add_top(scene, motion, top_name, self._origin_m, self._frames.start)
         models: list[Int64] = []
         for joint, parent, offset, axes in zip(joints, parents_of(len(joints)), body.offsets, orders, strict=True):
             above = models[parent] if models else top
@@ -191,7 +190,7 @@ class _People:
                 _animate_rest(self.scene, clip, models, body)
 
 
-def _add_top(
+def add_top(
     scene: FbxScene, motion: SkeletonMotion, name: str, origin_m: Float[np.ndarray, " 3"], start_frame: int
 ) -> Int64:
     """Add the node above the joints, on the floor."""
@@ -225,23 +224,12 @@ def _add_skin(
     mesh, (_, *joints) = body.mesh, models
     drawn = add_mesh(scene, f"{name} body", mesh.vertices, mesh.triangles, mesh.normals)
     scene.connect(add_material(scene, f"{name} body", color_rgb(track_id)), drawn.model)
-    skin = scene.add("Deformer", name, "Deformer", "Skin", Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)))
-    scene.connect(skin, drawn.geometry)
+    bound = []
     for index, joint in enumerate(joints):
         vertices, places_of = np.nonzero((mesh.joints == index) & (mesh.weights > 0.0))
         if len(vertices):
-            link = _moved(models[joint])
-            cluster = scene.add(
-                *("Deformer", name, "SubDeformer", "Cluster"),
-                Node("Version", (100,)),
-                Node("UserData", ("", "")),
-                Node("Indexes", (array("i", vertices),)),
-                Node("Weights", (array("d", mesh.weights[vertices, places_of]),)),
-                Node("Transform", (matrix(np.linalg.inv(link)),)),
-                Node("TransformLink", (matrix(link),)),
-            )
-            scene.connect(cluster, skin)
-            scene.connect(joint, cluster)
+            bound.append(BoundVertices(joint, vertices, mesh.weights[vertices, places_of], _moved(models[joint])))
+    add_skin(scene, name, drawn, bound)
     places = {**models, drawn.model: np.zeros(3)}
     scene.add_bind_pose(name, {model: _moved(place) for model, place in places.items()})
     return drawn.model

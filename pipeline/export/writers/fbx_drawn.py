@@ -1,6 +1,7 @@
 """Visible objects of FBX files: meshes, their materials, and cameras."""
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ from pipeline.export.writers.fbx_scene import (
     FbxScene,
     choice,
     local,
+    matrix,
     number,
     safe_name,
     setting,
@@ -50,10 +52,18 @@ def add_mesh(
     vertices: Float[np.ndarray, "vertices 3"],
     polygons: Int[np.ndarray, "polygons corners"],
     normals: Float[np.ndarray, "vertices 3"],
+    uv: Float[np.ndarray, "vertices 2"] | None = None,
 ) -> DrawnMesh:
-    """Add a mesh; ``polygons`` are indices of ``vertices``, counterclockwise from outside."""
+    """Add a mesh; ``polygons`` are indices of ``vertices``, counterclockwise from outside.
+
+    ``uv`` are places in the picture of a material, from its lower left corner; ``None``: there are none.
+    """
     corners = polygons.copy()
     corners[:, -1] = ~corners[:, -1]  # The last corner of each polygon is marked so.
+    pictured: tuple[Node, ...] = ()
+    if uv is not None:
+        places = Node("UV", (array("d", uv[polygons].reshape(-1)),))
+        pictured = (_layer_element("LayerElementUV", 101, "ByPolygonVertex", "Direct", places),)
     model = scene.add_model(name, _MESH, SCENE, visible(True))
     geometry = scene.add(
         *("Geometry", name, "Geometry", _MESH),
@@ -68,6 +78,7 @@ def add_mesh(
         _layer_element(
             "LayerElementMaterial", *(101, "AllSame", "IndexToDirect"), Node("Materials", (array("i", [0]),))
         ),
+        *pictured,
         Node(
             "Layer",
             (0,),
@@ -75,7 +86,7 @@ def add_mesh(
                 Node("Version", (100,)),
                 *(
                     Node("LayerElement", (), (Node("Type", (kind,)), Node("TypedIndex", (0,))))
-                    for kind in ("LayerElementNormal", "LayerElementMaterial")
+                    for kind in ("LayerElementNormal", "LayerElementMaterial", *(node.name for node in pictured))
                 ),
             ),
         ),
@@ -96,6 +107,34 @@ def _layer_element(kind: str, version: int, mapping: str, reference: str, *conte
             *content,
         ),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundVertices:
+    """Vertices that a model moves."""
+
+    model: Int64
+    vertices: Int[np.ndarray, " moved"]  # Numbers of the vertices
+    weights: Float[np.ndarray, " moved"]
+    file_from_model: Float[np.ndarray, "4 4"]  # Transform of the model in the bind pose
+
+
+def add_skin(scene: FbxScene, name: str, drawn: DrawnMesh, bound: Iterable[BoundVertices]) -> None:
+    """Bind a mesh, whose vertices are in the file's axes, to models."""
+    skin = scene.add("Deformer", name, "Deformer", "Skin", Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)))
+    scene.connect(skin, drawn.geometry)
+    for part in bound:
+        cluster = scene.add(
+            *("Deformer", name, "SubDeformer", "Cluster"),
+            Node("Version", (100,)),
+            Node("UserData", ("", "")),
+            Node("Indexes", (array("i", part.vertices),)),
+            Node("Weights", (array("d", part.weights),)),
+            Node("Transform", (matrix(np.linalg.inv(part.file_from_model)),)),
+            Node("TransformLink", (matrix(part.file_from_model),)),
+        )
+        scene.connect(cluster, skin)
+        scene.connect(part.model, cluster)
 
 
 def add_material(scene: FbxScene, name: str, rgb: Rgb) -> Int64:

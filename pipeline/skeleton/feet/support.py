@@ -64,7 +64,7 @@ def support_of(
         for name in ("hip", "shoulder", "wrist", "knee")
     )
     middle_m = hips_m.mean(1)
-    ground_m = _belt_m(ankles_m, known, middle_m, frame_rate_hz)
+    ground_m = belt_m(ankles_m, known, middle_m, frame_rate_hz)
     along, squared = _shared_motion(ankles_m - ground_m[:, None], middle_m - ground_m, frame_rate_hz)
     around = _AROUND_S * frame_rate_hz
     rides = _is_riding(*(gaussian_filter1d(values, around, axis=0, mode="nearest") for values in (along, squared)))
@@ -114,7 +114,7 @@ def _is_riding(along: Any, squared: Any) -> Any:
     return (squared > _MOVING_M_S**2) & (along > _RIDING * squared)
 
 
-def _belt_m(
+def belt_m(
     ankles_m: Float[np.ndarray, "frames 2 3"],
     known: Bool[np.ndarray, "frames 2"],
     hips_m: Float[np.ndarray, "frames 3"],

@@ -25,7 +25,8 @@ async function open(path) {
 // Area of the triangles of a body as they are drawn.
 function areaOf(mesh) {
   const corners = Array.from({ length: mesh.geometry.attributes.position.count }, (_, vertex) => mesh.getVertexPosition(vertex, new Vector3()));
-  const { array } = mesh.geometry.index;
+  // Meshes of FBX files have no index.
+  const array = mesh.geometry.index?.array ?? corners.map((_, vertex) => vertex);
   let area = 0;
   for (let start = 0; start < array.length; start += 3) area += new Triangle(...[0, 1, 2].map((k) => corners[array[start + k]])).getArea();
   return area;

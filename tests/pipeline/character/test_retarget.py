@@ -72,11 +72,32 @@ def test_limbs_of_a_twin_have_the_person_s_directions(take: tuple[str, str, floa
 def test_limbs_of_others_have_them_as_nearly_as_feet_allow(name: str) -> None:
     animation = take_of("walk", "feet", 4.0)
     motion = retarget(animation.motions[0], figure(name), animation.floor)
-    assert figures_of(motion).direction_deg[1] <= 5.0
+    assert figures_of(motion).direction_deg[1] <= 3.5
     # Arms are free, so theirs are the person's.
     for side in ("Left", "Right"):
         assert angles_deg(motion, f"{side}Arm", f"{side}ForeArm").max() < 0.01
         assert angles_deg(motion, f"{side}ForeArm", f"{side}Hand").max() < 0.01
+
+
+def test_feet_on_a_treadmill_go_with_its_belt() -> None:
+    animation = take_of("walk", "feet", 4.0)
+    source = animation.motions[0]
+    # The person walks ahead at the speed of the belt, and so stays in the room.
+    way_m = (source.root_m[-1] - source.root_m[0]) * [1.0, 1.0, 0.0] / (len(source.root_m) - 1)
+    back_m = -np.arange(len(source.root_m))[:, None] * way_m
+    straight = slice(0, 40)
+    contacts = tuple(contact for contact in source.contacts if contact.rows.stop <= straight.stop)
+    on_belt = replace(
+        source,
+        root_m=(source.root_m + back_m)[straight],
+        parent_from_joint=source.parent_from_joint[straight],
+        contacts=contacts,
+    )
+    motion = retarget(on_belt, figure("default"), animation.floor)
+    np.testing.assert_allclose(motion.ground[-1] / motion.scale, back_m[straight.stop - 1], atol=0.05)
+    figures = figures_of(motion)
+    assert figures.slide_cm <= 0.1
+    assert figures.direction_deg[1] <= 5.0
 
 
 def test_the_path_is_scaled_by_the_legs() -> None:
@@ -86,7 +107,9 @@ def test_the_path_is_scaled_by_the_legs() -> None:
     legs_m = source.bone_length_m[[INDEX["LeftLeg"], INDEX["LeftFoot"]]].sum()
     assert motion.scale == pytest.approx(figure("odd").leg_length / legs_m, rel=1e-3)
     middle_m = (places(motion, "LeftUpLeg") + places(motion, "RightUpLeg")) / 2
-    np.testing.assert_allclose(middle_m[:, :2], source.root_m[:, :2], atol=1e-6)
+    # Hips shift a little for thighs and shins of other proportions.
+    np.testing.assert_allclose(middle_m[:, :2], source.root_m[:, :2], atol=0.03)
+    assert np.linalg.norm(np.diff(source.root_m[[0, 50], :2], axis=0)) > 1.0
 
 
 def test_no_frame_jumps() -> None:

@@ -12,8 +12,9 @@ import pytest
 
 from pipeline.character.files import DESCRIPTION, write_character_files
 from pipeline.character.gltf_reader import decode_character
+from pipeline.character.meshes import mesh_parts
 from pipeline.character.retarget import retarget
-from pipeline.character.writers import character_bvh, character_glb
+from pipeline.character.writers import character_bvh, character_fbx, character_glb
 from pipeline.character.writers.posed import PosedCharacter, bone_places, names_by_node
 from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
@@ -41,8 +42,8 @@ def posed(name: str) -> PosedCharacter:
 
 
 def written(content: PosedCharacter, path: Path) -> Path:
-    writer = character_glb if path.suffix == ".glb" else character_bvh
-    path.write_bytes(b"".join(writer.encode(content)))
+    writers = {".glb": character_glb, ".bvh": character_bvh, ".fbx": character_fbx}
+    path.write_bytes(b"".join(writers[path.suffix].encode(content)))
     return path
 
 
@@ -61,6 +62,9 @@ def test_bones_are_where_they_were_put(name: str, tmp_path: Path) -> None:
         places_m = np.concatenate(list(character_glb.read_xyz(path, names)))
         expected_m = bone_places(far, bones, far.frames)
         np.testing.assert_allclose(places_m, expected_m, atol=1e-4)
+        path = written(far, tmp_path / "a.fbx")
+        places_m = np.concatenate(list(character_fbx.read_xyz(path, names, far.motion.scale)))
+        np.testing.assert_allclose(places_m, expected_m, atol=1e-4)
         bones = character_bvh.depth_first(far)
         path = written(far, tmp_path / "a.bvh")
         places_m = np.concatenate(list(character_bvh.read_xyz(path, far.motion.scale, far.origin_m)))
@@ -73,7 +77,7 @@ def test_bones_are_where_they_were_put(name: str, tmp_path: Path) -> None:
 def test_three_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     contents = {}
     for name in CHARACTERS:
-        for ending in ("glb", "bvh"):
+        for ending in ("glb", "bvh", "fbx"):
             # three.js does not find joints of BVH whose names contain a colon.
             if (name, ending) != ("mixamo", "bvh"):
                 contents[written(posed(name), tmp_path / f"{name}.{ending}")] = posed(name)
@@ -87,7 +91,7 @@ def test_three_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> Non
         by_node = {node: names[node] for node in bones}
         if path.suffix == ".bvh":
             by_node = names_by_node(by_node)
-        units_per_m = content.motion.scale * (100.0 if path.suffix == ".bvh" else 1.0)
+        units_per_m = content.motion.scale * (1.0 if path.suffix == ".glb" else 100.0)
         expected_m = bone_places(content, bones, content.frames)
         for place, node in enumerate(bones):
             x, y, z = expected_m[:, place].T
@@ -116,6 +120,39 @@ def test_the_character_s_own_bytes_are_kept(tmp_path: Path) -> None:
     assert written(content, tmp_path / "b.glb").read_bytes() == (tmp_path / "a.glb").read_bytes()
 
 
+def test_the_mesh_of_fbx_is_that_of_glb(tmp_path: Path) -> None:
+    """Bodies as three.js draws them have the same area in each frame."""
+    content = replace(posed("vrm 1.0"), is_present=np.ones(len(posed("vrm 1.0").frames), bool))
+    paths = [written(content, tmp_path / f"a.{ending}") for ending in ("glb", "fbx")]
+    of_glb, of_fbx = (read.areas_m2 for read in read_with_three(paths, with_areas=True).values())
+    assert of_glb.shape == (len(content.frames), 1)
+    assert of_glb.min() > 0.1
+    np.testing.assert_allclose(of_fbx / 1e4, of_glb, rtol=1e-4)
+
+
+def test_meshes_for_other_formats() -> None:
+    content = character(bones_of("game_engine"), sole=("foot_l",))
+    document = document_of(content)
+    start = 20 + struct.unpack_from("<I", content, 12)[0] + 8
+    hand = next(number for number, node in enumerate(document["nodes"]) if node["name"] == "hand_r")
+    document["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [1.0, 0.0, 0.5, 1.0]}}]
+    document["meshes"][0]["primitives"][0]["material"] = 0
+    # A mesh without a skin hangs on a bone.
+    document["meshes"].append({"primitives": [{"attributes": {"POSITION": 1}, "indices": 4}]})
+    document["nodes"].append({"name": "sword", "mesh": 1})
+    document["nodes"][hand]["children"] = [*document["nodes"][hand].get("children", []), len(document["nodes"]) - 1]
+    file = decode_character("a.glb", glb(document, content[start:]))
+    body, sword = mesh_parts(file)
+    assert body.rgb == (255, 0, 186)
+    (skinned,) = file.skinned
+    np.testing.assert_allclose(body.positions, skinned.positions, atol=1e-6)
+    np.testing.assert_array_equal(body.bones[:, 0], skinned.bones)
+    np.testing.assert_allclose(body.weights.sum(1), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(body.normals, axis=-1)[body.triangles].min(), 1.0)
+    assert (sword.name, set(sword.bones.ravel().tolist())) == ("sword", {hand})
+    assert len(sword.triangles) == len(body.triangles)
+
+
 def test_nodes_with_matrices_move_too(tmp_path: Path) -> None:
     plain = character(bones_of("game_engine"), is_pointing=False)
     document = document_of(plain)
@@ -140,8 +177,8 @@ def test_nodes_with_matrices_move_too(tmp_path: Path) -> None:
 def test_files_of_a_take(tmp_path: Path) -> None:
     animation = take_of("walk", "feet", 2.0)
     take = Reconstruction(ring_of(2), BODY_FEET, Timebase(0.0, 25.0, 60), (), (), animation)
-    results = list(write_character_files(take, figure("default"), tmp_path, ("bvh", "trc")))
-    assert [result.path.name for result in results] == ["person-1.character.glb", "person-1.character.bvh"]
+    results = list(write_character_files(take, figure("default"), tmp_path, ("bvh", "trc", "fbx")))
+    assert [result.path.name for result in results] == [f"person-1.character.{name}" for name in ("glb", "bvh", "fbx")]
     described = json.loads((tmp_path / DESCRIPTION).read_text(encoding="utf-8"))
     assert described["method"] == "names"
     assert described["bones"]["LeftHand"] == "wrist.L"

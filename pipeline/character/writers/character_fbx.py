@@ -1,0 +1,195 @@
+"""FBX (binary) of a character in motion: its bones as they rest, its mesh bound to them, and curves of their rotations.
+
+Axes are those of Maya: Y up, right-handed; the unit is a centimetre, a hundredth of the character's. Models of the
+bones have the names, places, rotations and scales of the character's file, below a node with the person's name. The
+mesh has normals, places in pictures, and the colour of its materials; pictures are left out. The animation has a key in
+each frame, and the mesh is visible while the person is there.
+"""
+
+import errno
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.character.meshes import MeshPart, mesh_parts
+from pipeline.character.rig import CharacterRig
+from pipeline.character.writers.posed import PosedCharacter
+from pipeline.export.presets import Y_UP_FROM_WORLD
+from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.writers.euler import euler_deg
+from pipeline.export.writers.fbx import ORIGIN, add_top
+from pipeline.export.writers.fbx_drawn import BoundVertices, add_material, add_mesh, add_skin
+from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, read, write
+from pipeline.export.writers.fbx_scene import ROTATION, SCENE, TRANSLATION, Clip, FbxScene, local, safe_name, vector
+from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
+
+_UNITS = 100.0
+_SCALING = "Lcl Scaling"
+# Order of the rotations that FBX has without a setting: about z, then y, then x of the bone.
+_ORDER = "ZYX"
+
+
+def encode(posed: PosedCharacter) -> Iterator[bytes]:
+    """Write a character in motion as FBX, piece by piece. Equal motions give equal bytes."""
+    motion, rig = posed.motion, posed.motion.figure.rig
+    scene = FbxScene(motion.source.frame_rate_hz, _UNITS)
+    name = _name_of(posed)
+    clip = scene.add_clip(name, len(posed.frames))
+    top = add_top(scene, motion.source, name, posed.origin_m, posed.frames.start)
+    models: dict[int, Int64] = {}
+    for node in _nodes(rig):
+        above = models.get(int(rig.parents[node]), top)
+        models[node] = _add_node(scene, rig, node, above)
+    drawn = [_add_part(scene, rig, part, models) for part in mesh_parts(motion.figure.file)]
+    at_rest = {models[node]: _file_from_node(rig, node) for node in models}
+    scene.add_bind_pose(name, {top: np.eye(4), **at_rest, **{model: np.eye(4) for model in drawn}})
+    if not posed.is_present.all():
+        for model in drawn:
+            scene.show(clip, model, posed.is_present)
+    _animate(scene, clip, posed.held(), models)
+    yield from write(scene.nodes)
+
+
+def _name_of(posed: PosedCharacter) -> str:
+    """Name of the person in the file, never that of a bone."""
+    name = safe_name(posed.name) or "person"
+    return f"{name} ({posed.motion.source.track_id})" if name in posed.motion.figure.rig.names else name
+
+
+def _nodes(rig: CharacterRig) -> list[int]:
+    """Bones and the nodes above them, parents first."""
+    needed = {above for node in rig.order if rig.is_bone[node] for above in rig.ancestors(node)}
+    return [node for node in rig.order if node in needed]
+
+
+def _add_node(scene: FbxScene, rig: CharacterRig, node: int, above: Int64) -> Int64:
+    """Add the model of a node at rest."""
+    kind, flag = ("LimbNode", "Skeleton") if rig.is_bone[node] else ("Null", "Null")
+    turned = Rotation.from_quat(rig.rotations[node]).as_matrix()
+    ((z_deg, y_deg, x_deg),) = euler_deg(turned[None, None], [_ORDER], np.zeros((1, 3)))[0]
+    places = (
+        local(TRANSLATION, rig.translations[node] * _UNITS),
+        local(ROTATION, (x_deg, y_deg, z_deg)),
+        vector(_SCALING, rig.scales[node], _SCALING, "", "A"),
+    )
+    name = safe_name(rig.names[node])
+    model = scene.add_model(name, kind, above, *places)
+    scene.connect(scene.add("NodeAttribute", name, "NodeAttribute", kind, Node("TypeFlags", (flag,))), model)
+    return model
+
+
+def _file_from_node(rig: CharacterRig, node: int) -> Float[np.ndarray, "4 4"]:
+    """Transform of a node at rest in the file's unit."""
+    transform = np.array(rig.worlds[node])
+    transform[:3, 3] *= _UNITS
+    return transform
+
+
+def _add_part(scene: FbxScene, rig: CharacterRig, part: MeshPart, models: dict[int, Int64]) -> Int64:
+    """Add a part of the mesh, bound to its bones; returns its model."""
+    name = safe_name(part.name) or "mesh"
+    uv = None if part.uv is None else part.uv * (1.0, -1.0) + (0.0, 1.0)
+    drawn = add_mesh(scene, name, part.positions * _UNITS, np.array(part.triangles), part.normals, uv)
+    scene.connect(add_material(scene, name, part.rgb), drawn.model)
+    bound = []
+    for node in np.unique(part.bones[part.weights > 0.0]).tolist():
+        vertices, places = np.nonzero((part.bones == node) & (part.weights > 0.0))
+        # A bone may be named twice at a vertex.
+        numbers, at = np.unique(vertices, return_inverse=True)
+        weights = np.bincount(at, part.weights[vertices, places])
+        bound.append(BoundVertices(models[node], numbers, weights, _file_from_node(rig, node)))
+    add_skin(scene, name, drawn, bound)
+    return drawn.model
+
+
+def _animate(scene: FbxScene, clip: Clip, held: PosedCharacter, models: dict[int, Int64]) -> None:
+    """Add the curves of the hips' place and of the rotation of each bone that turns."""
+    places = held.hips_translations() * _UNITS
+    scene.animate(clip, models[held.hips], TRANSLATION, places[0], lambda axis: places[:, axis])
+    angles = _Angles(held)
+    for node in held.turning():
+        first = angles.of(node)[0]
+        scene.animate(clip, models[node], ROTATION, first, lambda axis, node=node: angles.of(node)[:, axis])  # type: ignore[misc]
+
+
+class _Angles:
+    """Angles of bones about X, Y and Z in degrees; those of one bone are in memory."""
+
+    def __init__(self, held: PosedCharacter) -> None:
+        self._held, self._node = held, -1
+        self._angles_deg: Float[np.ndarray, "frames 3"] = np.empty((0, 3))
+
+    def of(self, node: int) -> Float[np.ndarray, "frames 3"]:
+        """Angles of a bone in all frames."""
+        if node != self._node:
+            turned = Rotation.from_quat(self._held.locals(node)).as_matrix()
+            angles_deg = euler_deg(turned[:, None], [_ORDER], np.zeros((1, 3)))[:, 0]
+            self._node, self._angles_deg = node, angles_deg[:, ::-1]
+        return self._angles_deg
+
+
+def read_xyz(path: Path, names: tuple[str, ...], units_per_m: float) -> Iterator[Float[np.ndarray, "_ bones 3"]]:
+    """Read the places of bones from a file of ``encode``, block by block, in the person's world and metres.
+
+    ``units_per_m`` is the scale of the person's path. Raises ``OSError`` if the file is damaged or lacks a bone.
+    """
+    try:
+        stored = _StoredBones(StoredScene(read(np.memmap(path, np.uint8, "r").data)))
+        for block in frame_blocks(stored.num_frames):
+            places = stored.places(names, block)
+            yield places / _UNITS @ Y_UP_FROM_WORLD / units_per_m + stored.origin_m
+    except (FbxError, KeyError) as error:
+        raise OSError(errno.EIO, f"{path.name} is damaged: {error}") from error
+
+
+class _StoredBones:
+    """Models of bones in a file, and their curves."""
+
+    def __init__(self, scene: StoredScene) -> None:
+        self._scene = scene
+        limbs, nulls = scene.of_kind("Model", "LimbNode"), scene.of_kind("Model", "Null")
+        self._models = {name_of(node): number for number, node in {**nulls, **limbs}.items()}
+        top = next(iter(nulls.values()), None)
+        if top is None:
+            raise FbxError("there is no node at the top")
+        self.origin_m = np.array(numbers(top, ORIGIN, 3) if has_setting(top, ORIGIN) else (0.0, 0.0, 0.0))
+        self._layer = next(iter(scene.of_kind("AnimationLayer", "")), 0)
+        self._curves = {
+            (number, kind): curves[1]
+            for number in self._models.values()
+            for kind in (TRANSLATION, ROTATION)
+            if (curves := scene.curves(self._layer, number, kind)) is not None
+        }
+        self.num_frames = max((len(values[0]) for values in self._curves.values()), default=0)
+
+    def places(self, names: tuple[str, ...], block: slice) -> Float[np.ndarray, "frames bones 3"]:
+        """Places of bones in the file's axes and unit in a block of frames."""
+        worlds: dict[int, Float[np.ndarray, "frames 4 4"]] = {}
+        return np.stack([self._world(self._models[safe_name(name)], block, worlds)[:, :3, 3] for name in names], axis=1)
+
+    def _world(
+        self, model: int, block: slice, worlds: dict[int, Float[np.ndarray, "frames 4 4"]]
+    ) -> Float[np.ndarray, "frames 4 4"]:
+        if model not in worlds:
+            parent = self._scene.parent(model, "Model")
+            above = np.eye(4) if parent is None or parent == SCENE else self._world(parent, block, worlds)
+            worlds[model] = above @ self._local(model, block)
+        return worlds[model]
+
+    def _local(self, model: int, block: slice) -> Float[np.ndarray, "frames 4 4"]:
+        node = self._scene.objects[model]
+        matrices = np.tile(np.eye(4), (block.stop - block.start, 1, 1))
+
+        def values(kind: str, usual: float) -> Float[np.ndarray, "frames 3"]:
+            if (model, kind) in self._curves:
+                return np.stack([curve[block] for curve in self._curves[model, kind]], axis=-1).astype(float)
+            found = numbers(node, kind, 3) if has_setting(node, kind) else (usual,) * 3
+            return np.broadcast_to(np.array(found), (len(matrices), 3))
+
+        turned = Rotation.from_euler("xyz", values(ROTATION, 0.0), degrees=True).as_matrix()
+        matrices[:, :3, :3] = turned * values(_SCALING, 1.0)[:, None]
+        matrices[:, :3, 3] = values(TRANSLATION, 0.0)
+        return matrices
