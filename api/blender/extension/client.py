@@ -33,6 +33,7 @@ from api.blender.extension.answers import (
     job_of,
     jobs_of,
     parsed,
+    plain,
     sentences,
 )
 
@@ -163,8 +164,7 @@ class BlenderClient:
             raise RequestError(
                 "The service is older than this extension. Update the service, or install the extension of its version."
             )
-        tenant = caller.get("tenant")
-        return CallerEntry(tenant if isinstance(tenant, str) else "", "write" in scopes)
+        return CallerEntry(plain(caller.get("tenant")), "write" in scopes)
 
     def captures(self, name: str = "", cursor: str = "") -> tuple[list[CaptureEntry], str]:
         """Captures whose names contain a text, the newest first: a page, and the cursor of the next one."""

@@ -118,20 +118,15 @@ def _move(things: Sequence[Any], collection: Any) -> None:
 
 def _remove(things: Sequence[Any]) -> None:
     """Remove objects with their data and their actions, unless others use them."""
-    data: dict[str, list[Any]] = {"ARMATURE": [], "MESH": []}
-    actions = []
-    for thing in things:
-        if thing.animation_data is not None and thing.animation_data.action is not None:
-            actions.append(thing.animation_data.action)
-        if thing.type in data:
-            data[thing.type].append(thing.data)
+    with_actions = [thing.animation_data for thing in things if thing.animation_data is not None]
+    actions = {data.action for data in with_actions if data.action is not None}
+    holders: Mapping[str, Any] = {"ARMATURE": bpy.data.armatures, "MESH": bpy.data.meshes}
+    blocks = {(thing.type, thing.data) for thing in things if thing.type in holders}
     for thing in things:
         bpy.data.objects.remove(thing)
-    holders: Mapping[str, Any] = {"ARMATURE": bpy.data.armatures, "MESH": bpy.data.meshes}
-    for kind, blocks in data.items():
-        for block in blocks:
-            if not block.users:
-                holders[kind].remove(block)
+    for kind, block in blocks:
+        if not block.users:
+            holders[kind].remove(block)
     for action in actions:
         if not action.users:
             bpy.data.actions.remove(action)

@@ -8,8 +8,10 @@ found is written to ``out``.
 
 import contextlib
 import json
+import math
 import sys
 import time
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,37 @@ def install(path: str) -> Any:
     """Install the extension; return its module ``work``."""
     bpy.ops.extensions.package_install_files(filepath=path, repo="user_default", enable_on_install=True)
     return sys.modules[f"{NAME}.work"]
+
+
+class Layout:
+    """Layout that takes note of what is shown, and fails for operators and properties that are not there."""
+
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+
+    def row(self, **_: Any) -> "Layout":
+        return self
+
+    def label(self, *, text: str, **_: Any) -> None:
+        self.shown.append(text)
+
+    def progress(self, *, text: str, **_: Any) -> None:
+        self.shown.append(text)
+
+    def prop(self, data: Any, name: str, **_: Any) -> None:
+        self.shown.append(data.bl_rna.properties[name].name)
+
+    def operator(self, name: str, **_: Any) -> Any:
+        family, _dot, own = name.partition(".")
+        self.shown.append(getattr(getattr(bpy.ops, family), own).get_rna_type().name)
+        return types.SimpleNamespace()
+
+    def template_list(self, kind: str, _id: str, data: Any, items: str, active: Any, index: str, **_: Any) -> None:
+        # An index is a number of its own for each list.
+        assert hasattr(bpy.types, kind)
+        assert active.bl_rna.properties[index].type == "INT"
+        assert index == {"captures": "capture", "jobs": "job", "people": "person", "bones": "bone"}[items]
+        self.shown.append(f"{len(getattr(data, items))} {items}")
 
 
 class PanelUser:
@@ -122,6 +155,41 @@ class PanelUser:
         took_s = time.monotonic() - start_s
         self._work.pump()
         return {"message": self.panel.message, "took_s": took_s}
+
+    def follow(self, seconds: float) -> dict[str, Any]:
+        """Follow the chosen job for some time; return what the panel said, and the longest time that it took."""
+        bpy.ops.multicap.people()
+        texts: list[str] = []
+        longest_s, end_s = 0.0, time.monotonic() + seconds
+        while time.monotonic() < end_s and not (texts and "tried again" in texts[-1]):
+            start_s = time.monotonic()
+            self._work.pump()
+            longest_s = max(longest_s, time.monotonic() - start_s)
+            if self.panel.doing not in texts[-1:]:
+                texts.append(self.panel.doing)
+                print("followed" if "queued" in self.panel.doing else "begun")  # noqa: T201 - the test waits for it
+            time.sleep(0.02)
+        return {"texts": texts, "longest_s": longest_s}
+
+    def draw(self) -> dict[str, list[str]]:
+        """Draw the panels into a layout that checks operators and properties; return what they show."""
+        panels = sys.modules[f"{NAME}.panels"]
+        shown = {}
+        for panel in panels.PANELS:
+            if issubclass(panel, bpy.types.Panel) and (not hasattr(panel, "poll") or panel.poll(bpy.context)):
+                layout = Layout()
+                panel.draw(types.SimpleNamespace(layout=layout), bpy.context)
+                shown[panel.__name__] = layout.shown
+        return shown
+
+    def move_armature(self, place: list[float], degrees: float, size: float) -> None:
+        armature = self.panel.armature
+        while armature.parent is not None:
+            armature = armature.parent
+        armature.location, armature.scale = place, armature.scale * size
+        armature.rotation_mode = "XYZ"
+        armature.rotation_euler = (*armature.rotation_euler[:2], math.radians(degrees))
+        bpy.context.view_layer.update()
 
     def unregister(self) -> list[str]:
         """Switch the extension off; return what it left in Blender."""

@@ -1,22 +1,29 @@
 """The extension in Blender, installed from its zip, with a service that runs."""
 
+import hashlib
 import json
 import os
 import subprocess
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
+from subprocess import PIPE, STDOUT
 from typing import Any
 
 import numpy as np
 import pytest
 
 from api.blender.build import build
+from api.blender.extension.bone_tree import LIMBS
 from api.settings import Settings
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_results
 from pipeline.skeleton.model import INDEX, SKELETON
+from tests.api.blender.conftest import WrongService, says
+from tests.api.blender.test_client import ServiceGate
 from tests.api.conftest import Live, running
 from tests.e2e.foreign import BLENDER
+from tests.pipeline.character.characters import bones_of, character
 from tests.pipeline.export.test_scene import GLB, NAMES, named
 from tests.pipeline.export.test_timelines import NUM_FRAMES, RATE_HZ, nearest_m, two_people
 from worker.jobs.model.rights import Scope
@@ -35,7 +42,9 @@ def extension(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def blender(extension: Path, tmp_path: Path) -> Callable[..., list[Any]]:
     """Run steps in Blender; return what they found."""
 
-    def run(address: str, steps: Steps, key: str = "") -> list[Any]:
+    def run(
+        address: str, steps: Steps, key: str = "", on_line: Callable[[str], None] = lambda _line: None
+    ) -> list[Any]:
         if not BLENDER.is_file():
             pytest.skip("Blender is not installed (`make verify-exports` does it)")
         job, out = tmp_path / "job.json", tmp_path / "out.json"
@@ -43,10 +52,15 @@ def blender(extension: Path, tmp_path: Path) -> Callable[..., list[Any]]:
             json.dumps({"zip": str(extension), "address": address, "key": key, "steps": steps, "out": str(out)})
         )
         command = [BLENDER, Path(__file__).with_name("program.py"), job]
-        environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "blender")}
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert "Traceback" not in done.stdout + done.stderr, done.stderr
+        environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "blender"), "PYTHONUNBUFFERED": "1"}
+        output = ""
+        with subprocess.Popen(command, stdout=PIPE, stderr=STDOUT, text=True, env=environment) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                output += line
+                on_line(line)
+        assert process.returncode == 0, output
+        assert "Traceback" not in output, output
         found: list[Any] = json.loads(out.read_text())
         return found
 
@@ -97,3 +111,170 @@ def test_import(
             found_m = np.array(scene["heads"][name][joint.name])
             np.testing.assert_allclose(found_m, nearest_m(named)[name][:, INDEX[joint.name]], atol=1e-4)
     assert left == []
+
+
+def test_cameras_of_the_take(
+    live: Live, named: Reconstruction, files: dict[str, bytes], blender: Callable[..., list[Any]]
+) -> None:
+    with_people(live, named, files)
+    _, _, _, _, imported, scene = blender(
+        str(live.client.base_url),
+        [
+            ("set_panel", {"has_timeline": False}),
+            ("show_people", {}),
+            ("choose", {"people": []}),
+            ("set_panel", {"has_cameras": True}),
+            ("press", {"name": "import_people"}),
+            ("scene", {}),
+        ],
+    )
+    assert imported["message"] == f"Imported {len(named.cameras)} cameras."
+    kinds = set(scene["objects"].values())
+    assert kinds == {"CAMERA", "MESH"}
+    assert {camera.name for camera in named.cameras} < set(scene["objects"])
+    assert (scene["rate_hz"], scene["frames"], scene["actions"]) == (24.0, [1, 250], [])
+
+
+@pytest.mark.parametrize(("rig", "scale"), [("mixamo", 0.01), ("default", 1.0), ("game_engine", 1.0)])
+def test_motion_on_an_armature(
+    live: Live,
+    named: Reconstruction,
+    files: dict[str, bytes],
+    blender: Callable[..., list[Any]],
+    tmp_path: Path,
+    rig: str,
+    scale: float,
+) -> None:
+    """The armature stands elsewhere, faces another way, and is smaller."""
+    path = tmp_path / "character.glb"
+    path.write_bytes(character(bones_of(rig), armature_scale=scale))
+    with_people(live, named, files)
+    *_, bones, put, drawn, scene = blender(
+        str(live.client.base_url),
+        [
+            ("show_people", {}),
+            ("choose", {"people": [1]}),
+            ("open_armature", {"path": str(path)}),
+            ("move_armature", {"place": [3.0, 1.0, 0.0], "degrees": 70.0, "size": 0.7}),
+            ("bones", {}),
+            ("press", {"name": "put_on"}),
+            ("draw", {}),
+            ("scene", {}),
+        ],
+    )
+    assert not put["is_error"], put["message"]
+    assert put["message"].endswith("moves as Zoë K..")
+    assert "Put motion on armature" in drawn["MULTICAP_PT_character"]
+    assert (scene["rate_hz"], scene["frames"]) == (pytest.approx(RATE_HZ), [0, NUM_FRAMES - 1])
+    assert "Zoë K." in scene["actions"]
+    ((_, heads),) = scene["heads"].items()
+    person = nearest_m(named)["Zoë K."]
+    for limb in LIMBS:
+        for above, below in pairwise(limb):
+            own = np.array(heads[bones[below]]) - np.array(heads[bones[above]])
+            way = person[:, INDEX[below]] - person[:, INDEX[above]]
+            cosines = (own * way).sum(1) / np.linalg.norm(own, axis=1) / np.linalg.norm(way, axis=1)
+            assert np.degrees(np.arccos(cosines.min())) < 0.05, below
+    hips = np.array(heads[bones["Hips"]])
+    assert np.ptp(hips[:, :2], axis=0).max() > 0.5 * np.ptp(person[:, INDEX["Hips"], :2], axis=0).max()
+
+
+def test_send_a_folder(live: Live, blender: Callable[..., list[Any]], tmp_path: Path) -> None:
+    folder = tmp_path / "Walk 7"
+    folder.mkdir()
+    for number in range(2):
+        (folder / f"cam_{number}.mp4").write_bytes(b"video")
+    wrong, _, _, panels = blender(
+        str(live.client.base_url),
+        [
+            ("press", {"name": "send"}),
+            ("press", {"name": "connect"}),
+            ("set_panel", {"folder": str(folder)}),
+            ("draw", {}),
+        ],
+    )[:4]
+    assert wrong["message"] == "Choose the folder with the videos."
+    assert "Send and reconstruct" in panels["MULTICAP_PT_send"]
+    (folder / "calibration.toml").write_bytes(b"[cam_0]")
+    stop_waiting = [("set_panel", {"folder": str(folder)}), ("press", {"name": "send", "seconds": 6.0}), ("draw", {})]
+    _, sent, shown = blender(str(live.client.base_url), stop_waiting)
+    (session,) = live.client.get("/v1/sessions").json()["sessions"]
+    assert (session["name"], session["num_jobs"]) == ("Walk 7", 1)
+    assert sent["is_busy"]
+    assert any("queued" in text for text in shown["MULTICAP_PT_service"])
+
+
+def test_sending_is_stopped(
+    make_settings: Callable[..., Settings], blender: Callable[..., list[Any]], tmp_path: Path
+) -> None:
+    folder = tmp_path / "Large"
+    folder.mkdir()
+    for number in range(2):
+        (folder / f"cam_{number}.mp4").write_bytes(b"video" * 8_000_000)
+    (folder / "calibration.toml").write_bytes(b"[cam_0]")
+    with running(make_settings(max_file_bytes=50_000_000, max_session_bytes=100_000_000)) as live:
+        _, stopped = blender(str(live.client.base_url), [("set_panel", {"folder": str(folder)}), ("stop_sending", {})])
+        assert live.client.get("/v1/sessions").json()["sessions"] == []
+    assert stopped["message"] == "Stopped."
+    assert stopped["took_s"] < 1.0
+
+
+def test_the_service_dies_while_a_job_is_followed(live: Live, blender: Callable[..., list[Any]]) -> None:
+    """The panel says so and tries on; Blender is never held up."""
+    live.job_id()
+    gate = ServiceGate(live.address)
+    found = blender(
+        gate.address,
+        [("press", {"name": "connect"}), ("press", {"name": "jobs"}), ("follow", {"seconds": 12.0})],
+        on_line=lambda line: gate.close() if "followed" in line else None,
+    )
+    assert any("queued" in text for text in found[-1]["texts"])
+    assert "It is tried again." in found[-1]["texts"][-1]
+    assert found[-1]["longest_s"] < 0.5
+
+
+HOSTILE = {
+    "/healthz": {"status": "ok"},
+    "/v1/caller": {"tenant": "x" * 1000, "scopes": ["read", "write"]},
+    "/v1/options": {"choices": [{"name": "exports"}, {"name": "timeline"}]},
+    "/v1/sessions": {"sessions": [{"id": "a", "name": "../../\u202e\u0000x", "num_jobs": 1}], "next_cursor": None},
+    "/v1/sessions/a/jobs": {"jobs": [{"id": "j", "session_id": "a", "state": "succeeded", "session_name": "/etc"}]},
+    "/v1/jobs/j": {"id": "j", "session_id": "a", "state": "succeeded", "session_name": "../../etc/\nx"},
+}
+
+
+def test_a_hostile_service(
+    blender: Callable[..., list[Any]], wrong_service: WrongService, files: dict[str, bytes]
+) -> None:
+    content = files["person-1.glb"].replace(b'"byteLength"', b'"bytelength"', 1)
+    listed = [
+        {
+            "name": "x.glb",
+            "kind": "glb",
+            "format": "glb",
+            "person": "person-1",
+            "person_name": "../..\x00" + "ü" * 300,
+            "num_bytes": len(body),
+            "sha256": hashlib.sha256(body).hexdigest(),
+        }
+        for body in (content, files["person-1.glb"])
+    ]
+    for path, document in HOSTILE.items():
+        wrong_service.answers[path] = says(200, json.dumps(document).encode())
+    wrong_service.answers["/v1/jobs/j/results"] = says(200, json.dumps({"results": listed[:1]}).encode())
+    wrong_service.answers["/v1/jobs/j/results/x.glb"] = says(200, content)
+    panel, imported, scene = blender(
+        wrong_service.address, [("show_people", {}), ("press", {"name": "import_people"}), ("scene", {})]
+    )
+    assert panel["captures"][0].startswith("../../x - ")
+    assert len(panel["tenant"]) == 60
+    assert "no GLB" in imported["message"]
+    assert (scene["objects"], scene["collections"]) == ({}, [])
+    wrong_service.answers["/v1/jobs/j/results"] = says(200, json.dumps({"results": listed[1:]}).encode())
+    wrong_service.answers["/v1/jobs/j/results/x.glb"] = says(200, files["person-1.glb"])
+    _, imported, scene = blender(
+        wrong_service.address, [("show_people", {}), ("press", {"name": "import_people"}), ("scene", {})]
+    )
+    assert not imported["is_error"]
+    ((name, _),) = scene["heads"].items()
+    assert name == "../.." + "ü" * 27

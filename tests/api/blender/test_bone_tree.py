@@ -1,0 +1,63 @@
+"""Bones of armatures by joint, and problems that a user can understand."""
+
+import pytest
+
+from api.blender.extension.bone_tree import HIPS, REQUIRED, BoneTree, completed, problems_of, recognised
+from pipeline.character.gltf_reader import decode_character
+from pipeline.character.mapping import map_bones
+from tests.pipeline.character.characters import bones_of, character, odd_bones
+
+
+def tree_of(rig: str) -> BoneTree:
+    bones = odd_bones() if rig == "odd" else bones_of(rig)
+    names = tuple(bones)
+    return BoneTree(names, tuple(-1 if parent is None else names.index(parent) for parent, *_ in bones.values()))
+
+
+@pytest.mark.parametrize("rig", ["default", "mixamo", "game_engine"])
+def test_the_same_bones_as_the_service_recognises(rig: str) -> None:
+    expected = map_bones(decode_character("a.glb", character(bones_of(rig))))
+    tree = tree_of(rig)
+    found = recognised(tree)
+    assert problems_of(tree, found) == []
+    assert found == expected.bones
+    mapped = completed(tree, found)
+    assert (mapped.spine, mapped.neck) == (expected.spine, expected.neck)
+
+
+def test_rigify_s_metarig() -> None:
+    """Bones of the metarig `Basic Human`: names and parents as Blender has them."""
+    limbs = [("upper_arm", "shoulder"), ("forearm", "upper_arm"), ("hand", "forearm"), ("shoulder", "spine.003")]
+    limbs += [("thigh", "spine"), ("shin", "thigh"), ("foot", "shin"), ("toe", "foot"), ("heel.02", "foot")]
+    trunk = ["spine", "spine.001", "spine.002", "spine.003", "spine.004", "spine.005", "spine.006"]
+    bones: dict[str, str | None] = dict(zip(trunk, [None, *trunk], strict=False))
+    for side in "LR":
+        bones |= {f"{bone}.{side}": top if top in bones else f"{top}.{side}" for bone, top in limbs}
+    names = tuple(bones)
+    tree = BoneTree(names, tuple(-1 if top is None else names.index(top) for top in bones.values()))
+    found = recognised(tree)
+    assert (found["LeftForeArm"], found["RightToeBase"]) == ("forearm.L", "toe.R")
+    (problem,) = problems_of(tree, found)
+    assert "Head" in problem
+    head = found | {"Head": "spine.006", HIPS: "spine"}
+    assert problems_of(tree, head) == []
+    assert completed(tree, head).spine == ("spine.001", "spine.002", "spine.003")
+    assert completed(tree, head).neck == ("spine.004", "spine.005")
+
+
+def test_what_is_wrong_is_said() -> None:
+    tree = tree_of("odd")
+    (missing,) = problems_of(tree, recognised(tree))
+    assert all(joint in missing for joint in REQUIRED)
+    mixamo = tree_of("mixamo")
+    bones = recognised(mixamo)
+    (twice,) = problems_of(mixamo, bones | {"LeftHand": bones["LeftForeArm"]})
+    assert bones["LeftForeArm"] in twice
+    (unknown,) = problems_of(mixamo, bones | {"LeftHand": "no such bone"})
+    assert "no such bone" in unknown
+
+
+def test_characters_that_rigify_generated_are_refused() -> None:
+    tree = BoneTree(("root", "MCH-torso.parent", "DEF-spine"), (-1, 0, 0))
+    (problem,) = problems_of(tree, {})
+    assert "metarig" in problem
