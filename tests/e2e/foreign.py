@@ -78,7 +78,7 @@ def read_take_with_three(path: Path) -> Any:
 
 
 def read_take_with_blender(path: Path, frame_rate_hz: float, folder: Path) -> Any:
-    """GLB of a take, opened in Blender: ``people``, positions (frames, 3) by bone; ``cameras``; ``floor``."""
+    """Scene of a take, opened in Blender: ``people``, positions (frames, 3) by bone; ``cameras``; ``floor``."""
     return _in_blender([(path, frame_rate_hz, {})], folder, None)[str(path)]
 
 

@@ -59,8 +59,11 @@ def read(file: Mapping[str, Any]) -> dict[str, Any]:
     frames = [first + number * step for number in range(round((last - first) / step) + 1)]
     rest = {bone.name: list(armature.matrix_world @ bone.head_local) for bone in armature.data.bones}
     armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+    is_usd = file["path"].endswith(".usdc")
+    # Skeletons of USD files are below the objects of their people.
+    names = {skeleton: skeleton.parent.name if is_usd else skeleton.name for skeleton in armatures}
     people: dict[str, dict[str, list[list[float]]]] = {
-        skeleton.name: {bone.name: [] for bone in skeleton.pose.bones} for skeleton in armatures
+        names[skeleton]: {bone.name: [] for bone in skeleton.pose.bones} for skeleton in armatures
     }
     bodies = [body for body in armature.children if body.type == "MESH"]
     areas_m2 = []
@@ -69,7 +72,7 @@ def read(file: Mapping[str, Any]) -> dict[str, Any]:
         areas_m2.append([area_m2(body) for body in bodies])
         for skeleton in armatures:
             for bone in skeleton.pose.bones:
-                people[skeleton.name][bone.name].append(list(skeleton.matrix_world @ bone.head))
+                people[names[skeleton]][bone.name].append(list(skeleton.matrix_world @ bone.head))
     cameras = {
         thing.name: {"angle_y": thing.data.angle_y, "matrix": [list(row) for row in thing.matrix_world]}
         for thing in bpy.data.objects
@@ -82,7 +85,7 @@ def read(file: Mapping[str, Any]) -> dict[str, Any]:
         "floor": floor and [list(floor.matrix_world @ vertex.co) for vertex in floor.data.vertices],
         "frame_rate_hz": scene.render.fps / scene.render.fps_base,
         "rest": rest,
-        "positions": people[armature.name],
+        "positions": people[names[armature]],
         "areas_m2": areas_m2,
     }
 

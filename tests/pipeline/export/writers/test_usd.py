@@ -19,7 +19,8 @@ from pipeline.export.results import write_files, write_results
 from pipeline.export.scene import scene_of
 from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.geometry.camera import center_in_world
-from pipeline.skeleton.model import INDEX, forward_kinematics, skeleton_of
+from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
+from tests.e2e.foreign import read_take_with_blender
 from tests.pipeline.body.conftest import in_pose
 from tests.pipeline.export.test_timelines import NUM_FRAMES, RATE_HZ, joints_m, nearest_m, two_people
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
@@ -260,6 +261,25 @@ def test_the_floor_is_where_people_stand(named: Reconstruction, path: Path) -> N
     stage = Usd.Stage.Open(str(path))
     floor = UsdGeom.Mesh(stage.GetPrimAtPath("/take/floor/Surface"))
     np.testing.assert_allclose(np.array(floor.GetPointsAttr().Get()), scene_of(named).floor_m, atol=1e-5)
+
+
+@pytest.mark.blender
+def test_a_take_in_blender(two_people: Reconstruction, named: Reconstruction, path: Path, tmp_path: Path) -> None:
+    read = read_take_with_blender(path, RATE_HZ, tmp_path)
+    assert set(read["people"]) == {"Zoe_K", "Zoe_K_2"}
+    for name, plain in (("Zoe_K", "person-1"), ("Zoe_K_2", "person-2")):
+        expected_m = nearest_m(two_people)[plain]
+        for joint in SKELETON:
+            found_m = np.array(read["people"][name][joint.name])
+            np.testing.assert_allclose(found_m, expected_m[:, INDEX[joint.name]], atol=1e-4)
+    assert set(read["cameras"]) == {usd.identifier(camera.name) for camera in named.cameras}
+    for camera in named.cameras:
+        found = read["cameras"][usd.identifier(camera.name)]
+        matrix = np.array(found["matrix"])
+        np.testing.assert_allclose(matrix[:3, 3], center_in_world(camera), atol=1e-5)
+        np.testing.assert_allclose(-matrix[:3, 2], camera.cam_from_world.rotation[2], atol=1e-5)
+        upright_rad = 2 * np.arctan(camera.size_px[1] / 2 / camera.matrix[1, 1])
+        assert found["angle_y"] == pytest.approx(upright_rad, abs=1e-4)
 
 
 def test_a_person_who_comes_later_is_held_and_hidden_in_the_person_s_own_file(
