@@ -44,11 +44,11 @@ Profile = (
     ]
     | Annotated[
         Literal["balanced"],
-        Value("Balanced", note="Mean error of rendered people 26 mm."),
+        Value("Balanced", note="Mean error of rendered people 25 mm."),
     ]
     | Annotated[
         Literal["accurate"],
-        Value("Accurate", note="Mean error of rendered people 25 mm."),
+        Value("Accurate", note="Mean error of rendered people 24 mm."),
     ]
 )
 DetectedJoints = (

@@ -7,6 +7,7 @@ from pathlib import Path
 from api.contract.documentation import write_or_check
 from pipeline.choices import Choice, Value, choices_of
 from pipeline.config import CHOICES, ReconstructionConfig
+from pipeline.purposes import PURPOSES, Purpose
 
 PAGE = Path(__file__).parents[2] / "docs" / "options.md"
 
@@ -19,6 +20,11 @@ A job's `spec` has the fields of the first column ([API](../openapi/openapi.json
 options of the second column. `GET /v1/options` lists the same choices for a form, and the networks that are installed.
 
 This page is made from the code: `python -m api.contract.options_page` writes it.
+"""
+_PURPOSES = """\
+## What for
+
+The form of the page asks first what a take is for, and sets these options (`purposes` in `GET /v1/options`).
 """
 _LOCAL = """\
 ## Options of the command line alone
@@ -37,6 +43,11 @@ def document() -> str:
         *(f"| `{choice.name}` {_row(choice)}" for choice in CHOICES.values()),
         "",
         *(line for choice in CHOICES.values() if choice.kind in {"one", "several"} for line in _values(choice)),
+        _PURPOSES,
+        "| what for | options | files |",
+        "| --- | --- | --- |",
+        *map(_purpose, PURPOSES),
+        "",
         _LOCAL,
         "| option | meaning | values | default |",
         "| --- | --- | --- | --- |",
@@ -48,6 +59,13 @@ def document() -> str:
 def _row(choice: Choice) -> str:
     """Cells of a choice: option, meaning, values and default."""
     return f"| `--{choice.option}` | {choice.about.sentence} | {_kind(choice)} | {_default(choice)} |"
+
+
+def _purpose(purpose: Purpose) -> str:
+    options = f"--exports {','.join(purpose.exports)}" + (
+        f" --preset {purpose.bvh}" if purpose.bvh != "default" else ""
+    )
+    return f"| {purpose.label} | `{options}` | {purpose.note} |"
 
 
 def _kind(choice: Choice) -> str:

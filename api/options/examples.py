@@ -56,5 +56,13 @@ ANSWERS: dict[str, Any] = {
                 "maximum": None,
             }
         ],
+        "purposes": [
+            {
+                "name": "unreal",
+                "label": "Unreal Engine",
+                "note": "FBX and BVH in the names of the mannequin and of MetaHuman.",
+                "spec": {"exports": ["bvh", "fbx"], "bvh": "unreal"},
+            }
+        ],
     },
 }

@@ -22,6 +22,7 @@ from api.options.schemas import (
     Options,
     ProfileNetworksOut,
     ProfileOut,
+    PurposeOut,
     SampleFileOut,
     SampleOut,
 )
@@ -39,6 +40,7 @@ from pipeline.config import (
     networks_of,
 )
 from pipeline.problem_codes.requests import NOT_FOUND
+from pipeline.purposes import PURPOSES
 from pipeline.runtime.packages import samples
 from worker.jobs.repositories.work.workers import installed_detectors, writable_formats
 
@@ -81,6 +83,7 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
             ChoiceOut.of(choice, _missing_formats(writable) if choice.name == "exports" else ())
             for choice in CHOICES.values()
         ),
+        purposes=tuple(map(PurposeOut.of, PURPOSES)),
     )
     return conditional(options, if_none_match)
 

@@ -8,6 +8,7 @@ from pydantic import Field
 from api.contract.schemas import ResponseModel
 from pipeline.choices import Choice, Group, Kind
 from pipeline.config import JointsOfBody, Profile
+from pipeline.purposes import Purpose
 
 
 class DetectorOut(ResponseModel):
@@ -96,6 +97,20 @@ class ChoiceOut(ResponseModel):
         )
 
 
+class PurposeOut(ResponseModel):
+    """Purpose of a take, and the choices of a job that files for it need."""
+
+    name: str = Field(description="Name of the purpose.")
+    label: str = Field(description="Label of the purpose for people.")
+    note: str = Field(description="Sentence that tells which files it gives.")
+    spec: dict[str, str | tuple[str, ...]] = Field(description="Fields of the spec of a job, with their values.")
+
+    @classmethod
+    def of(cls, purpose: Purpose) -> Self:
+        """Build the response from a purpose."""
+        return cls(name=purpose.name, label=purpose.label, note=purpose.note, spec=purpose.spec)
+
+
 class Options(ResponseModel):
     """Choices of a job, profiles and detector networks."""
 
@@ -104,6 +119,9 @@ class Options(ResponseModel):
     detectors: tuple[DetectorOut, ...] = Field(description="All detectors that the service supports.")
     choices: tuple[ChoiceOut, ...] = Field(
         description="All choices of a job, for a form. `callback_url` is not listed."
+    )
+    purposes: tuple[PurposeOut, ...] = Field(
+        description="Purposes of a take, for a form; each sets the same choices, the first one to their defaults."
     )
 
 

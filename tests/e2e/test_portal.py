@@ -93,6 +93,13 @@ def test_dropped_files_become_a_capture_with_files_to_download(page: Page, keypo
     expect(page.get_by_text("Drop the videos")).to_be_visible()
     expect(page.get_by_label("Stored calibration")).not_to_have_value("")
     expect(page.get_by_role("radio", name="Unreal Engine")).to_be_checked()
+    # Files of one's own choice are for no purpose of the list.
+    page.get_by_role("checkbox", name="GLB, body and animation").check()
+    expect(page.get_by_role("group", name="The take is for").get_by_role("radio", checked=True)).to_have_count(0)
+    page.get_by_role("radio", name="Web pages").check()
+    expect(page.get_by_role("checkbox", name="GLB, body and animation")).to_be_checked()
+    expect(page.get_by_role("checkbox", name="FBX, body and animation")).not_to_be_checked()
+    expect(page.get_by_label("Application for BVH and FBX files")).to_have_value("default")
 
 
 def test_another_run_uploads_nothing(page: Page, served: Served, keypoints: dict[str, Path]) -> None:

@@ -52,7 +52,7 @@ export function choicesForm({ id, options, spec, onChange, hidden = [], noteOf =
   const numChanged = rest.filter(({ name }) => name in spec).length;
   return html`
     ${GROUPS.map(([group, title]) => html`<div class="group" data-group=${group}><h3>${title}</h3>
-      <div class="fields">${choicesOf(group).map(draw)}</div></div>`)}
+      <div class="fields">${group === "purpose" ? purposeField({ id, options, spec, onChange }) : nothing}${choicesOf(group).map(draw)}</div></div>`)}
     <details class="advanced">
       <summary>More options${numChanged ? html` <span class="badge">${numChanged} changed</span>` : nothing}</summary>
       <div class="fields grid">${rest.map(draw)}</div>
@@ -66,6 +66,24 @@ function tile({ id, choice, value, label, note, isChecked, onPick, type = "radio
     <input type=${type} name="${id}-${choice.name}" value=${value} .checked=${live(isChecked)} @change=${onPick}>
     <span class="tile-label">${label}</span>${note ? html`<span class="tile-note">${note}</span>` : nothing}
   </label>`;
+}
+
+const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);
+
+const isOfPurposes = ({ name }, { purposes }) => name in purposes[0].spec;
+
+// What a take is for, which sets several choices at once; none is checked if they were set otherwise.
+function purposeField({ id, options, spec, onChange }) {
+  const choiceOf = (name) => options.choices.find((choice) => choice.name === name);
+  const chosen = options.purposes.find((purpose) => Object.entries(purpose.spec).every(([name, value]) => isSame(valueOf(choiceOf(name), spec), value)));
+  const pick = (purpose) => {
+    for (const [name, value] of Object.entries(purpose.spec)) onChange(name, isSame(value, choiceOf(name).default) ? undefined : value);
+  };
+  return frame({ label: "The take is for", description: chosen ? "It sets the files below." : "The files below are your own choice." },
+    options.purposes.map((purpose) => tile({
+      id, choice: { name: "purpose" }, value: purpose.name, label: purpose.label, note: purpose.note,
+      isChecked: purpose === chosen, onPick: () => pick(purpose),
+    })));
 }
 
 function frame(choice, content) {
@@ -86,7 +104,7 @@ const FIELDS = {
     const values = offered(choice, spec, options);
     const chosen = valueOf(choice, spec);
     const pick = (name) => set(name === choice.default ? undefined : name);
-    if (choice.group !== "advanced" && values.length <= MOST_TILES) {
+    if (choice.group !== "advanced" && !isOfPurposes(choice, options) && values.length <= MOST_TILES) {
       return frame(choice, values.map(({ name, label, note }) => tile({
         id, choice, value: name, label, note: sentences(noteOf(choice, name), note), isChecked: name === chosen, onPick: () => pick(name),
       })));
@@ -101,7 +119,7 @@ const FIELDS = {
     const toggle = (name) => (event) => {
       if (event.target.checked) chosen.add(name); else chosen.delete(name);
       const list = choice.values.map((value) => value.name).filter((value) => chosen.has(value));
-      set(JSON.stringify(list) === JSON.stringify(choice.default) ? undefined : list);
+      set(isSame(list, choice.default) ? undefined : list);
     };
     return frame(choice, offered(choice, spec, options).map(({ name, label, note }) => tile({
       id, choice, value: name, label, note, isChecked: chosen.has(name), onPick: toggle(name), type: "checkbox",

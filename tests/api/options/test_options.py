@@ -39,6 +39,16 @@ def test_options_describe_every_choice_of_a_job(live: Live) -> None:
     assert listed["frame_range"]["unset"] == "all frames"
 
 
+def test_each_purpose_sets_the_same_choices_to_allowed_values(live: Live) -> None:
+    purposes = live.client.get("/v1/options").json()["purposes"]
+    assert len({purpose["name"] for purpose in purposes}) == len(purposes) > 1
+    for purpose in purposes:
+        assert JobSpec.model_validate(purpose["spec"])
+        assert purpose["spec"].keys() == {"exports", "bvh"}
+    first = purposes[0]["spec"]
+    assert first == {"exports": list(CHOICES["exports"].default), "bvh": CHOICES["bvh"].default}
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
