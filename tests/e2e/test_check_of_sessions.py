@@ -20,8 +20,8 @@ from tests.e2e.serving import Served, serving
 
 pytestmark = pytest.mark.xdist_group("sample")
 
-# As many frames as the instants that are looked at.
-SPEC = {"profile": "fast", "frame_range": [0, 12], "exports": ["bvh"]}
+# Frames enough for an error, which needs some instants apart.
+SPEC = {"profile": "fast", "frame_range": [0, 40], "exports": ["bvh"]}
 
 
 @pytest.fixture(scope="module")

@@ -136,6 +136,7 @@ def disturb(service: SmallDiskService, capture: Path, undisturbed: dict[Method, 
     assert service.receiver.forged == []
 
 
+@pytest.mark.timeout(3600)
 def test_every_fault_once(service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
     disturb(service, capture, undisturbed, FEW_RUNS)
 

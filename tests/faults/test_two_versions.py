@@ -88,7 +88,7 @@ def test_two_versions_work_side_by_side(
         api = opened.enter_context(running(environment, "api"))
         client = opened.enter_context(httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=180, trust_env=False))
         new = Served(api, data_dir, client)  # type: ignore[arg-type]  # no text is read of it
-        wait_for(lambda: is_ready(client) and num_ready_versions(data_dir) == 2, timeout_s=180)
+        wait_for(lambda: is_ready(client) and num_ready_versions(data_dir) == 2, timeout_s=600)
         jobs = [(one, send(one.client, capture, method), method) for one in (old, new) for method in METHODS]
         for served, job_id, method in jobs:
             assert served.wait_for_end(job_id)["state"] == "succeeded"

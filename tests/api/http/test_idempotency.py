@@ -15,9 +15,9 @@ import pytest
 from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from tests.api.events.test_events import wait_until
 from tests.api.processes import serving
 from tests.api.uploads.test_files import PIECE, TUS, Uploader, encoded
+from tests.waiting import wait_for
 from worker.jobs.repositories.sessions import Sessions
 
 KEY = {"Idempotency-Key": "01890a5c-7c1e-7a4b-8f00-000000000000"}
@@ -166,7 +166,7 @@ def test_allowed_idempotency_keys(live: Live, key: str, status: int) -> None:
 @pytest.mark.slow
 def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: Callable[..., Settings]) -> None:
     """The API process is killed during the check of the files, and started again on the same folder."""
-    settings, lease_s = make_settings(), 15.0
+    settings, lease_s = make_settings(), 60.0
     answers: list[httpx2.Response] = []
 
     def send(client: httpx2.Client) -> bool:
@@ -176,11 +176,11 @@ def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: 
 
     with ThreadPoolExecutor(1) as pool, serving(settings, IDEMPOTENCY_LEASE_S=str(lease_s)) as (client, process):
         sent = pool.submit(send, client)
-        wait_until(lambda: any("preflight.py" in " ".join(one.cmdline()) for one in process.children()))
+        wait_for(lambda: any("preflight.py" in " ".join(one.cmdline()) for one in process.children()))
         process.kill()
         sent.result()
     with serving(settings, IDEMPOTENCY_LEASE_S=str(lease_s), PREFLIGHT_TIMEOUT_S="1") as (client, _):
-        wait_until(lambda: send(client))
+        wait_for(lambda: send(client))
     busy, checked = answers[0], answers[-1]
     assert problem_of(busy, 409, "idempotency_key_busy")["retryable"]
     assert problem_of(checked, 422, "invalid_request")["errors"][0]["code"] == "preflight_timeout"
