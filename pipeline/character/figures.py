@@ -31,13 +31,18 @@ class RetargetingFigures:
 def figures_of(motion: CharacterMotion) -> RetargetingFigures:
     """Measure a character's motion."""
     slides, depths, kept = [0.0], [0.0], []
+    joints = motion.figure.joints
+    places = {
+        joint: place_of(motion.figure, motion.hips, motion.turns, joints[joint]) for limb in LIMBS for joint in limb
+    }
+    person_m = forward_kinematics(motion.source)
     for contact in motion.source.contacts:
         if not contact.pinned or motion.floor is None:
             continue
         side = contact.side.capitalize()
         foot = motion.figure.joints[f"{side}Foot"]
-        ankle = (place_of(motion.figure, motion.hips, motion.turns, foot) - motion.ground)[contact.rows]
-        turned = (motion.turns[foot] @ motion.figure.upright[foot].T)[contact.rows]
+        ankle = (places[f"{side}Foot"] - motion.ground)[contact.rows]
+        turned = motion.turns[foot][contact.rows] @ motion.figure.upright[foot].T
         measures = motion.figure.feet[side]
         sole = {part: ankle + turned @ place for part, place in (("heel", measures.heel), ("toe", measures.ball))}
         point = sole.get(contact.part, ankle) / motion.scale
@@ -47,7 +52,13 @@ def figures_of(motion: CharacterMotion) -> RetargetingFigures:
         heights_m = np.min([motion.floor.height(place) for place in sole.values()], axis=0) / motion.scale
         depths += (-heights_m[is_upright]).tolist()
         kept += ((apart_m <= KEPT_M) & ((np.abs(heights_m) <= KEPT_M) | ~is_upright)).tolist()
-    deg = np.concatenate([angles_deg(motion, *bone) for limb in LIMBS for bone in pairwise(limb)])
+    deg = np.concatenate(
+        [
+            _angles_deg(places[end] - places[start], person_m[:, INDEX[end]] - person_m[:, INDEX[start]])
+            for limb in LIMBS
+            for start, end in pairwise(limb)
+        ]
+    )
     return RetargetingFigures(
         max(slides) * _CM_PER_M,
         max(depths) * _CM_PER_M,
@@ -61,5 +72,10 @@ def angles_deg(motion: CharacterMotion, start: str, end: str) -> Float[np.ndarra
     joints = motion.figure.joints
     places = [place_of(motion.figure, motion.hips, motion.turns, joints[name]) for name in (start, end)]
     places_m = forward_kinematics(motion.source)
-    own, person = places[1] - places[0], places_m[:, INDEX[end]] - places_m[:, INDEX[start]]
-    return np.degrees(np.arctan2(np.linalg.norm(np.cross(own, person), axis=-1), (own * person).sum(-1)))
+    return _angles_deg(places[1] - places[0], places_m[:, INDEX[end]] - places_m[:, INDEX[start]])
+
+
+def _angles_deg(
+    first: Float[np.ndarray, "frames 3"], second: Float[np.ndarray, "frames 3"]
+) -> Float[np.ndarray, " frames"]:
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second), axis=-1), (first * second).sum(-1)))

@@ -86,7 +86,7 @@ def swing_between(
 
 def twist_rad(turn: Float[np.ndarray, "frames 3 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " frames"]:
     """Angles of rotations about an axis, their swing left out."""
-    quat = Rotation.from_matrix(turn).as_quat()
+    quat = Rotation.from_matrix(turn, assume_valid=True).as_quat()
     angle: np.ndarray = 2.0 * np.arctan2(quat[:, :3] @ axis, quat[:, 3])
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
@@ -97,5 +97,5 @@ def between(
     share: float | Float[np.ndarray, " frames"],
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Rotations on the shortest way from some to others; share 0 is the start."""
-    way = Rotation.from_matrix(start.swapaxes(1, 2) @ end).as_rotvec()
+    way = Rotation.from_matrix(start.swapaxes(1, 2) @ end, assume_valid=True).as_rotvec()
     return start @ Rotation.from_rotvec(way * np.reshape(share, (-1, 1))).as_matrix()

@@ -32,14 +32,17 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
     yield "".join(f"{line}\n" for line in _head(posed, bones, names, offsets)).encode()
     turning = {node: place for place, node in enumerate(bones) if node in motion.turns}
     places = (posed.hips_places() * _UNITS).astype(float)
-    angles_deg = np.zeros((1, len(bones), 3))
+    columns = list(turning.values())
+    before_deg = np.zeros((1, len(columns), 3))
     for block, num_times in held_blocks(posed.own_frames, posed.frames):
         rows = slice(block.start - posed.own_frames.start, block.stop - posed.own_frames.start)
-        turns = np.tile(np.eye(3), (len(block), len(bones), 1, 1))
-        for node, place in turning.items():
+        turns = np.empty((len(block), len(columns), 3, 3))
+        for place, node in enumerate(turning):
             above = np.eye(3) if node == posed.hips else posed.turn_of(int(rig.parents[node]))[rows].swapaxes(1, 2)
             turns[:, place] = Y_UP_FROM_WORLD @ (above @ motion.turns[node][rows]) @ Y_UP_FROM_WORLD.T
-        angles_deg = euler_deg(turns, [_ORDER] * len(bones), angles_deg[-1])
+        before_deg = euler_deg(turns, [_ORDER] * len(columns), before_deg[-1])
+        angles_deg = np.zeros((len(block), len(bones), 3))
+        angles_deg[:, columns] = before_deg
         lines = zip(
             fixed(places[rows], _DECIMALS), fixed(angles_deg.reshape(len(block), -1), _ANGLE_DECIMALS), strict=True
         )
@@ -133,7 +136,9 @@ def _places(
     turned = np.empty((len(values), len(offsets), 3, 3))
     for bone, parent in enumerate(parents):
         angles_deg = values[:, 3 + 3 * bone : 6 + 3 * bone]
-        own = Rotation.from_euler(_ORDER, angles_deg, degrees=True).as_matrix()
+        # Most bones of a face never turn.
+        is_still = bone > 0 and not angles_deg.any()
+        own = np.eye(3) if is_still else Rotation.from_euler(_ORDER, angles_deg, degrees=True).as_matrix()
         if parent < 0:
             places[:, bone], turned[:, bone] = values[:, :3], own
         else:

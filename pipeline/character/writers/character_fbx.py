@@ -8,10 +8,11 @@ each frame, and the mesh is visible while the person is there.
 
 import errno
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from scipy.spatial.transform import Rotation
 
 from pipeline.character.meshes import MeshPart, mesh_parts
@@ -110,25 +111,36 @@ def _animate(scene: FbxScene, clip: Clip, held: PosedCharacter, models: dict[int
     places = held.hips_translations() * _UNITS
     scene.animate(clip, models[held.hips], TRANSLATION, places[0], lambda axis: places[:, axis])
     angles = _Angles(held)
-    for node in held.turning():
-        first = angles.of(node)[0]
-        scene.animate(clip, models[node], ROTATION, first, lambda axis, node=node: angles.of(node)[:, axis])  # type: ignore[misc]
+    for place, node in enumerate(held.turning()):
+        scene.animate(clip, models[node], ROTATION, angles.first[place], partial(angles.of, place))
 
 
 class _Angles:
-    """Angles of bones about X, Y and Z in degrees; those of one bone are in memory."""
+    """Angles of all bones that turn about X, Y and Z in degrees, made when the first curve is written."""
 
     def __init__(self, held: PosedCharacter) -> None:
-        self._held, self._node = held, -1
-        self._angles_deg: Float[np.ndarray, "frames 3"] = np.empty((0, 3))
+        self._held, self._nodes = held, held.turning()
+        self.first: Float[np.ndarray, "bones 3"] = self._block(slice(0, 1), np.zeros((len(self._nodes), 3)))[0, :, ::-1]
+        self._angles_deg: Float32[np.ndarray, "bones 3 frames"] | None = None
 
-    def of(self, node: int) -> Float[np.ndarray, "frames 3"]:
-        """Angles of a bone in all frames."""
-        if node != self._node:
-            turned = Rotation.from_quat(self._held.locals(node)).as_matrix()
-            angles_deg = euler_deg(turned[:, None], [_ORDER], np.zeros((1, 3)))[:, 0]
-            self._node, self._angles_deg = node, angles_deg[:, ::-1]
-        return self._angles_deg
+    def of(self, place: int, axis: int) -> Float32[np.ndarray, " frames"]:
+        """Angles of a bone about an axis in all frames."""
+        if self._angles_deg is None:
+            num_frames, num_bones = len(self._held.frames), len(self._nodes)
+            self._angles_deg = np.empty((num_bones, 3, num_frames), np.float32)
+            before_deg = np.zeros((num_bones, 3))
+            for rows in frame_blocks(num_frames):
+                block_deg = self._block(rows, before_deg)
+                before_deg = block_deg[-1]
+                self._angles_deg[:, :, rows] = np.moveaxis(block_deg[..., ::-1], 0, -1)
+        values: np.ndarray = self._angles_deg[place, axis]
+        return values
+
+    def _block(self, rows: slice, before_deg: Float[np.ndarray, "bones 3"]) -> Float[np.ndarray, "frames bones 3"]:
+        """Angles in the order of the rotations in some frames, continuous with the frame before."""
+        some = self._held.in_rows(rows)
+        turned = np.stack([some.matrices(node) for node in self._nodes], axis=1)
+        return euler_deg(turned, [_ORDER] * len(self._nodes), before_deg)
 
 
 def read_xyz(path: Path, names: tuple[str, ...], units_per_m: float) -> Iterator[Float[np.ndarray, "_ bones 3"]]:
@@ -168,7 +180,9 @@ class _StoredBones:
     def places(self, names: tuple[str, ...], block: slice) -> Float[np.ndarray, "frames bones 3"]:
         """Places of bones in the file's axes and unit in a block of frames."""
         worlds: dict[int, Float[np.ndarray, "frames 4 4"]] = {}
-        return np.stack([self._world(self._models[safe_name(name)], block, worlds)[:, :3, 3] for name in names], axis=1)
+        shape = block.stop - block.start, 3
+        found = [self._world(self._models[safe_name(name)], block, worlds)[:, :3, 3] for name in names]
+        return np.stack([np.broadcast_to(places, shape) for places in found], axis=1)
 
     def _world(
         self, model: int, block: slice, worlds: dict[int, Float[np.ndarray, "frames 4 4"]]
@@ -181,7 +195,8 @@ class _StoredBones:
 
     def _local(self, model: int, block: slice) -> Float[np.ndarray, "frames 4 4"]:
         node = self._scene.objects[model]
-        matrices = np.tile(np.eye(4), (block.stop - block.start, 1, 1))
+        is_still = (model, TRANSLATION) not in self._curves and (model, ROTATION) not in self._curves
+        matrices = np.tile(np.eye(4), (1 if is_still else block.stop - block.start, 1, 1))
 
         def values(kind: str, usual: float) -> Float[np.ndarray, "frames 3"]:
             if (model, kind) in self._curves:

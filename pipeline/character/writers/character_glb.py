@@ -60,7 +60,7 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
 
     animate(posed.hips, "translation", add("VEC3", held.hips_translations))
     for node in posed.turning():
-        animate(node, "rotation", add("VEC4", lambda node=node: held.locals(node)))  # type: ignore[misc]
+        animate(node, "rotation", add("VEC4", lambda node=node: held.quaternions(node)))  # type: ignore[misc]
     extras: dict[str, Any] = {
         "start_frame": posed.frames.start,
         "frame_rate_hz": rate_hz,
@@ -148,12 +148,12 @@ def _places(
     block: slice,
 ) -> dict[int, Float[np.ndarray, "frames 3"]]:
     """Places of nodes in the file's axes in a block of frames."""
-    num_frames = block.stop - block.start
     worlds: dict[int, Float[np.ndarray, "frames 4 4"]] = {}
     for node in rig.order:
         if node not in needed:
             continue
-        local = np.tile(rig.locals[node], (num_frames, 1, 1))
+        is_still = (node, "rotation") not in keys and (node, "translation") not in keys
+        local = np.tile(rig.locals[node], (1 if is_still else block.stop - block.start, 1, 1))
         if (node, "rotation") in keys:
             turned = _matrices(keys[node, "rotation"][block])
             local[:, :3, :3] = turned * rig.scales[node]
@@ -161,7 +161,8 @@ def _places(
             local[:, :3, 3] = keys[node, "translation"][block]
         parent = int(rig.parents[node])
         worlds[node] = local if parent < 0 else worlds[parent] @ local
-    return {node: read_only(world[:, :3, 3]) for node, world in worlds.items()}
+    shape = block.stop - block.start, 3
+    return {node: read_only(np.broadcast_to(world[:, :3, 3], shape)) for node, world in worlds.items()}
 
 
 def _matrices(quat_xyzw: Float[np.ndarray, "frames 4"]) -> Float[np.ndarray, "frames 3 3"]:

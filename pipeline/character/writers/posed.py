@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.character.mapping import HIPS
-from pipeline.character.retarget import CharacterMotion, place_of
+from pipeline.character.retarget import CharacterMotion
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import held
 from pipeline.skeleton.rotations import continuous_quat_xyzw
@@ -48,6 +48,11 @@ class PosedCharacter:
         posed = replace(motion, source=still, hips=held(motion.hips, own, frames), turns=turns)
         return replace(self, motion=posed)
 
+    def in_rows(self, rows: slice) -> "PosedCharacter":
+        """Character in some rows of its motion alone."""
+        turns = {node: turns[rows] for node, turns in self.motion.turns.items()}
+        return replace(self, motion=replace(self.motion, hips=self.motion.hips[rows], turns=turns))
+
     def turn_of(self, node: int) -> Float[np.ndarray, "frames 3 3"]:
         """Rotation of a node from the rest pose about the skeleton's axes; nodes above the hips do not turn."""
         turns = self.motion.turns
@@ -60,23 +65,20 @@ class PosedCharacter:
         """Places of the hips in the file's axes."""
         return (self.motion.hips - self.motion.scale * self.origin_m) @ Y_UP_FROM_WORLD.T
 
-    def places(self, node: int) -> Float[np.ndarray, "frames 3"]:
-        """Places of a node below the hips in the person's world, in the person's metres."""
-        motion = self.motion
-        return place_of(motion.figure, motion.hips, motion.turns, node) / motion.scale
-
-    def locals(self, node: int) -> Float[np.ndarray, "frames 4"]:
+    def quaternions(self, node: int) -> Float[np.ndarray, "frames 4"]:
         """Rotations (x, y, z, w) of a node that turns, to its parent in the file."""
+        return continuous_quat_xyzw(Rotation.from_matrix(self.matrices(node), assume_valid=True))
+
+    def matrices(self, node: int) -> Float[np.ndarray, "frames 3 3"]:
+        """Rotations of a node that turns, to its parent in the file."""
         rig, figure = self.motion.figure.rig, self.motion.figure
         at_rest = figure.skeleton_from_file @ rotation_of(rig.worlds[node])
         parent = int(rig.parents[node])
         if node == self.hips:
             above = np.eye(3) if parent < 0 else rotation_of(rig.worlds[parent])
-            turned = above.T @ Y_UP_FROM_WORLD @ self.turn_of(node) @ at_rest
-        else:
-            above = figure.skeleton_from_file @ rotation_of(rig.worlds[parent])
-            turned = above.T @ self.turn_of(parent).swapaxes(1, 2) @ self.turn_of(node) @ at_rest
-        return continuous_quat_xyzw(Rotation.from_matrix(turned))
+            return np.asarray((above.T @ Y_UP_FROM_WORLD) @ self.turn_of(node) @ at_rest)
+        above = figure.skeleton_from_file @ rotation_of(rig.worlds[parent])
+        return np.asarray(above.T @ self.turn_of(parent).swapaxes(1, 2) @ self.turn_of(node) @ at_rest)
 
     def hips_translations(self) -> Float[np.ndarray, "frames 3"]:
         """Translations of the hips in their parent in the file."""
@@ -113,8 +115,18 @@ def present_ranges(is_present: Bool[np.ndarray, " frames"], frames: range) -> li
 
 def bone_places(posed: PosedCharacter, nodes: tuple[int, ...], frames: range) -> Float[np.ndarray, "frames bones 3"]:
     """Places of bones in the person's world (metres of the person) in some frames of a file."""
-    rows = PosedCharacter(posed.motion, posed.name, frames, posed.is_present[:0], posed.origin_m).held()
-    return np.stack([rows.places(node) for node in nodes], axis=1)
+    motion = posed.motion
+    figure, rig, own = motion.figure, motion.figure.rig, posed.own_frames
+    turns: dict[int, Float[np.ndarray, "frames 3 3"]] = {}
+    places: dict[int, Float[np.ndarray, "frames 3"]] = {}
+    for node in rig.below(posed.hips):
+        parent = int(rig.parents[node])
+        if node == posed.hips:
+            places[node] = held(motion.hips, own, frames)
+        else:
+            places[node] = places[parent] + turns[parent] @ (figure.positions[node] - figure.positions[parent])
+        turns[node] = held(motion.turns[node], own, frames) if node in motion.turns else turns[parent]
+    return np.stack([places[node] for node in nodes], axis=1) / motion.scale
 
 
 def names_by_node(names: Mapping[int, str]) -> dict[int, str]:
