@@ -5,16 +5,20 @@ session.
 """
 
 import contextlib
+import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import uuid_utils
+
 from pipeline.capture.preflight_npz import decode_keypoints, decode_session
 from pipeline.capture.session import Session as OpenedSession
+from pipeline.character.source import CharacterSource
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 from pipeline.detect.profiles.detection import open_detection
-from pipeline.errors import InputError, ModelError, Problem
+from pipeline.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.problem_codes.jobs import INPUT_DAMAGED
 from pipeline.stages.context import Context, Origin
 from pipeline.stages.plan import STAGE_BY_NAME
@@ -153,6 +157,21 @@ class _TaskContext(Context):
     def origin(self) -> Origin:
         return Origin(self.work.session.name, {file.name: file.sha256 for file in self.work.session.files})
 
+    def character(self) -> CharacterSource:
+        moved = self.work.claim.character
+        if moved is None:
+            raise PipelineError("The job moves no character.")
+        path = self.work.scratch / str(uuid_utils.uuid7()) / moved.file.name
+        path.parent.mkdir()
+        remedy = "Send the character again, and start another job with it."
+        with (
+            _undamaged(moved.file.name, remedy=remedy),
+            self.work.artifacts.open(moved.file.key, moved.file.sha256) as source,
+            path.open("xb") as copy,
+        ):
+            shutil.copyfileobj(source, copy)
+        return CharacterSource(path, moved.corrections)
+
     def outline(self) -> OpenedSession:
         return self.kept.outline(self.work.session, self.work.artifacts)
 
@@ -173,7 +192,7 @@ class _TaskContext(Context):
 
 
 @contextlib.contextmanager
-def _undamaged(file: str, camera: str | None = None) -> Iterator[None]:
+def _undamaged(file: str, camera: str | None = None, remedy: str = "Send the session again.") -> Iterator[None]:
     """Report an input whose stored copy differs from the file that was sent: it has to be sent again."""
     try:
         yield
@@ -181,5 +200,5 @@ def _undamaged(file: str, camera: str | None = None) -> Iterator[None]:
         message = "The service's copy of this file is damaged: it is not what was sent."
         if isinstance(error, NotFound):
             message = "The service's copy of this file is missing."
-        hint = "Send the session again. The operator finds the cause on the disk that holds the service's artifacts."
+        hint = f"{remedy} The operator finds the cause on the disk that holds the service's artifacts."
         raise InputError([Problem(INPUT_DAMAGED, message, file=file, camera=camera, hint=hint)]) from error

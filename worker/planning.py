@@ -11,6 +11,7 @@ from pipeline.job_choices import VisualChoices
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, plan
 from pipeline.stages.stage import SessionFacts, Task
+from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.jobs import JobRecord, Making, config_of
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
@@ -38,15 +39,15 @@ def plan_job(
     making: Making | None = None,
     edits: tuple[PeopleEdit, ...] = (),
     revision: int = 0,
+    character: JobCharacter | None = None,
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
-    ``codes`` are digests of the stages' code, by default this process's; ``making``, ``edits`` and ``revision`` are as
-    in ``worker.jobs.model.jobs.JobRecord``.
+    ``codes`` are digests of the stages' code, by default this process's; ``making``, ``edits``, ``revision`` and
+    ``character`` are as in ``worker.jobs.model.jobs.JobRecord``.
     """
-    stages = plan(
-        session_facts(session), config_of(spec, making, edits, revision), codes or stage_codes(), chunk_frames
-    )
+    config = config_of(spec, making, edits, revision, character)
+    stages = plan(session_facts(session), config, codes or stage_codes(), chunk_frames)
     return tuple(StagePlan(stage.name, _Chunks(stage), stage.code_sha256) for stage in stages)
 
 
@@ -54,7 +55,30 @@ def plan_visuals(
     session: PlannableSession, job: JobRecord, chunk_frames: int = DEFAULT_CHUNK_FRAMES
 ) -> tuple[StagePlan, ...]:
     """Plan of the job that makes overlay videos and the report of an edited job anew."""
-    return plan_job(session, job.spec, chunk_frames, making=VisualChoices(), edits=job.edits, revision=job.revision)
+    return plan_job(
+        session,
+        job.spec,
+        chunk_frames,
+        making=VisualChoices(),
+        edits=job.edits,
+        revision=job.revision,
+        character=job.character,
+    )
+
+
+def plan_again(
+    session: PlannableSession, job: JobRecord, chunk_frames: int = DEFAULT_CHUNK_FRAMES
+) -> tuple[StagePlan, ...]:
+    """Plan of a job that is there already."""
+    return plan_job(
+        session,
+        job.spec,
+        chunk_frames,
+        making=job.making,
+        edits=job.edits,
+        revision=job.revision,
+        character=job.character,
+    )
 
 
 def session_facts(session: PlannableSession) -> SessionFacts:

@@ -27,7 +27,7 @@ from worker.jobs.files.removals import remove_files
 from worker.jobs.outages import Outage, outage_of
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
-from worker.planning import plan_job, plan_visuals
+from worker.planning import plan_again, plan_visuals
 from worker.problems import waiting_for
 from worker.process.priorities import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
@@ -115,9 +115,7 @@ class Reaper:
         for job_id in self._store.plans.unclaimable():
             job = self._store.jobs.get(job_id)
             session = self._store.sessions.get(job.session_id)
-            stages = plan_job(
-                session, job.spec, self._chunk_frames, making=job.making, edits=job.edits, revision=job.revision
-            )
+            stages = plan_again(session, job, self._chunk_frames)
             if self._store.plans.replace(job_id, stages):
                 log.info("job_planned_again", job=job_id)
                 self._publish()

@@ -7,6 +7,7 @@ import structlog
 from fastapi import APIRouter, Body, Query, Response, status
 
 from api.auth import JobViewDep, RecordsDep, ViewerDep
+from api.characters.copies import copied_character
 from api.contract.description import RETRY_AFTER, Responses, answer, location, problems
 from api.contract.examples import JOB_ID
 from api.contract.resource import Resource
@@ -20,6 +21,7 @@ from api.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from api.jobs.spec_checks import (
     body_errors,
     callback_errors,
+    character_errors,
     for_session,
     format_errors,
     network_errors,
@@ -33,12 +35,14 @@ from api.sessions.intake import CheckedSession, NewSession, check, stored
 from pipeline.job_choices import ProxyChoices
 from pipeline.problem_codes.requests import CONFLICT
 from worker.jobs.files.removals import remove_files
+from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.jobs import JobKind, JobRecord
 from worker.jobs.model.sessions import Session
 from worker.jobs.model.states import RETRYABLE, JobState
+from worker.jobs.model.work import StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
-from worker.planning import has_videos, plan_job, plan_visuals
+from worker.planning import has_videos, plan_again, plan_job, plan_visuals
 from worker.telemetry import tracing
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -60,7 +64,7 @@ _ACCEPTED: Responses = {
     summary="Reconstruct a session",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 404, 409, 413, 415, 422, 507)},
+    responses={**_ACCEPTED, **problems(400, 404, 409, 410, 413, 415, 422, 507)},
     callbacks=job_ended_callbacks("jobEndedOfJob", "/callback_url"),
 )
 def create_job(
@@ -82,6 +86,7 @@ def create_job(
             *session_errors(spec, session.preflight),
             *spec_errors(spec, session.preflight),
             *callback_errors(spec, services, idempotent.records),
+            *character_errors(spec, idempotent.records),
             *body_errors(spec, services, ()),
             *format_errors(spec, services, ()),
         ]
@@ -90,11 +95,13 @@ def create_job(
         if errors:
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan_job(session, spec, services.settings.chunk_frames)
-        with idempotent.records.transaction() as work:
-            job = work.jobs.add(session.id, spec, stages, services.settings.retention_s, tracing.current())
-            _queue_proxies(work, services, session)
-            answer = idempotent.store(work, _accepted(job))
+        with copied_character(services, idempotent.records, spec) as moved:
+            stages = _planned(services, session, spec, moved)
+            with idempotent.records.transaction() as work:
+                retention_s = services.settings.retention_s
+                job = work.jobs.add(session.id, spec, stages, retention_s, tracing.current(), moved=moved)
+                _queue_proxies(work, services, session)
+                answer = idempotent.store(work, _accepted(job))
     _announce(services, job)
     return answer.response()
 
@@ -102,12 +109,12 @@ def create_job(
 def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session, and record both or neither."""
     settings, spec = services.settings, checked.spec
-    with stored(services, checked) as new:
-        stages = plan_job(new, spec, settings.chunk_frames)
+    with copied_character(services, idempotent.records, spec) as moved, stored(services, checked) as new:
+        stages = _planned(services, new, spec, moved)
         with idempotent.records.transaction() as work:
             work.uploads.use(new.upload_ids)
             work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
-            job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current())
+            job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current(), moved=moved)
             _queue_proxies(work, services, new)
             answer = idempotent.store(work, _accepted(job))
     _announce(services, job)
@@ -145,7 +152,7 @@ add_creation(
     ),
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 408, 409, 413, 415, 422, 507)},
+    responses={**_ACCEPTED, **problems(400, 408, 409, 410, 413, 415, 422, 507)},
 )
 
 
@@ -250,8 +257,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         if errors:
             raise unprocessable(errors)
         services.disk.require_room()
-        frames = services.settings.chunk_frames
-        stages = plan_job(session, job.spec, frames, making=job.making, edits=job.edits, revision=job.revision)
+        stages = plan_again(session, job, services.settings.chunk_frames)
         with idempotent.records.transaction() as work:
             answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()
@@ -296,6 +302,13 @@ def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Non
     """Delete a finished job with its results."""
     services.disk.using_reserve(lambda: records.jobs.delete(job_id))
     services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
+
+
+def _planned(
+    services: Services, session: Session | NewSession, spec: JobSpec, moved: tuple[str, JobCharacter] | None
+) -> tuple[StagePlan, ...]:
+    """Plan of a new reconstruction."""
+    return plan_job(session, spec, services.settings.chunk_frames, character=None if moved is None else moved[1])
 
 
 def _page(

@@ -15,10 +15,12 @@ from pipeline.problem_codes.specs import (
     CALLBACK_INVALID,
     CALLBACK_NOT_HTTPS,
     CALLBACK_NOT_PUBLIC,
+    CHARACTER_UNKNOWN,
     DETECTOR_NOT_INSTALLED,
     WEBHOOK_SECRET_MISSING,
 )
 from pipeline.rules import format_problems, session_problems
+from worker.jobs.errors import NotFound
 from worker.jobs.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
@@ -92,6 +94,18 @@ def callback_errors(spec: JobSpec, services: Services, records: TenantRecords, *
         found.append((WEBHOOK_SECRET_MISSING, "There is no secret to sign webhooks with.", hint))
     pointer = pointer_to(*field, "callback_url")
     return [ErrorItem(code=code, message=message, pointer=pointer, hint=hint) for code, message, hint in found]
+
+
+def character_errors(spec: JobSpec, records: TenantRecords, *field: str) -> list[ErrorItem]:
+    """Refuse an unknown character; ``field`` as of ``spec_errors``."""
+    if spec.character is not None:
+        try:
+            records.characters.get(str(spec.character))
+        except NotFound:
+            message, hint = "There is no such character.", "GET /v1/characters lists them."
+            pointer = pointer_to(*field, "character")
+            return [ErrorItem(code=CHARACTER_UNKNOWN, message=message, pointer=pointer, hint=hint)]
+    return []
 
 
 def format_errors(spec: JobSpec, services: Services, field: tuple[str, ...] | None) -> list[ErrorItem]:

@@ -84,7 +84,14 @@ def edit_job_people(
         ) from error
     services.disk.require_room()
     session = records.sessions.get(job.session_id)
-    stages = plan_job(session, job.spec, services.settings.chunk_frames, edits=edits.edits, revision=job.revision + 1)
+    stages = plan_job(
+        session,
+        job.spec,
+        services.settings.chunk_frames,
+        edits=edits.edits,
+        revision=job.revision + 1,
+        character=job.character,
+    )
     with records.transaction() as work:
         # Without `If-Match` the newest list wins, also over one that came meanwhile.
         revision = None if if_match is None else job.revision

@@ -29,6 +29,7 @@ from api.http.bodies.form_kinds import (
 from api.jobs.spec_checks import (
     body_errors,
     callback_errors,
+    character_errors,
     for_session,
     format_errors,
     limit_errors,
@@ -167,6 +168,7 @@ async def check(request: Request, services: Services, records: TenantRecords, se
             errors.extend(session_errors(arrival.spec, preflight))
     if arrival.spec:
         errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
+        errors.extend(await run_in_threadpool(character_errors, arrival.spec, records, SPEC))
     if arrival.spec and sent.kind.has_job:
         errors.extend(await run_in_threadpool(body_errors, arrival.spec, services, (SPEC,)))
         errors.extend(await run_in_threadpool(format_errors, arrival.spec, services, (SPEC,)))

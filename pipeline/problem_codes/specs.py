@@ -31,6 +31,9 @@ BODY_NOT_INSTALLED = SPECS.code(
     "Not every ready worker has the body that the job's files shall have.",
     "The operator runs the command in `hint` on the workers' machine; or choose `capsules`.",
 )
+CHARACTER_UNKNOWN = SPECS.code(
+    "character_unknown", ("422",), "There is no character with this id.", "List the characters, or send the file."
+)
 CALLBACK_INVALID = SPECS.code(
     "callback_invalid", ("422",), "`callback_url` has an impossible host or port.", "Correct it."
 )

@@ -1,6 +1,7 @@
 """Job specs: the choices of a reconstruction, made from ``pipeline.config`` and checked by ``pipeline.rules``."""
 
 from typing import TYPE_CHECKING, Annotated, Any
+from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema, create_model
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -40,6 +41,12 @@ class JobSpec(_Choices, frozen=True):
 
     model_config = ConfigDict(extra="forbid")
 
+    character: UUID | None = Field(
+        default=None,
+        examples=[None],
+        description="Stored character that moves as each person, in files of its own. The job keeps a copy of it, with "
+        "the bones that it has now.",
+    )
     callback_url: str | None = Field(
         default=None,
         max_length=2000,

@@ -104,6 +104,7 @@ def inapplicable_checks(case: schemathesis.Case[Any]) -> list[Any]:
         or case.body.get("smoothing") == "butterworth"
         or case.body.get("frame_range") is not None
         or case.body.get("callback_url") is not None
+        or case.body.get("character") is not None
         or any(unicodedata.category(letter).startswith("C") for letter in str(case.body.get("name")))
     )
     return [positive_data_acceptance] if asks_more else []

@@ -76,6 +76,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "report": False,
         "overlay": False,
         "force": False,
+        "character": None,
         "callback_url": None,
     }
 

@@ -121,7 +121,8 @@ def files_of_rows(connection: Connection, with_artifacts: bool) -> dict[str, Sto
     """
     found = list(_uploads(connection))
     if with_artifacts:
-        found += [*_of_sessions(connection), *_outputs(connection), *_results(connection), *_of_characters(connection)]
+        found += [*_of_sessions(connection), *_outputs(connection), *_results(connection)]
+        found += [*_of_characters(connection), *_of_moved_characters(connection)]
     return {file.path: file for file in found}
 
 
@@ -171,3 +172,10 @@ def _results(connection: Connection) -> Iterator[StoredFile]:
 def _of_characters(connection: Connection) -> Iterator[StoredFile]:
     for file in connection.scalars(select(characters.c.file).order_by(characters.c.id)):
         yield _artifact(file["key"], file["sha256"], needed=True)
+
+
+def _of_moved_characters(connection: Connection) -> Iterator[StoredFile]:
+    """Copies of characters that jobs move."""
+    query = select(jobs.c.character).where(jobs.c.character.is_not(None), jobs.c.state != JobState.EXPIRED)
+    for character in connection.scalars(query.order_by(jobs.c.id)):
+        yield _artifact(character["file"]["key"], character["file"]["sha256"], needed=True)

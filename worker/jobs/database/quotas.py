@@ -27,8 +27,8 @@ NO_QUOTAS = Quotas()
 def read_usage(connection: Connection, tenant: str) -> Usage:
     """Read how much a tenant has now.
 
-    ``stored_bytes`` counts input files of sessions, outputs of chunks, results, calibrations, characters, and uploads
-    by their announced sizes.
+    ``stored_bytes`` counts input files of sessions, outputs of chunks, results, calibrations, characters and
+    their copies of jobs, and uploads by their announced sizes.
     """
     mine = jobs.c.tenant == tenant
     num_sessions, input_bytes = connection.execute(
@@ -40,6 +40,8 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
     )
     calibrated = select(func.coalesce(func.sum(calibrations.c.num_bytes), 0)).where(calibrations.c.tenant == tenant)
     moved = select(func.coalesce(func.sum(characters.c.num_bytes), 0)).where(characters.c.tenant == tenant)
+    is_copy = (mine, jobs.c.state != JobState.EXPIRED, jobs.c.of_job.is_(None))
+    copied = select(func.coalesce(func.sum(jobs.c.character[("file", "num_bytes")].as_integer()), 0)).where(*is_copy)
     num_uploads, upload_bytes = connection.execute(
         select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)
     ).one()
@@ -52,7 +54,7 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
             int(some or 0)
             for some in (
                 input_bytes,
-                *(connection.scalar(query) for query in (found, shown, calibrated, moved)),
+                *(connection.scalar(query) for query in (found, shown, calibrated, moved, copied)),
                 upload_bytes,
             )
         ),

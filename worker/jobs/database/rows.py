@@ -16,7 +16,7 @@ from pipeline.stages.stage import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model.calibrations import Calibration
-from worker.jobs.model.characters import Character, CharacterSummary, StoredCharacterFile
+from worker.jobs.model.characters import Character, CharacterSummary, JobCharacter, StoredCharacterFile
 from worker.jobs.model.jobs import JobProblem, JobRecord, Making, NewestJob, Result, StageProgress
 from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.model.states import ChunkState, JobState
@@ -139,7 +139,13 @@ def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJo
         results_revision=row.results_revision,
         has_old_visuals=row.visuals_old_at is not None,
         visuals_job=visuals_job,
+        character=job_character_of(row.character),
     )
+
+
+def job_character_of(document: Mapping[str, Any] | None) -> JobCharacter | None:
+    """Character that a job moves, from its column."""
+    return None if document is None else JobCharacter.from_json(document)
 
 
 def edits_of(documents: Sequence[Mapping[str, Any]]) -> tuple[PeopleEdit, ...]:

@@ -109,6 +109,7 @@ jobs = Table(
     Column("visuals_old_at", UtcTimestamp, index=True),  # last edit; null: no visuals, or they are new or being made
     Column("precedence", Integer, nullable=False, server_default="1"),  # 0: edits of people, before other work
     Column("waiting_for", JSON(none_as_null=True)),  # problem of an outage; null: nothing keeps it waiting
+    Column("character", JSON(none_as_null=True)),  # that it moves: id, copy of the file, corrections; null: none
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),

@@ -10,6 +10,7 @@
     jobs/<job>/revisions/<revision>/<name>/<name>    after edits of its people
     jobs/<job>/visuals/<revision>/<name>/<name>      overlay videos and the report
     jobs/<job>/interim/<attempt>/<output key>
+    jobs/<job>/character/file                        copy of the character that the job moves
     characters/<character>/file
 
 A result file has a folder of its own: it stays as long as a revision lists it, whatever becomes of the files beside it.
@@ -65,6 +66,11 @@ def character_prefix(character_id: str) -> str:
 def character_key(character_id: str) -> str:
     """Key of a character's file as it was sent."""
     return f"{character_prefix(character_id)}file"
+
+
+def job_character_key(job_id: str) -> str:
+    """Key of a job's copy of the character that it moves."""
+    return f"{job_prefix(job_id)}character/file"
 
 
 def input_key(session_id: str, number: int, name: str) -> str:

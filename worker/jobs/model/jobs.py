@@ -10,6 +10,7 @@ from pipeline.edits import PeopleEdit, PersonSpan
 from pipeline.findings import Finding
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.problem_codes.model import Code
+from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.states import RETRYABLE, ChunkState, JobState
 from worker.jobs.spec import JobSpec
 
@@ -34,13 +35,19 @@ def kind_of(making: Making | None) -> JobKind:
 
 
 def config_of(
-    spec: JobSpec, making: Making | None = None, edits: tuple[PeopleEdit, ...] = (), revision: int = 0
+    spec: JobSpec,
+    making: Making | None = None,
+    edits: tuple[PeopleEdit, ...] = (),
+    revision: int = 0,
+    character: JobCharacter | None = None,
 ) -> ReconstructionConfig:
     """Configuration of a job by its spec, what else it makes, the edits of its people, and their number of changes.
 
-    Visuals of people who were edited are made by a job of their own: edits don't wait for them.
+    Visuals of people who were edited are made by a job of their own: edits don't wait for them. ``character`` is the
+    one that the job moves.
     """
-    config = replace(spec.config, making=making, edits=edits)
+    digest = None if character is None else character.digest
+    config = replace(spec.config, making=making, edits=edits, character=digest)
     return replace(config, overlay=False, report=False) if making is None and revision else config
 
 
@@ -113,7 +120,8 @@ class JobRecord:
     of times that they were changed, and ``people`` those whom the reconstruction found, before any edit; ``None`` until
     its first results are written. ``results_revision`` is the revision whose files can be read, while those of a newer
     one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos or the report are of
-    an earlier revision, and no job makes them; ``visuals_job`` is the job that does.
+    an earlier revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character
+    that it moves.
     """
 
     id: str
@@ -143,6 +151,7 @@ class JobRecord:
     results_revision: int | None = None
     has_old_visuals: bool = False
     visuals_job: NewestJob | None = None
+    character: JobCharacter | None = None
 
 
 @dataclass(frozen=True, slots=True)

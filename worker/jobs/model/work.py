@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.config import ReconstructionConfig
 from pipeline.edits import PeopleEdit
+from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.jobs import Making, config_of
 from worker.jobs.spec import JobSpec
 
@@ -61,11 +62,12 @@ class Claim:
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0
     of_job: str | None = None  # reconstruction of which it makes visuals
+    character: JobCharacter | None = None  # as of ``JobRecord``
 
     @property
     def config(self) -> ReconstructionConfig:
         """Configuration of the job."""
-        return config_of(self.spec, self.making, self.edits, self.revision)
+        return config_of(self.spec, self.making, self.edits, self.revision, self.character)
 
     @property
     def listed_by(self) -> str:

@@ -11,12 +11,13 @@ from pipeline.edits import PeopleEdit, document_of
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.listed_results import has_visuals, remove_unlisted
-from worker.jobs.database.removal_notes import remove_later
+from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
 from worker.jobs.database.rows import jobs_of, select_jobs
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import interim_prefix, job_prefix, results_prefix, visuals_prefix
+from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.jobs import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, kind_of
 from worker.jobs.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState
 from worker.jobs.model.work import Change, Precedence, StagePlan
@@ -34,6 +35,16 @@ class Jobs:
     def __init__(self, access: Access) -> None:
         self._access = access
 
+    def reserve_id(self) -> str:
+        """Make the id of a job whose copy of a character is about to be stored.
+
+        The copy is removed after a day unless ``add`` is called with the id.
+        """
+        job_id = str(uuid7())
+        with self._access.writing() as connection:
+            remove_unless_kept(connection, job_prefix(job_id))
+        return job_id
+
     def add(
         self,
         session_id: str,
@@ -42,6 +53,7 @@ class Jobs:
         retention_s: float | None = None,
         trace: str | None = None,
         making: Making | None = None,
+        moved: tuple[str, JobCharacter] | None = None,
     ) -> JobRecord:
         """Queue a job; its first stage is ready. The caller publishes that there is work.
 
@@ -53,17 +65,26 @@ class Jobs:
             W3C traceparent of the request, for the workers.
         making
             See ``worker.jobs.model.jobs.JobRecord``.
+        moved
+            Id of the job, made by ``reserve_id``, and the character that it moves, whose copy is stored.
 
         Raises
         ------
         NotFound
             There is no such session.
+        Conflict
+            The copy of the character took more than a day, and was removed.
         QuotaExceeded
         ValueError
             There is no stage, or one without chunks: such a job would never end.
         """
-        access, job_id = self._access, str(uuid7())
+        access = self._access
+        job_id, character = moved or (str(uuid7()), None)
         with access.writing() as connection:
+            if character is not None:
+                access.require_room(connection, stored_bytes=character.file.num_bytes)
+                if not keep(connection, job_prefix(job_id)):
+                    raise Conflict("The copy of the character took too long; send the request again.")
             if kind_of(making) not in SIDE_KINDS:  # which the tenant has not asked for
                 access.require_room(connection, unfinished_jobs=1)
             tenant = lock_session(connection, access, session_id)
@@ -81,6 +102,7 @@ class Jobs:
                     trace=trace,
                     kind=kind_of(making),
                     making=None if making is None else asdict(making),
+                    character=None if character is None else asdict(character),
                 )
             )
             insert_chunks(connection, job_id, stages)

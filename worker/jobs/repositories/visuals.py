@@ -81,6 +81,7 @@ class Visuals:
                         edits=of_job.edits,
                         revision=of_job.revision,
                         of_job=job_id,
+                        character=of_job.character,
                     )
                 )
                 insert_following(connection, visuals_id, stages, job_id)

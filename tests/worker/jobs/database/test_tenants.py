@@ -82,6 +82,7 @@ def test_every_act_is_tried() -> None:
     }
     assert public - set(ACTS) == {
         *("sessions.add", "sessions.reserve_id", "sessions.page", "jobs.page", "jobs.changes"),
+        "jobs.reserve_id",
         "visuals.due",  # the reaper asks for those of all tenants
         "results.proxy",  # None of another's: tests/worker/jobs/repositories/test_captures.py
         "links.revoke",  # tests/worker/jobs/repositories/rights/test_links.py tries it

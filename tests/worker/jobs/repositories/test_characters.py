@@ -1,18 +1,22 @@
 """Rows of characters: whose they are, what they count for, and their files."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tests.worker.jobs.backups import opened_data, restored
+from pipeline.stages.stage import RETARGET
+from tests.worker.jobs.backups import Data, opened_data, restored
 from tests.worker.jobs.conftest import StoreBench
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import Conflict, NotFound, QuotaExceeded
-from worker.jobs.files.artifacts import character_key, character_prefix
-from worker.jobs.model.characters import Character, StoredCharacterFile
+from worker.jobs.files.artifacts import character_key, character_prefix, job_character_key, job_prefix
+from worker.jobs.model.characters import Character, JobCharacter, StoredCharacterFile
 from worker.jobs.model.rights import Actor
+from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import Records
+from worker.planning import plan_again, plan_job
 
 CONTENT = b"robot"
 FACTS = {"format": "GLB", "num_bones": 2}
@@ -90,6 +94,44 @@ def test_files_are_removed_with_their_row_or_without_one(jobs: StoreBench) -> No
     late = StoredCharacterFile("robot.glb", "characters/x/file", 5, "")
     with pytest.raises(Conflict, match="send it again"):
         mine.characters.add("x", "Robot", late, FACTS, BONES, {})
+
+
+def moved_by(data: Data, content: bytes) -> tuple[str, JobCharacter]:
+    """Id of a new job with the character that it moves, of which a copy is stored."""
+    job_id = data.store.jobs.reserve_id()
+    key, digest = job_character_key(job_id), hashlib.sha256(content).hexdigest()
+    data.artifacts.put_bytes(key, content)
+    return job_id, JobCharacter("x", StoredCharacterFile("robot.glb", key, len(content), digest), {"Hips": "pelvis"})
+
+
+def test_a_job_keeps_its_character(tmp_path: Path) -> None:
+    with opened_data(tmp_path / "data") as data:
+        session_id, moved = data.add_session(), moved_by(data, CONTENT)
+        session = data.store.sessions.get(session_id)
+        stages = plan_job(session, JobSpec(), character=moved[1])
+        job = data.store.jobs.add(session_id, JobSpec(), stages, moved=moved)
+        assert (job.id, job.character) == moved
+        assert [stage.name for stage in job.stages].count(RETARGET) == 1
+        again = plan_again(session, job)
+        keys = [[chunk.output_key for chunk in stage.chunks] for stage in stages]
+        assert [[chunk.output_key for chunk in stage.chunks] for stage in again] == keys
+        other = replace(moved[1], corrections={})
+        differs = [
+            stage.name
+            for stage, changed in zip(stages, plan_job(session, JobSpec(), character=other), strict=True)
+            if [chunk.output_key for chunk in stage.chunks] != [chunk.output_key for chunk in changed.chunks]
+        ]
+        assert RETARGET in differs
+        assert not {"detect", "identify", "fit"} & set(differs)
+        claim = data.store.leases.claim("worker", 30.0)
+        assert claim is not None
+        assert claim.config.character == moved[1].digest
+        assert data.back_up(tmp_path / "whole.tar").problems == ()
+        data.artifacts.delete_prefix(job_prefix(job.id))
+        (problem,) = data.back_up(tmp_path / "lost.tar").problems
+        assert (problem.path, problem.needed) == (f"artifacts/{moved[1].file.key}", True)
+        with pytest.raises(Conflict, match="send the request again"):
+            data.store.jobs.add(session_id, JobSpec(), stages, moved=moved)
 
 
 def test_backups_have_the_files(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from pipeline.findings import Finding
 from pipeline.problem_codes.jobs import OUTPUT_DAMAGED, WORKER_LOST
 from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.listed_results import list_results
-from worker.jobs.database.rows import edits_of, making_of
+from worker.jobs.database.rows import edits_of, job_character_of, making_of
 from worker.jobs.database.tables import artifacts, chunks, jobs
 from worker.jobs.database.totals import Total, count
 from worker.jobs.database.transactions import Transactions
@@ -110,6 +110,7 @@ class Leases:
             edits=edits_of(job.edits),
             revision=job.revision,
             of_job=job.of_job,
+            character=job_character_of(job.character),
         )
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
