@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
 from pipeline.character.figure import FootMeasures
@@ -20,6 +21,8 @@ from pipeline.skeleton.feet.holding import eased
 _BACKWARD = np.array([0.0, 1.0, 0.0])
 # Cosine of the tilt of a sole from which on it does not lie on the floor: the foot lies on its instep.
 _MAX_TILT = 0.5
+# Time in which a foot that stood flat comes to stand on its toes.
+_LIFTS_S = 0.12
 # Angles below the horizontal between which a foot turns over from toes up to toes back.
 _STEEP_RAD = np.radians(55.0), np.radians(75.0)
 
@@ -75,7 +78,7 @@ def place_foot(
     """
     if floor is None:
         return FootPath(ankle, foot, foot, np.zeros(len(ankle), bool))
-    foot = _levelled(foot, measures, contacts, floor, frame_rate_hz)
+    foot = _levelled(ankle, foot, measures, contacts, floor, frame_rate_hz)
     fixed = np.full_like(ankle, np.nan)
     offsets = {"heel": measures.heel, "toe": measures.ball, "foot": np.zeros(3)}
     flat, is_upright = level(foot, floor)
@@ -125,6 +128,7 @@ def level(
 
 
 def _levelled(
+    ankle: Float[np.ndarray, "frames 3"],
     foot: Float[np.ndarray, "frames 3 3"],
     measures: FootMeasures,
     contacts: Sequence[FootContact],
@@ -142,14 +146,24 @@ def _levelled(
         turns[rows] = Rotation.from_matrix(mean @ foot[rows].swapaxes(1, 2)).as_rotvec()
     eased(turns, _runs(is_flat), frame_rate_hz)
     foot = Rotation.from_rotvec(turns).as_matrix() @ foot
-    # On its heel alone a foot does not point into the floor, nor on its toes alone the heel.
+    # On its heel alone a foot does not point into the floor.
     sole = foot @ (measures.ball - measures.heel)
     below = sole @ floor.up
     length = max(float(np.linalg.norm(measures.ball - measures.heel)), 1e-9)
-    is_wrong = is_upright & ((on_heel & ~on_toes & (below < 0.0)) | (on_toes & ~on_heel & (below > 0.0)))
+    is_wrong = is_upright & on_heel & ~on_toes & (below < 0.0)
     across = np.cross(sole, floor.up)
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
     tilts = np.where(is_wrong[:, None], -across * np.arcsin(np.clip(below / length, -1.0, 1.0))[:, None], 0.0)
+    # On its toes alone it lifts the heel as far as the ankle is lifted, so that the leg keeps its direction: a person
+    # may stand on the tips of the toes, the character stands on its ball.
+    turn = _Pitch(foot, measures.ball, floor)
+    lifted = turn.at_depth(np.maximum(floor.height(ankle), measures.ankle_height) * floor.up[2])
+    is_lifted = is_upright & on_toes & ~on_heel & (turn.pitch > -np.pi / 2)
+    # It does not do so at once.
+    since = distance_transform_edt(~is_flat) if is_flat.any() else np.full(num_frames, np.inf)
+    share = np.clip(since / (_LIFTS_S * frame_rate_hz), 0.0, 1.0)
+    share = share * share * (3.0 - 2.0 * share)
+    tilts = np.where(is_lifted[:, None], turn.vector(share * (lifted - turn.pitch)), tilts)
     eased(tilts, _runs(is_upright & (on_heel | on_toes)), frame_rate_hz)
     return Rotation.from_rotvec(tilts).as_matrix() @ foot
 
@@ -165,21 +179,38 @@ def _above_floor(
     The foot turns about its own axis: toes up, or back if it points down steeply, as that of somebody who kneels. The
     ankle stays, so that the leg keeps its direction.
     """
-    across = foot[:, :, 0]
-    up = floor.up - (across @ floor.up)[:, None] * across
-    slope = np.linalg.norm(up, axis=-1)
-    up = up / np.maximum(slope, 1e-9)[:, None]
-    ahead = np.cross(across, up)
-    ball = foot @ measures.ball
-    aside = np.einsum("fi,fi->f", ball, across) * (across @ floor.up)
-    pitch = np.arctan2(np.einsum("fi,fi->f", ball, up), np.einsum("fi,fi->f", ball, ahead))
-    radius = np.hypot(np.einsum("fi,fi->f", ball, up), np.einsum("fi,fi->f", ball, ahead))
-    sine = (-np.maximum(floor.height(ankle), 0.0) * floor.up[2] - aside) / np.maximum(radius * slope, 1e-9)
-    lowest = np.arcsin(np.clip(sine, -1.0, 1.0))
-    is_below = (pitch < lowest) & (pitch > -np.pi - lowest)
-    steep = np.clip((_STEEP_RAD[0] + pitch) / (_STEEP_RAD[0] - _STEEP_RAD[1]), 0.0, 1.0)
-    turn = (1.0 - steep) * (lowest - pitch) + steep * (-np.pi - lowest - pitch)
-    return Rotation.from_rotvec(-across * np.where(is_below, turn, 0.0)[:, None]).as_matrix() @ foot
+    turn = _Pitch(foot, measures.ball, floor)
+    lowest = turn.at_depth(np.maximum(floor.height(ankle), 0.0) * floor.up[2])
+    is_below = (turn.pitch < lowest) & (turn.pitch > -np.pi - lowest)
+    steep = np.clip((_STEEP_RAD[0] + turn.pitch) / (_STEEP_RAD[0] - _STEEP_RAD[1]), 0.0, 1.0)
+    angle = (1.0 - steep) * (lowest - turn.pitch) + steep * (-np.pi - lowest - turn.pitch)
+    return Rotation.from_rotvec(turn.vector(np.where(is_below, angle, 0.0))).as_matrix() @ foot
+
+
+class _Pitch:
+    """Pitch of a point of a foot about the foot's own axis: its angle above the horizontal, ahead of the ankle."""
+
+    def __init__(
+        self, foot: Float[np.ndarray, "frames 3 3"], point: Float[np.ndarray, " 3"], floor: ScaledFloor
+    ) -> None:
+        self._across = foot[:, :, 0]
+        up = floor.up - (self._across @ floor.up)[:, None] * self._across
+        slope = np.linalg.norm(up, axis=-1)
+        up = up / np.maximum(slope, 1e-9)[:, None]
+        turned = foot @ point
+        raised = np.einsum("fi,fi->f", turned, up)
+        ahead = np.einsum("fi,fi->f", turned, np.cross(self._across, up))
+        self._aside = np.einsum("fi,fi->f", turned, self._across) * (self._across @ floor.up)
+        self._radius = np.maximum(np.hypot(raised, ahead) * slope, 1e-9)
+        self.pitch: Float[np.ndarray, " frames"] = np.arctan2(raised, ahead)
+
+    def at_depth(self, depth: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " frames"]:
+        """Pitch at which the point is below the ankle by a depth, or as nearly as it gets."""
+        return np.arcsin(np.clip((-depth - self._aside) / self._radius, -1.0, 1.0))
+
+    def vector(self, angle: Float[np.ndarray, " frames"]) -> Float[np.ndarray, "frames 3"]:
+        """Rotation vectors that add an angle to the pitch."""
+        return np.asarray(-self._across * angle[:, None])
 
 
 def _rows(contacts: Sequence[FootContact], parts: Sequence[str], num_frames: int) -> Bool[np.ndarray, " frames"]:
