@@ -1,11 +1,13 @@
 """Bones of characters by their names, as programs and exporters call them.
 
-Names of Mixamo, Unreal (mannequins and MetaHuman), VRM, Unity, Rigify, Character Creator, Daz, MakeHuman, 3ds Max Biped
-and CMU come down to a side, a word and numbers. The bones of the trunk have too many names; they follow from the tree.
+Names of Mixamo, Unreal (mannequins and MetaHuman), VRM, Unity, Rigify, Character Creator, Daz, MakeHuman, 3ds Max
+Biped, CMU, SMPL and Maya's Advanced Skeleton come down to a side, a word and numbers. The bones of the trunk have too
+many names; they follow from the tree.
 
 This module knows the standard library alone: the extension for Blender has a copy of it.
 """
 
+import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,11 +31,11 @@ _LIMBS: Mapping[str, str] = MappingProxyType(
     {
         word: joint
         for joint, words in {
-            "Shoulder": "shoulder clavicle collar collarbone",
+            "Shoulder": "shoulder clavicle collar collarbone scapula",
             "Arm": "arm upperarm uparm shldr shldrbend armupper",
             "ForeArm": "forearm lowerarm lowarm forearmbend elbow armlower",
             "Hand": "hand wrist",
-            "UpLeg": "upleg upperleg thigh thighbend legupper",
+            "UpLeg": "upleg upperleg thigh thighbend legupper hip",
             "Leg": "leg lowerleg lowleg calf shin knee leglower",
             "Foot": "foot ankle",
             "ToeBase": "toebase toe toes ball",
@@ -82,15 +84,15 @@ VRM_JOINTS: Mapping[str, str] = MappingProxyType(
 
 
 class NamedBones(Protocol):
-    """Tree of bones with names, numbered."""
+    """Tree of nodes with names, numbered."""
 
     @property
     def names(self) -> Sequence[str]:
-        """Name of each bone."""
+        """Name of each node."""
 
     @property
-    def order(self) -> Sequence[int]:
-        """Numbers of all bones, parents before their children."""
+    def bones(self) -> Sequence[int]:
+        """Numbers of the nodes that move meshes, parents before children; others may be called Head or Arm too."""
 
     def below(self, number: int, /) -> Sequence[int]:
         """A bone and all bones below it, parents first."""
@@ -117,8 +119,9 @@ def bone_name(name: str) -> BoneName:
     words = _WORDS.findall(bare)
     sides = [word for word in words if word.lower() in _SIDE_WORDS]
     side = _SIDE_WORDS[sides[0].lower()] if sides else ""
-    # VRoid marks the bones in the middle by a C.
-    left_out = {*sides[:1], *words[:1]} if words[:1] == ["C"] else {*sides[:1]}
+    # VRoid and Advanced Skeleton mark the bones in the middle by C in front and M at the end.
+    middle = [word for word, mark in ((words[:1], "C"), (words[-1:], "M")) if word == [mark]]
+    left_out = {*sides[:1], *itertools.chain(*middle)}
     letters = "".join(word.lower() for word in words if not word.isdigit() and word not in left_out)
     return BoneName(side, letters, tuple(int(word[:9]) for word in words if word.isdigit()))
 
@@ -131,15 +134,26 @@ def joints_by_name(rig: NamedBones, humanoid: Mapping[str, int]) -> dict[str, in
     found = _by_table(humanoid)
     if found:
         return found
-    named = [(number, bone_name(name)) for number, name in enumerate(rig.names)]
-    level = {number: depth for depth, number in enumerate(rig.order)}
-    for number, name in sorted(named, key=lambda item: level[item[0]]):
+    collars: dict[str, list[int]] = {side: [] for side in SIDES}
+    for number in rig.bones:
+        name = bone_name(rig.names[number])
         if name.word == "head" and not name.side and HEAD not in found:
             found[HEAD] = number
         joint = _LIMBS.get(name.word)
         if joint and name.side and not _BESIDE.search(name.word):
             # Of several bones of a limb, the first one: the others are twisted along.
             found.setdefault(f"{name.side}{joint}", number)
+            if joint == "Shoulder":
+                collars[name.side].append(number)
+            elif name.word == "foot" and found[f"{name.side}Foot"] != number:
+                # Names after joints: the foot that follows an ankle begins at the toes.
+                found.setdefault(f"{name.side}ToeBase", number)
+    for side, bones in collars.items():
+        if bones and f"{side}Arm" not in found:
+            # Names after joints: the shoulder is where the upper arm begins, behind a collar bone or none.
+            found[f"{side}Arm"] = bones[-1]
+            if len(bones) == 1:
+                del found[f"{side}Shoulder"]
     for side in SIDES:
         hand = found.get(f"{side}Hand")
         if hand is not None:

@@ -4,9 +4,9 @@ A body has two pairs of branches of equal length, each at one bone: legs, which 
 Between the arms goes on what leads to the head. Sides follow from the direction in which the feet point.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +21,7 @@ _ALIKE, _LONG = 0.03, 0.3
 _UPRIGHT = 0.75
 # Most bones in a limb, and pairs of branches, that are looked at.
 _MAX_CHAIN, _MAX_PAIRS = 40, 40
-_MIN_FINGER_BONES, _NUM_FINGER_BONES = 2, 3
+_MIN_FINGER_BONES, _NUM_FINGER_BONES, _LEAST_FINGERS = 2, 3, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ def joints_by_shape(rig: CharacterRig) -> dict[str, int]:
     if not pairs:
         return {}
     long = [pair for pair in pairs if pair.length > _LONG * pairs[0].length][:_MAX_PAIRS]
-    for first, second in combinations(long, 2):
+    for first, second in itertools.combinations(long, 2):
         for legs, arms in ((first, second), (second, first)):
             found = _body(rig, longest, legs, arms)
             if found:
@@ -67,7 +67,7 @@ def _pairs(rig: CharacterRig, longest: dict[int, tuple[float, tuple[int, ...]]])
     for number in rig.order:
         branches = [child for child in rig.children[number] if len(longest.get(child, (0.0, ()))[1]) >= len(SIDES)]
         # A bone with hundreds of branches is no hip: hair and cloth.
-        for first, second in combinations(branches[:_MAX_CHAIN], 2):
+        for first, second in itertools.combinations(branches[:_MAX_CHAIN], 2):
             lengths = [longest[branch][0] for branch in (first, second)]
             ends = [rig.positions[longest[branch][1][-1]] for branch in (first, second)]
             apart = np.linalg.norm(ends[0] - ends[1])
@@ -107,7 +107,7 @@ def _body(
 
 def _leg(rig: CharacterRig, way: Sequence[int], up: Float[np.ndarray, " 3"]) -> dict[str, int] | None:
     """Hip, knee, ankle and toes among the bones of a leg; ``None`` if there are too few."""
-    steps = [_unit(rig.positions[after] - rig.positions[before]) @ -up for before, after in pairwise(way)]
+    steps = [_unit(rig.positions[after] - rig.positions[before]) @ -up for before, after in itertools.pairwise(way)]
     hip = next((place for place, step in enumerate(steps) if step > _UPRIGHT), None)
     if hip is None:
         return None
@@ -123,12 +123,15 @@ def _leg(rig: CharacterRig, way: Sequence[int], up: Float[np.ndarray, " 3"]) -> 
 def _arm(rig: CharacterRig, way: Sequence[int]) -> dict[str, int] | None:
     """Collar bone, shoulder, elbow and wrist among the bones of an arm, whose first one is that of the trunk."""
     bones = way[1:]
-    hand = next((place for place, bone in enumerate(bones) if _is_palm(rig, bone)), None)
-    if hand is None:
-        hand = len(bones) - 1
-    lengths = np.cumsum([0.0, *(_distance(rig, a, b) for a, b in pairwise(bones))])
+    lengths = np.cumsum([0.0, *(_distance(rig, a, b) for a, b in itertools.pairwise(bones))])
+    palms = (place for place, bone in enumerate(bones) if _num_fingers(rig, bone) >= _LEAST_FINGERS)
+    # Simple hands have a thumb and one more finger.
+    mittens = (
+        place for place, bone in enumerate(bones) if _num_fingers(rig, bone) > 1 and 2 * lengths[place] > lengths[-1]
+    )
+    hand = next(itertools.chain(palms, mittens, [len(bones) - 1]))
     best: tuple[float, int, int] | None = None
-    for shoulder, elbow in combinations(range(hand), 2):
+    for shoulder, elbow in itertools.combinations(range(hand), 2):
         upper, lower = lengths[elbow] - lengths[shoulder], lengths[hand] - lengths[elbow]
         if min(upper, lower) > 0.0:
             # Both halves of an arm have about the same length, and make up most of it.
@@ -141,9 +144,9 @@ def _arm(rig: CharacterRig, way: Sequence[int]) -> dict[str, int] | None:
     return found | ({"Shoulder": bones[0]} if shoulder else {})
 
 
-def _is_palm(rig: CharacterRig, bone: int) -> bool:
-    """True for a bone with several fingers."""
-    return sum(bool(rig.children[child]) for child in rig.children[bone]) >= _NUM_FINGER_BONES
+def _num_fingers(rig: CharacterRig, bone: int) -> int:
+    """Number of branches of at least two bones."""
+    return sum(bool(rig.children[child]) for child in rig.children[bone])
 
 
 def _head(

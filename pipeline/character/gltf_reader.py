@@ -43,6 +43,8 @@ _COMPONENTS: Mapping[int, np.dtype[Any]] = {
     5126: np.dtype("<f4"),
 }
 _NUM_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+# Extensions that compress matrices and skins too; Draco compresses meshes alone.
+_COMPRESSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _EXPORT_AGAIN = "Export the character once more, as GLB (binary glTF 2.0) with everything inside."
 
 
@@ -169,6 +171,12 @@ class GltfDocument:
         self._views, self._accessors = self._objects("bufferViews"), self._objects("accessors")
         self.meshes, self.skins = self._objects("meshes"), self._objects("skins")
         self.materials = self._objects("materials")
+        required = document.get("extensionsRequired")
+        for extension in _COMPRESSIONS:
+            if isinstance(required, list) and extension in required:
+                message = f"The content of the file is compressed ({extension})."
+                hint = "Export the character once more without compression."
+                raise _CharacterError(message, CHARACTER_FORMAT, hint)
         for number, buffer in enumerate(self._objects("buffers")):
             if number or "uri" in buffer:
                 raise _CharacterError("The file keeps a part of its content in other files.")

@@ -139,7 +139,7 @@ def _unknown(rig: CharacterRig, stated: Mapping[str, str | None], name: str) -> 
             BONES_INVALID,
             f"The character has no bone {printable(bone)}, which the table names for {joint}.",
             file=name,
-            hint=f"Bones are {listed_names([rig.names[n] for n in rig.order if rig.is_bone[n]])}.",
+            hint=f"Bones are {listed_names([rig.names[n] for n in rig.bones])}.",
         )
         for joint, bone in stated.items()
         if bone is not None and bone not in known
@@ -195,7 +195,7 @@ def _completed(
         tuple(rig.names[node] for node in neck),
         {rig.names[node]: joint for node, joint in twists.items()},
         tuple(joint for joint in OPTIONAL if joint not in of_joints),
-        tuple(rig.names[node] for node in rig.order if rig.is_bone[node] and node not in used),
+        tuple(rig.names[node] for node in rig.bones if node not in used),
     )
 
 

@@ -35,6 +35,11 @@ class CharacterRig:
         return tuple(numbers)
 
     @cached_property
+    def bones(self) -> tuple[int, ...]:
+        """Numbers of the nodes that belong to the skeleton, parents before their children."""
+        return tuple(number for number in self.order if self.is_bone[number])
+
+    @cached_property
     def children(self) -> tuple[tuple[int, ...], ...]:
         """Numbers of each node's children."""
         children: list[list[int]] = [[] for _ in self.names]

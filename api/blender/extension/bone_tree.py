@@ -42,7 +42,7 @@ class BoneTree:
         return tuple(map(tuple, children))
 
     @cached_property
-    def order(self) -> tuple[int, ...]:
+    def bones(self) -> tuple[int, ...]:
         """Numbers of all bones, parents before their children."""
         numbers = [number for number, parent in enumerate(self.parents) if parent < 0]
         for number in numbers:  # It grows meanwhile.

@@ -30,7 +30,7 @@ def rest_of(armature: Any) -> RestArmature:
     if min(scale) <= 0.0 or max(scale) - min(scale) > _EVEN * max(scale):
         raise RequestError(f"The scale of {armature.name} is uneven or mirrored. Apply it: Object, Apply, Scale.")
     tree = tree_of(armature)
-    bones = [armature.data.bones[tree.names[number]] for number in tree.order]
+    bones = [armature.data.bones[tree.names[number]] for number in tree.bones]
     return RestArmature(
         {
             bone.name: RestBone(

@@ -62,7 +62,7 @@ def _name_of(posed: PosedCharacter) -> str:
 
 def _nodes(rig: CharacterRig) -> list[int]:
     """Bones and the nodes above them, parents first."""
-    needed = {above for node in rig.order if rig.is_bone[node] for above in rig.ancestors(node)}
+    needed = {above for node in rig.bones for above in rig.ancestors(node)}
     return [node for node in rig.order if node in needed]
 
 

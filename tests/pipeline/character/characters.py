@@ -216,6 +216,12 @@ def vrm(version: str) -> bytes:
     )
 
 
+def parts(content: bytes) -> tuple[dict[str, Any], bytes]:
+    """Document and buffer of a GLB."""
+    (length,) = struct.unpack_from("<I", content, 12)
+    return json.loads(content[20 : 20 + length]), content[28 + length :]
+
+
 def glb(document: Mapping[str, Any], binary: bytes) -> bytes:
     """GLB of a document and its buffer."""
     head = json.dumps(document).encode()

@@ -10,8 +10,8 @@ import pytest
 
 from api.sessions.preflight import CharacterContents
 from pipeline.character import check
-from tests.pipeline.character.characters import bones_of, character, glb, vrm
-from tests.pipeline.character.test_gltf_reader import changed, parts
+from tests.pipeline.character.characters import bones_of, character, glb, parts, vrm
+from tests.pipeline.character.test_gltf_reader import changed
 
 MIXAMO = character(bones_of("mixamo"), unit=100.0, armature_scale=0.01)
 

@@ -14,15 +14,9 @@ from pipeline.character.figure import measure
 from pipeline.character.gltf_reader import MAX_NODES, decode_character, read_character_file
 from pipeline.character.mapping import map_bones
 from pipeline.errors import InputError
-from tests.pipeline.character.characters import bones_of, character, glb, vrm
+from tests.pipeline.character.characters import bones_of, character, glb, parts, vrm
 
 MIXAMO = character(bones_of("mixamo"), unit=100.0, armature_scale=0.01)
-
-
-def parts(content: bytes) -> tuple[dict[str, Any], bytes]:
-    """Document and buffer of a GLB."""
-    (length,) = struct.unpack_from("<I", content, 12)
-    return json.loads(content[20 : 20 + length]), content[28 + length :]
 
 
 def code_of(content: bytes) -> str:
@@ -66,6 +60,14 @@ def test_a_humanoid_table_is_read_in_both_versions() -> None:
         read = decode_character("a.vrm", vrm(version))
         assert read.rig.names[read.humanoid["leftLowerLeg"]].startswith("b")
         assert len(read.humanoid) > 20
+
+
+def test_compressed_files_are_named() -> None:
+    document, binary = parts(MIXAMO)
+    document["extensionsRequired"] = ["EXT_meshopt_compression"]
+    document["buffers"].append({"byteLength": 12})
+    with pytest.raises(InputError, match="compressed"):
+        decode_character("a.glb", glb(document, binary))
 
 
 def test_files_of_other_formats_are_refused(tmp_path: Path) -> None:

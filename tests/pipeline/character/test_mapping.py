@@ -12,7 +12,7 @@ from pipeline.character.figure import measure
 from pipeline.character.gltf_reader import CharacterFile, decode_character
 from pipeline.character.mapping import OPTIONAL, REQUIRED, bone_table, map_bones, read_bone_table
 from pipeline.errors import InputError
-from tests.pipeline.character.characters import Bones, bones_of, character, odd_bones, vrm
+from tests.pipeline.character.characters import Bones, bones_of, character, glb, odd_bones, parts, vrm
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -81,6 +81,42 @@ def test_rigs_are_mapped_by_their_names(rig: str) -> None:
         "game_engine": ("pelvis", "head", ("spine_01", "spine_02", "spine_03"), ("neck_01",)),
     }[rig]
     assert (mapping.bones["Hips"], mapping.bones["Head"], mapping.spine, mapping.neck) == trunk
+
+
+LIMB_BONES = ("UpLeg", "Leg", "Foot", "ToeBase", "Shoulder", "Arm", "ForeArm", "Hand")
+
+
+@pytest.mark.parametrize(
+    ("names", "pattern"),
+    [
+        ("Hip Knee Ankle Foot Collar Shoulder Elbow Wrist", "{s}_{bone}"),  # SMPL
+        ("Hip Knee Ankle Toes Scapula Shoulder Elbow Wrist", "{bone}_{s}"),  # Advanced Skeleton
+    ],
+)
+def test_bones_are_named_after_the_joints_at_their_heads(names: str, pattern: str) -> None:
+    called = {
+        f"mixamorig:{side}{joint}": pattern.format(s=side[0], bone=bone)
+        for side in ("Left", "Right")
+        for joint, bone in zip(LIMB_BONES, names.split(), strict=True)
+    } | {"mixamorig:Head": "Head_M"}
+    bones: Bones = {
+        called.get(name, name): (parent and called.get(parent, parent), head, tail)
+        for name, (parent, head, tail) in bones_of("mixamo").items()
+    }
+    mapping = map_bones(read(bones))
+    assert mapping.method == "names"
+    for joint in LIMB_BONES:
+        assert mapping.bones[f"Left{joint}"] == called[f"mixamorig:Left{joint}"]
+
+
+def test_meshes_that_are_called_as_bones_are_none() -> None:
+    document, binary = parts(character(bones_of("mixamo")))
+    # They are at the top, before all bones.
+    document["nodes"] += [{"name": name} for name in ("Head", "Arm_L", "Foot_R")]
+    mapping = map_bones(decode_character("a.glb", glb(document, binary)))
+    assert [mapping.bones[joint] for joint in ("Head", "LeftArm", "RightFoot")] == [
+        f"mixamorig:{joint}" for joint in ("Head", "LeftArm", "RightFoot")
+    ]
 
 
 @pytest.mark.parametrize("rig", ["default", "mixamo", "game_engine"])
