@@ -41,6 +41,7 @@ NOT_NUMERIC = {
     "httpx2",
     "jaxtyping",
     "platformdirs",
+    "pxr",
     "threadpoolctl",
     "unearth",
     "yaml",
