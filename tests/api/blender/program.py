@@ -27,13 +27,13 @@ def install(path: str) -> Any:
     return sys.modules[f"{NAME}.work"]
 
 
-class Layout:
+class RecordedLayout:
     """Layout that takes note of what is shown, and fails for operators and properties that are not there."""
 
     def __init__(self) -> None:
         self.shown: list[str] = []
 
-    def row(self, **_: Any) -> "Layout":
+    def row(self, **_: Any) -> "RecordedLayout":
         return self
 
     def label(self, *, text: str, **_: Any) -> None:
@@ -177,7 +177,7 @@ class PanelUser:
         shown = {}
         for panel in panels.PANELS:
             if issubclass(panel, bpy.types.Panel) and (not hasattr(panel, "poll") or panel.poll(bpy.context)):
-                layout = Layout()
+                layout = RecordedLayout()
                 panel.draw(types.SimpleNamespace(layout=layout), bpy.context)
                 shown[panel.__name__] = layout.shown
         return shown
