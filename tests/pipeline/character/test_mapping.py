@@ -9,7 +9,7 @@ import pytest
 from pipeline.character.bone_names import BoneName, bone_name, joints_by_name
 from pipeline.character.bone_shapes import joints_by_shape
 from pipeline.character.figure import measure
-from pipeline.character.gltf_reader import CharacterFile, decode_character
+from pipeline.character.gltf_reader import MAX_NODES, CharacterFile, decode_character
 from pipeline.character.mapping import OPTIONAL, REQUIRED, bone_table, map_bones, read_bone_table
 from pipeline.errors import InputError
 from tests.pipeline.character.characters import Bones, bones_of, character, glb, odd_bones, parts, vrm
@@ -182,6 +182,18 @@ def test_all_problems_of_a_table_are_told(tmp_path: Path) -> None:
     (tmp_path / "bones.json").write_text("[1")
     with pytest.raises(InputError, match="can't be read"):
         read_bone_table(tmp_path / "bones.json")
+
+
+@pytest.mark.parametrize("num_children", [2, 40, MAX_NODES])
+def test_large_trees_are_no_characters(num_children: int) -> None:
+    """Looking for a body in them ends: the numbers of pairs of branches that are compared are bounded."""
+    nodes: list[dict[str, object]] = []
+    for number in range(MAX_NODES):
+        below = range(num_children * number + 1, min(num_children * (number + 1) + 1, MAX_NODES))
+        nodes.append({"translation": [(-1) ** number, 1, number % 7]} | ({"children": [*below]} if below else {}))
+    with pytest.raises(InputError) as raised:
+        map_bones(decode_character("a.glb", glb({"nodes": nodes}, b"")))
+    assert [problem.code for problem in raised.value.problems] == ["character_bones"]
 
 
 def test_a_chair_is_no_character() -> None:
