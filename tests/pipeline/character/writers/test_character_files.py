@@ -20,7 +20,7 @@ from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.joints import BODY_FEET
-from tests.e2e.foreign import read_with_three, validate_with_khronos
+from tests.e2e.foreign import read_with_blender, read_with_three, read_with_ufbx, validate_with_khronos
 from tests.pipeline.character.characters import bones_of, character, glb
 from tests.pipeline.character.takes import take_of
 from tests.pipeline.character.test_retarget import CHARACTERS, figure
@@ -98,6 +98,34 @@ def test_three_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> Non
             found_m = read.positions[by_node[node]] / units_per_m
             np.testing.assert_allclose(found_m, np.column_stack([x, z, -y]), atol=1e-4, err_msg=path.name)
         assert read.frame_rate_hz == pytest.approx(25.0, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_ufbx_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+    contents = {}
+    for name in ("default", "game_engine", "vrm 1.0", "odd"):
+        # Its reader here takes the times of the first curve for those of all.
+        content = replace(posed(name), is_present=np.ones(len(posed(name).frames), bool))
+        contents[written(content, tmp_path / f"{name}.fbx")] = content
+    for path, read in read_with_ufbx(list(contents)).items():
+        content = contents[path]
+        expected_m = bone_places(content, content.bones(), content.frames)
+        for place, node in enumerate(content.bones()):
+            x, y, z = expected_m[:, place].T
+            found_m = read.positions[content.motion.figure.rig.names[node]] / content.motion.scale / 100.0
+            np.testing.assert_allclose(found_m, np.column_stack([x, z, -y]), atol=1e-4, err_msg=path.name)
+
+
+@pytest.mark.slow
+def test_blender_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+    files = [written(posed(name), tmp_path / f"{name}.{e}") for name in ("default", "odd") for e in ("glb", "fbx")]
+    for path, read in read_with_blender([(path, 25.0, {}) for path in files], tmp_path).items():
+        content = posed(path.stem)
+        bones, motion = content.bones(), content.motion
+        expected_m = bone_places(content, bones, content.frames)
+        for place, node in enumerate(bones):
+            found_m = read.positions[motion.figure.rig.names[node]] / motion.scale
+            np.testing.assert_allclose(found_m, expected_m[:, place], atol=1e-4, err_msg=path.name)
 
 
 def test_the_character_s_own_bytes_are_kept(tmp_path: Path) -> None:
