@@ -118,7 +118,7 @@ class Options(ResponseModel):
 
     detectors: tuple[DetectorOut, ...] = Field(description="All detectors that the service supports.")
     choices: tuple[ChoiceOut, ...] = Field(
-        description="All choices of a job, for a form. `callback_url` is not listed."
+        description="All choices of a job, for a form. `callback_url` and `character` are not listed."
     )
     purposes: tuple[PurposeOut, ...] = Field(
         description="Purposes of a take, for a form; each sets the same choices, the first one to their defaults."

@@ -10,8 +10,8 @@ import pytest
 
 from api.settings import MIB, Settings
 from tests.api.conftest import NO_BROKER, running
+from tests.pipeline.character.characters import parts
 from tests.pipeline.character.test_check import MIXAMO, mutated
-from tests.pipeline.character.test_gltf_reader import parts
 
 NUM_FILES, NUM_SENDERS = 200, 3
 
