@@ -103,7 +103,8 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed  ## Open 
 	$(BIN)/multicap models install
 	$(BIN)/multicap samples install
 	$(BIN)/multicap bodies install
-	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export tests/pipeline/character tests/api/blender
+	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/e2e/test_blender_extension.py \
+		tests/pipeline/export tests/pipeline/character tests/api/blender
 	@echo "Blender's pictures are in build/exports/."
 
 blender-extension: $(VENV)/.installed  ## Build the extension for Blender into build/

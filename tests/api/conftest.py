@@ -140,7 +140,7 @@ class Live:
     ) -> None:
         """Finish a job as a worker would; ``motion``, ``overlays`` and ``scenes`` are other files by name.
 
-        They are files for viewers, videos, and GLB files of everybody, or of a person as in ``person-1.glb``;
+        They are files for viewers, videos, and GLB or FBX files of everybody, or of a person as in ``person-1.glb``;
         ``names`` are those of people.
         """
         revision = self.services.store.jobs.get(job_id).revision
@@ -148,7 +148,7 @@ class Live:
         files = [result, *(self._put(job_id, name, "viewer", one, revision) for name, one in motion.items())]
         videos = [self._put(job_id, name, "overlay", one, revision) for name, one in overlays.items()]
         files += [replace(video, media_type="video/mp4") for video in videos]
-        of_all = [self._put(job_id, name, "glb", one, revision) for name, one in scenes.items()]
+        of_all = [self._put(job_id, name, name.rpartition(".")[2], one, revision) for name, one in scenes.items()]
         files += [
             replace(scene, media_type="model/gltf-binary", person_name=names.get(scene.person or ""))
             for scene in of_all
@@ -169,7 +169,7 @@ class Live:
     def _put(self, job_id: str, name: str, kind: str, content: bytes, revision: int) -> Result:
         key, digest = result_key(job_id, name, revision), hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
-        person = name.partition(".")[0] if kind in {"bvh", "glb"} and name.startswith("person-") else None
+        person = name.partition(".")[0] if kind in {"bvh", "fbx", "glb"} and name.startswith("person-") else None
         return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest, revision)
 
 

@@ -66,6 +66,10 @@ def put_on(armature: Any, motion: PersonMotion, bones: Mapping[str, str], name: 
     problems = problems_of(tree, bones)
     if problems:
         raise RequestError(" ".join(problems))
+    if armature.data.bones[bones[HIPS]].use_connect:
+        raise RequestError(
+            f"The bone {bones[HIPS]} can't move away from its parent. Switch off Connected in edit mode."
+        )
     mapped: BoneMap = completed(tree, bones)
     poses = Retargeting(motion, rest_of(armature), mapped)
     hips, frames_a_key = bones[HIPS], scene_rate_hz(bpy.context.scene) / motion.frame_rate_hz

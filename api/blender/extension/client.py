@@ -43,6 +43,8 @@ _MAX_ANSWER_BYTES = 8 << 20
 _MAX_PROBLEM_BYTES = 1 << 18
 MAX_FILE_BYTES = 4 << 30
 """Largest result file that is downloaded; GLB files are no larger."""
+MAX_FRAMES = 2_000_000
+"""Most frames of a take."""
 _BLOCK_BYTES = 1 << 18
 _PIECE_BYTES = 4 << 20
 # Tries without progress, and the pauses between them.
@@ -184,10 +186,16 @@ class BlenderClient:
         """Result files of a job."""
         return files_of(self._json("GET", f"/v1/jobs/{identifier(job_id)}/results"))
 
-    def frame_rate_hz(self, job_id: str) -> float | None:
-        """Frame rate of a job's files; ``None`` if the service does not say it."""
-        rate_hz = self._json("GET", f"/v1/jobs/{identifier(job_id)}/motion/description").get("frame_rate_hz")
-        return float(rate_hz) if isinstance(rate_hz, (int, float)) and 0.0 < rate_hz <= 10_000.0 else None
+    def timeline(self, job_id: str) -> tuple[float, int] | None:
+        """Frame rate (hertz) and number of frames of a job's take; ``None`` if the service does not say it."""
+        try:
+            description = self._json("GET", f"/v1/jobs/{identifier(job_id)}/motion/description")
+        except RefusedError:
+            return None
+        rate_hz, num_frames = description.get("frame_rate_hz"), description.get("num_frames")
+        if not isinstance(rate_hz, (int, float)) or not isinstance(num_frames, int):
+            return None
+        return (float(rate_hz), num_frames) if 0.0 < rate_hz <= 10_000.0 and 0 < num_frames <= MAX_FRAMES else None
 
     def cancel(self, job_id: str) -> None:
         """Cancel a job."""

@@ -208,8 +208,8 @@ def _download(
 
 def _facts_of(client: BlenderClient, job: JobEntry) -> GlbFacts | None:
     """Timeline of a job without GLB files."""
-    rate_hz = client.frame_rate_hz(job.id)
-    return None if rate_hz is None else GlbFacts(rate_hz, 0)
+    timeline = client.timeline(job.id)
+    return None if timeline is None else GlbFacts(*timeline)
 
 
 def _selected(state: Any) -> tuple[JobEntry, list[int]]:
@@ -337,6 +337,7 @@ class MulticapSend(_FreeOperator):
             raise RequestError("Choose the folder with the videos.")
         files = find_capture(folder, calibration)
         name = state.name.strip() or folder.name or "Capture"
+        spec: dict[str, Any] = {"exports": ["glb"], **({"body": "human"} if state.has_human else {})}
 
         def work(task: BackgroundTask) -> tuple[JobEntry, list[FileEntry]]:
             speed = Speed(files.num_bytes)
@@ -345,7 +346,7 @@ class MulticapSend(_FreeOperator):
                 is_sent = sent >= files.num_bytes
                 task.report(speed.fraction(sent), "the service checks the files" if is_sent else speed.text(sent))
 
-            job = client.send(name, files.videos, files.calibration, {"exports": ["glb"]}, watch)
+            job = client.send(name, files.videos, files.calibration, spec, watch)
             return _followed(client, job.id, task)
 
         def then(result: tuple[JobEntry, list[FileEntry]]) -> None:

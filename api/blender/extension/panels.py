@@ -121,7 +121,7 @@ class MULTICAP_PT_send(_Panel):  # noqa: N801 - likewise
 
     def draw(self, context: Any) -> None:
         state, layout = panel_state(context), self.layout
-        for name in ("folder", "calibration", "name"):
+        for name in ("folder", "calibration", "name", "has_human"):
             layout.prop(state, name)
         layout.operator("multicap.send", icon="EXPORT")
 

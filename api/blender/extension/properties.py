@@ -96,6 +96,11 @@ class MulticapState(bpy.types.PropertyGroup):
     calibration: bpy.props.StringProperty(
         name="Calibration", subtype="FILE_PATH", description="Calibration file; empty: the only one of the folder"
     )
+    has_human: bpy.props.BoolProperty(
+        name="Human bodies",
+        description="Bodies of humans instead of capsules, if they are installed in the service",
+        default=False,
+    )
     name: bpy.props.StringProperty(name="Name", description="Name of the capture; empty: that of the folder")
 
 

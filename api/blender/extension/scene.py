@@ -118,8 +118,9 @@ def _move(things: Sequence[Any], collection: Any) -> None:
 
 def _remove(things: Sequence[Any]) -> None:
     """Remove objects with their data and their actions, unless others use them."""
-    with_actions = [thing.animation_data for thing in things if thing.animation_data is not None]
-    actions = {data.action for data in with_actions if data.action is not None}
+    shapes = [thing.data.shape_keys for thing in things if thing.type == "MESH"]
+    moving = [owner.animation_data for owner in (*things, *shapes) if owner is not None]
+    actions = {data.action for data in moving if data is not None and data.action is not None}
     holders: Mapping[str, Any] = {"ARMATURE": bpy.data.armatures, "MESH": bpy.data.meshes}
     blocks = {(thing.type, thing.data) for thing in things if thing.type in holders}
     for thing in things:

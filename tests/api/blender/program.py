@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from mathutils import Matrix, Vector
 
 NAME = "bl_ext.user_default.multicap"
 
@@ -110,6 +111,9 @@ class PanelUser:
         for number, person in enumerate(self.panel.people):
             person.is_chosen = number in people
 
+    def choose_armature(self, name: str) -> None:
+        self.panel.armature = bpy.data.objects[name]
+
     def open_armature(self, path: str) -> None:
         """Import a character of the user's own, and choose it."""
         before = set(bpy.data.objects)
@@ -190,6 +194,56 @@ class PanelUser:
         armature.rotation_mode = "XYZ"
         armature.rotation_euler = (*armature.rotation_euler[:2], math.radians(degrees))
         bpy.context.view_layer.update()
+
+    def render(self, path: str) -> None:
+        """Render the scene, from the front and a little above, at a frame in the middle."""
+        scene = bpy.context.scene
+        scene.frame_set((scene.frame_start + scene.frame_end) // 2)
+        roots = [
+            thing.matrix_world @ thing.pose.bones[0].head for thing in bpy.data.objects if thing.type == "ARMATURE"
+        ]
+        middle = sum(roots, Vector()) / len(roots)
+        middle.z = 0.85
+        reach_m = max(1.5, *((root - middle).to_2d().length for root in roots))
+        material = bpy.data.materials.new("ground")
+        material.use_nodes = True
+        surface = material.node_tree.nodes["Principled BSDF"].inputs
+        surface["Base Color"].default_value, surface["Roughness"].default_value = (0.2, 0.22, 0.25, 1.0), 0.9
+        bpy.ops.mesh.primitive_plane_add(size=60.0, location=(0.0, 0.0, -0.005))
+        bpy.context.object.data.materials.append(material)
+        for thing in bpy.data.objects:
+            if thing.type == "CAMERA":
+                self._draw_camera(thing, scene)
+        scene.camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+        scene.collection.objects.link(scene.camera)
+        scene.camera.location = middle + Vector((1.0, -2.7, 0.9)) * reach_m
+        scene.camera.rotation_euler = (middle - scene.camera.location).to_track_quat("-Z", "Y").to_euler()
+        sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+        sun.data.energy, sun.data.angle, sun.rotation_euler = 2.2, 0.15, (0.7, 0.25, 0.5)
+        scene.collection.objects.link(sun)
+        scene.world = bpy.data.worlds.new("sky")
+        scene.world.use_nodes = True
+        scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.72, 0.8, 0.92, 1.0)
+        scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.35
+        scene.view_settings.view_transform = "Standard"
+        scene.render.engine, scene.cycles.device, scene.cycles.samples = "CYCLES", "CPU", 40
+        scene.cycles.use_denoising, scene.cycles.seed = True, 0
+        scene.render.resolution_x, scene.render.resolution_y = 800, 450
+        scene.render.image_settings.file_format, scene.render.image_settings.quality = "JPEG", 82
+        scene.render.filepath = path
+        bpy.ops.render.render(write_still=True)
+
+    def _draw_camera(self, camera: Any, scene: Any) -> None:
+        """Draw a camera, which a picture does not show, as a pyramid."""
+        width, height = math.tan(camera.data.angle_x / 2), math.tan(camera.data.angle_y / 2)
+        corners = [(x * width, y * height, -1.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        mesh = bpy.data.meshes.new("pyramid")
+        sides = [(0, 1 + number, 1 + (number + 1) % 4) for number in range(4)]
+        mesh.from_pydata([(0.0, 0.0, 0.0), *corners], [], sides)
+        pyramid = bpy.data.objects.new("pyramid", mesh)
+        pyramid.modifiers.new("edges", "WIREFRAME").thickness = 0.06
+        pyramid.matrix_world = camera.matrix_world @ Matrix.Scale(0.4, 4)
+        scene.collection.objects.link(pyramid)
 
     def unregister(self) -> list[str]:
         """Switch the extension off; return what it left in Blender."""

@@ -202,6 +202,22 @@ def test_names_that_are_paths_are_left_out(name: object) -> None:
     assert (file.name, file.person, file.format) == ("person-1.glb", "person-1", "glb")
 
 
+def test_timelines_that_are_none(wrong_service: WrongService) -> None:
+    client = BlenderClient(wrong_service.address)
+    assert client.timeline(ID) is None
+    for rate, frames, expected in (
+        (25, 60, (25.0, 60)),
+        (0, 60, None),
+        ("25", 60, None),
+        (25.0, 1 << 60, None),
+        (25.0, 2.5, None),
+        (25.0, 0, None),
+    ):
+        body = json.dumps({"frame_rate_hz": rate, "num_frames": frames}).encode()
+        wrong_service.answers["/v1/jobs/"] = says(200, body)
+        assert client.timeline(ID) == expected
+
+
 def test_a_state_that_is_not_known() -> None:
     for state in ("paused", ["running"], None):
         with pytest.raises(RequestError):

@@ -24,7 +24,7 @@ from tests.api.blender.test_client import ServiceGate
 from tests.api.conftest import Live, running
 from tests.e2e.foreign import BLENDER
 from tests.pipeline.character.characters import bones_of, character
-from tests.pipeline.export.test_scene import GLB, NAMES, named
+from tests.pipeline.export.test_scene import FBX, GLB, NAMES, named
 from tests.pipeline.export.test_timelines import NUM_FRAMES, RATE_HZ, nearest_m, two_people
 from worker.jobs.model.rights import Scope
 
@@ -113,6 +113,31 @@ def test_import(
     assert left == []
 
 
+def test_fbx_without_glb(
+    live: Live,
+    named: Reconstruction,
+    blender: Callable[..., list[Any]],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    """The importer of Blender gives the scene the file's frame rate; the frames stay without a description."""
+    paths = write_results(named, tmp_path_factory.mktemp("fbx"), FBX)
+    with_people(live, named, {path.name: path.read_bytes() for path in paths if path.suffix == ".fbx"})
+    _, imported, _, put, scene = blender(
+        str(live.client.base_url),
+        [
+            ("show_people", {}),
+            ("press", {"name": "import_people"}),
+            ("choose_armature", {"name": "person-1"}),
+            ("press", {"name": "put_on"}),
+            ("scene", {}),
+        ],
+    )
+    assert imported["message"] == "Imported 2 people."
+    assert {name for name, kind in scene["objects"].items() if kind == "ARMATURE"} == set(NAMES)
+    assert (scene["rate_hz"], scene["frames"]) == (pytest.approx(RATE_HZ), [1, 250])
+    assert put["message"] == "Choose one person whose motion the armature gets."
+
+
 def test_cameras_of_the_take(
     live: Live, named: Reconstruction, files: dict[str, bytes], blender: Callable[..., list[Any]]
 ) -> None:
@@ -196,10 +221,16 @@ def test_send_a_folder(live: Live, blender: Callable[..., list[Any]], tmp_path: 
     assert wrong["message"] == "Choose the folder with the videos."
     assert "Send and reconstruct" in panels["MULTICAP_PT_send"]
     (folder / "calibration.toml").write_bytes(b"[cam_0]")
-    stop_waiting = [("set_panel", {"folder": str(folder)}), ("press", {"name": "send", "seconds": 6.0}), ("draw", {})]
+    stop_waiting = [
+        ("set_panel", {"folder": str(folder), "has_human": True}),
+        ("press", {"name": "send", "seconds": 6.0}),
+        ("draw", {}),
+    ]
     _, sent, shown = blender(str(live.client.base_url), stop_waiting)
     (session,) = live.client.get("/v1/sessions").json()["sessions"]
     assert (session["name"], session["num_jobs"]) == ("Walk 7", 1)
+    (job,) = live.client.get("/v1/jobs").json()["jobs"]
+    assert (job["spec"]["body"], job["spec"]["exports"]) == ("human", ["glb"])
     assert sent["is_busy"]
     assert any("queued" in text for text in shown["MULTICAP_PT_service"])
 
