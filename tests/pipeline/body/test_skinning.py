@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
@@ -138,7 +140,11 @@ def test_standing_feet_are_on_the_floor(shapes: BodyShapes, seed: int) -> None:
     animation = animate([track], [seen], cameras, timebase(150, 25.0), BODY_FEET, ReconstructionConfig())
     motion, floor = animation.motions[0], animation.floor
     assert floor is not None
-    body = shape_body(shapes, motion.bone_length_m, standing_ankle_m(motion, floor))
+    ankle_m = standing_ankle_m(motion, floor)
+    body = shape_body(shapes, motion.bone_length_m, ankle_m)
+    # Contacts are counted from the person's first frame. On a treadmill the floor tells nothing of the ankles' height.
+    assert standing_ankle_m(replace(motion, start_frame=40), floor) == ankle_m
+    assert standing_ankle_m(motion, replace(floor, z_m=floor.z_m - 0.25)) is None
     # Heels and toes have lain still for a fifth of a second, and will.
     is_flat = feet_on_floor(truth_m, 25.0)[..., :2].all(-1)
     is_standing = binary_erosion(is_flat, np.ones((11, 1), bool))
