@@ -46,6 +46,12 @@ PURPOSES = (
         ("bvh", "fbx"),
         "humanik",
     ),
+    Purpose(
+        "character",
+        "My own character",
+        "GLB, FBX and BVH of a figure of yours in motion, beside the people's own.",
+        ("bvh", "glb", "fbx"),
+    ),
     Purpose("vrm", "VRM characters", "VRMA, an animation that every VRM character plays.", ("vrma",)),
     Purpose("web", "Web pages", "GLB with bodies and cameras, for three.js, Babylon.js and model viewers.", ("glb",)),
     Purpose("research", "Research", "TRC for OpenSim, C3D and CSV: positions of the joints.", ("trc", "c3d", "csv")),

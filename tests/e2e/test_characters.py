@@ -1,12 +1,14 @@
-"""A character of one's own in a service that runs: sent, moved as everybody, edited after its deletion."""
+"""A character of one's own in a running service and on its page: sent, corrected, moved, edited after its deletion."""
 
 import json
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import expect
 
 from pipeline.character.gltf_reader import decode_character
 from pipeline.simulation.scenes import record
+from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import files
 from tests.pipeline.character.characters import bones_of, character
@@ -50,3 +52,37 @@ def test_a_stored_character_moves_as_everybody(served: Served, take: Path) -> No
     assert job["state"] == "succeeded", job["error"]
     described = served.client.get(f"/v1/jobs/{job_id}/results/character.json").json()
     assert "Anna" in [person["name"] for person in described["people"]]
+
+
+def test_the_form_takes_a_character_and_corrects_its_bones(served: Served, take: Path, tmp_path: Path) -> None:
+    (tmp_path / "robot.glb").write_bytes(ROBOT)
+    (tmp_path / "cube.glb").write_bytes(b"solid cube")
+    session = served.client.post("/v1/sessions", files=files(take)).raise_for_status().json()
+    with opened(f"{served.client.base_url}#/captures", allowed=("422",)) as page:
+        page.get_by_role("button", name=f"Run again: {session['name']}").click()
+        form = page.get_by_role("form")
+        form.get_by_role("radio", name="My own character").check()
+        form.get_by_label("Or a file").set_input_files(tmp_path / "cube.glb")
+        expect(form.get_by_role("alert")).to_contain_text("cube.glb", timeout=120_000)
+        form.get_by_label("Or a file").set_input_files(tmp_path / "robot.glb")
+        form.get_by_text("Bones", exact=True).click(timeout=120_000)
+        expect(form.get_by_role("img", name="The character's bones from the front")).to_be_visible()
+        expect(form.get_by_label("LeftArm", exact=True)).to_have_value("mixamorig:LeftArm")
+        assert axe_findings(page) == []
+        form.get_by_label("LeftToeBase").select_option("")
+        expect(form.get_by_text("Bones (without: LeftToeBase)")).to_be_visible(timeout=120_000)
+        with page.expect_response("**/v1/sessions/*/jobs") as answer:
+            form.get_by_role("button", name="Reconstruct without uploading").click()
+        job = answer.value.json()
+        (sent,) = served.client.get("/v1/characters").json()["characters"]
+        assert (job["spec"]["character"], job["spec"]["exports"]) == (sent["id"], ["bvh", "glb", "fbx"])
+        # The next run begins with the same character; after its deletion with none.
+        assert served.wait_for_end(job["id"])["state"] == "succeeded"
+        page.get_by_role("button", name=f"Run again: {session['name']}").click()
+        expect(form.get_by_label("Stored character")).to_have_value(sent["id"])
+        served.client.delete(sent["links"]["self"]).raise_for_status()
+        page.reload()
+        page.get_by_role("button", name=f"Run again: {session['name']}").click()
+        expect(form.get_by_label("Stored character")).to_have_value("")
+    described = served.client.get(f"/v1/jobs/{job['id']}/results/character.json").json()
+    assert described["missing"] == ["LeftToeBase"]

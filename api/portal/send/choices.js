@@ -1,6 +1,7 @@
 // Form of a job's choices, made from what the service lists: first what an animator thinks of, the rest folded.
 
 import { html, live, nothing, prose, typed } from "../shared/lit.js";
+import { characterField } from "./character.js";
 
 const GROUPS = [["purpose", "What for"], ["people", "Who"], ["quality", "How well"]];
 const MOST_TILES = 6;
@@ -32,8 +33,11 @@ export function shownSpec(spec, options) {
     if (choice.kind === "several") shown[choice.name] = value.filter((name) => names.includes(name));
     else if (choice.kind !== "one" || names.includes(value)) shown[choice.name] = value;
   }
-  return shown;
+  return { ...shown, ...characterOf(spec) };
 }
+
+// Character of a spec, which is none of the listed choices.
+export const characterOf = ({ character }) => (character ? { character } : {});
 
 // Value that a choice has in a spec: the default if it is not set.
 export const valueOf = (choice, spec) => (choice.name in spec ? spec[choice.name] : choice.default);
@@ -79,11 +83,13 @@ function purposeField({ id, options, spec, onChange }) {
   const pick = (purpose) => {
     for (const [name, value] of Object.entries(purpose.spec)) onChange(name, isSame(value, choiceOf(name).default) ? undefined : value);
   };
-  return frame({ label: "The take is for", description: chosen ? "It sets the files below." : "The files below are your own choice." },
-    options.purposes.map((purpose) => tile({
-      id, choice: { name: "purpose" }, value: purpose.name, label: purpose.label, note: purpose.note,
-      isChecked: purpose === chosen, onPick: () => pick(purpose),
-    })));
+  const tiles = options.purposes.map((purpose) => tile({
+    id, choice: { name: "purpose" }, value: purpose.name, label: purpose.label, note: purpose.note,
+    isChecked: purpose === chosen, onPick: () => pick(purpose),
+  }));
+  const setCharacter = (character) => onChange("character", character);
+  return html`${frame({ label: "The take is for", description: chosen ? "It sets the files below." : "The files below are your own choice." }, tiles)}
+    ${spec.character || chosen?.name === "character" ? characterField({ id, chosen: spec.character, set: setCharacter }) : nothing}`;
 }
 
 function frame(choice, content) {

@@ -1,6 +1,7 @@
 // View Send: a new capture, from dropped files to its job.
 
 import { persistently } from "../shared/away.js";
+import { characters } from "../shared/characters.js";
 import { feed } from "../shared/feed.js";
 import { readCalibrations } from "../shared/calibrations.js";
 import { percent } from "../shared/format.js";
@@ -158,8 +159,9 @@ export function open(place) {
   sending.addEventListener("sent", onSent);
   sending.addEventListener("change", draw);
   feed.addEventListener("change", draw);
+  characters.addEventListener("change", draw);
   draw();
-  for (const loading of [sending.loadOptions(), loadCalibrations()]) loading.catch((problem) => { if (!isClosed) failed(problem); });
+  for (const loading of [sending.loadOptions(), loadCalibrations(), characters.load(sending.draft.spec)]) loading.catch((problem) => { if (!isClosed) failed(problem); });
   return {
     title: "New capture",
     close() {
@@ -167,6 +169,7 @@ export function open(place) {
       sending.removeEventListener("sent", onSent);
       sending.removeEventListener("change", draw);
       feed.removeEventListener("change", draw);
+      characters.removeEventListener("change", draw);
     },
   };
 }

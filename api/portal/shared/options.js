@@ -27,7 +27,6 @@ export function describeSpec(spec, { choices }) {
   const describe = (choice) => (choice.kind === "flag"
     ? { label: spec[choice.name] ? "With" : "Without", value: choice.label }
     : { label: choice.label, value: valueOf(choice, spec[choice.name]) });
-  return choices
-    .filter((choice) => choice.name in spec && differs(choice))
-    .map(describe);
+  const changed = choices.filter((choice) => choice.name in spec && differs(choice)).map(describe);
+  return spec.character ? [...changed, { label: "With", value: "a character" }] : changed;
 }

@@ -3,6 +3,7 @@
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
 import { readCalibrations, usable } from "../shared/calibrations.js";
+import { characters } from "../shared/characters.js";
 import { confirm } from "../shared/dialog.js";
 import { feed } from "../shared/feed.js";
 import { count, length, moment, size } from "../shared/format.js";
@@ -123,7 +124,11 @@ export function captureCard(view, session) {
   });
   const toggleForm = () => {
     if (view.opened.has(session.id)) view.opened.delete(session.id);
-    else view.opened.set(session.id, specOf(jobs[0], view.options, session));
+    else {
+      const spec = specOf(jobs[0], view.options, session);
+      view.opened.set(session.id, spec);
+      characters.load(spec);
+    }
     view.draw();
     view.place.querySelector(`#again-${session.id} input, #again-${session.id} select`)?.focus();
   };

@@ -5,7 +5,7 @@ import { call } from "../shared/api.js";
 import { cameraFramesOf, estimateOf } from "../shared/estimate.js";
 import { feed } from "../shared/feed.js";
 import { html } from "../shared/lit.js";
-import { choicesForm } from "../send/choices.js";
+import { characterOf, choicesForm } from "../send/choices.js";
 
 // Choices that a session states for its jobs.
 const OF_SESSION = ["sync", "timeline"];
@@ -15,7 +15,7 @@ export function specOf(job, options, session) {
   const stated = job?.spec ?? Object.fromEntries(OF_SESSION.map((name) => [name, session[name]]));
   const differs = ({ name, default: usual }) => (job || OF_SESSION.includes(name))
     && JSON.stringify(stated[name] ?? null) !== JSON.stringify(usual ?? null);
-  return Object.fromEntries(options.choices.filter(differs).map(({ name }) => [name, stated[name]]));
+  return { ...Object.fromEntries(options.choices.filter(differs).map(({ name }) => [name, stated[name]])), ...characterOf(stated) };
 }
 
 export function runAgainForm(view, session) {

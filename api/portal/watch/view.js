@@ -3,6 +3,7 @@
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
 import { persistently } from "../shared/away.js";
+import { characters } from "../shared/characters.js";
 import { feed } from "../shared/feed.js";
 import { stateOf } from "../shared/jobs.js";
 import { html, nothing, render, repeat } from "../shared/lit.js";
@@ -46,10 +47,12 @@ class Captures {
     this.place = place;
     this.canWrite = caller.scopes.includes("write");
     this.onFeed = () => this.#feedChanged();
+    this.onCharacters = () => this.draw();
   }
 
   async start() {
     feed.addEventListener("change", this.onFeed);
+    characters.addEventListener("change", this.onCharacters);
     for (const job of feed.jobs.values()) this.#states.set(job.id, job.state);
     this.draw();
     this.reload();
@@ -70,6 +73,7 @@ class Captures {
     this.#isClosed = true;
     clearTimeout(this.#timer);
     feed.removeEventListener("change", this.onFeed);
+    characters.removeEventListener("change", this.onCharacters);
   }
 
   // Ask for the sessions that fit the search: the first ones, as many as are shown, or the next page.
