@@ -10,7 +10,7 @@ class Purpose:
     """Purpose of a take: choices of a job that files for it need."""
 
     name: str
-    label: str  # What forms and documentation call it
+    label: str  # Name in forms and documentation
     note: str  # Sentence that tells which files it gives
     exports: tuple[Export, ...]
     bvh: Preset = "default"

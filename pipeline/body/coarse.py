@@ -95,7 +95,7 @@ class _Mesh:
             heappush(self._candidates, self._candidate(neighbour, onto))
 
     def _can_collapse(self, vertex: int, onto: int) -> bool:
-        """Whether the mesh stays a surface, and no triangle turns over."""
+        """True if the mesh stays a surface, and no triangle turns over."""
         shared = self._of_vertex[vertex] & self._of_vertex[onto]
         common = set(self._neighbours(vertex)) & set(self._neighbours(onto))
         # A vertex on a border only moves along the border.

@@ -38,7 +38,7 @@ _SHA256 = "c9ded0d5c9c0bf6c6d4ef8fd12a95001f8b5f475dfb99c04bfeaad003075db57"
 
 
 def is_installed() -> bool:
-    """Whether the human body's file exists."""
+    """True if the human body's file exists."""
     return path().is_file()
 
 

@@ -19,7 +19,7 @@ HEAD = "Head"
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 """Fingers of a hand, as ``pipeline.joints`` has them."""
 
-# What stands before names: namespaces, and prefixes of exporters.
+# Words in front of names: namespaces, and prefixes of exporters.
 _NAMESPACE = re.compile(r"^.*[:|]")
 _PREFIX = re.compile(
     r"^(mixamorig\d*|cc_base|rl|def|org|mch|j_bip|j_sec|bip\d*|valvebiped|armature|genesis\d*\w*)[_\-. ]+", re.I

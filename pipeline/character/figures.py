@@ -1,4 +1,4 @@
-"""How well a character follows a person: slide and depth of standing feet, kept contacts, directions of limbs."""
+"""Figures of a character that follows a person: standing feet (slide, depth), kept contacts, directions of limbs."""
 
 from dataclasses import dataclass
 from itertools import pairwise

@@ -34,7 +34,7 @@ OPTIONAL = tuple(f"{side}{joint}" for side in SIDES for joint in ("Shoulder", "T
 """Joints that a character may lack."""
 
 Recognition = Literal["vrm", "names", "shape", "table"]
-"""How a bone was recognised: by a VRM's table, by names, by the shape of the tree, by a user's table."""
+"""Ways in which a bone is recognised: by a VRM's table, by names, by the shape of the tree, by a user's table."""
 
 _MAX_TABLE_BYTES = 1 << 20
 _HINT = 'Write a JSON object such as {"bones": {"LeftArm": "upperarm_l", "LeftShoulder": null}}.'
@@ -44,10 +44,10 @@ _HINT = 'Write a JSON object such as {"bones": {"LeftArm": "upperarm_l", "LeftSh
 class BoneMapping:
     """Bones of a character by joint, each by its name."""
 
-    # How they were recognised: by a VRM's table, by names, by the shape of the tree; ``table``: by a user's table too
+    # By a VRM's table, by names, or by the shape of the tree; ``table``: by a user's table too
     method: Literal["vrm", "names", "shape", "table"]
     bones: Mapping[str, str]  # Bone of each joint, ``Hips`` among them
-    recognised_by: Mapping[str, Recognition]  # How the bone of each joint was recognised
+    recognised_by: Mapping[str, Recognition]  # Way in which the bone of each joint was recognised
     # Bones between hips and arms, and between arms and head, from below
     spine: tuple[str, ...]
     neck: tuple[str, ...]

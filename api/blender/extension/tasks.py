@@ -24,7 +24,7 @@ class BackgroundTask:
     def __init__(self, title: str, work: Callable[["BackgroundTask"], Any]) -> None:
         self.title = title
         self.fraction: float | None = None  # Share that is done; ``None`` if it is not known
-        self.text = ""  # What is done now
+        self.text = ""  # Words for the present step
         self.result: Any = None
         self.error: str = ""  # Sentence about why it came to nothing
         self._stopped = threading.Event()

@@ -1,4 +1,4 @@
-"""What runs: one task in a thread at a time, and steps in Blender's main thread.
+"""Work that runs: one task in a thread at a time, and steps in Blender's main thread.
 
 ``pump``, a timer of Blender, takes results of tasks in and does the steps, so that Blender never waits.
 """
@@ -34,7 +34,7 @@ class CurrentWork:
 
 
 current = CurrentWork()
-"""What runs in this Blender."""
+"""Work that runs in this Blender."""
 
 
 def panel_state(context: Any = None) -> Any:

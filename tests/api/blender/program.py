@@ -118,13 +118,15 @@ class PanelUser:
         """Import a character of the user's own, and choose it."""
         before = set(bpy.data.objects)
         bpy.ops.import_scene.gltf(filepath=path)
-        self.panel.armature = next(one for one in bpy.data.objects if one not in before and one.type == "ARMATURE")
+        self.panel.armature = next(
+            added for added in bpy.data.objects if added not in before and added.type == "ARMATURE"
+        )
 
     def bones(self) -> dict[str, str]:
         return {item.joint: item.bone for item in self.panel.bones}
 
     def scene(self) -> dict[str, Any]:
-        """What the scene holds, with the world positions of bones in each frame."""
+        """Content of the scene, with the world positions of bones in each frame."""
         scene = bpy.context.scene
         armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
         heads: dict[str, dict[str, list[list[float]]]] = {

@@ -73,7 +73,7 @@ def test_lists_are_paged_and_have_no_bones(strict: Live) -> None:
     assert newest == {key: made[1][key] for key in newest}
     assert "joints" not in newest
     second = strict.client.get("/v1/characters", params={"limit": 1, "cursor": first["next_cursor"]}).json()
-    assert [one["id"] for one in second["characters"]] == [made[0]["id"]]
+    assert [listed["id"] for listed in second["characters"]] == [made[0]["id"]]
 
 
 @pytest.mark.parametrize("version", ["0.x", "1.0"])

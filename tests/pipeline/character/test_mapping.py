@@ -167,7 +167,7 @@ def test_a_table_corrects_the_mapping(tmp_path: Path) -> None:
     assert mapping.missing == ("LeftShoulder",)
     assert "mixamorig:LeftShoulder" in mapping.at_rest
     assert mapping.bones["LeftToeBase"] == "mixamorig:RightToeBase"
-    # What it says can be read as a table again.
+    # Its document can be read as a table again.
     assert map_bones(file, bone_table(mapping.document())).bones == mapping.bones
 
 

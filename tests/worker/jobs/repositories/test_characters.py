@@ -34,7 +34,7 @@ def test_a_character_is_of_its_tenant(jobs: StoreBench) -> None:
     mine, theirs = jobs.store.of("mine"), jobs.store.of("theirs")
     made = add(theirs)
     assert theirs.characters.get(made.id) == made == jobs.store.characters.get(made.id)
-    assert [(one.id, one.facts) for one in theirs.characters.page()] == [(made.id, FACTS)]
+    assert [(listed.id, listed.facts) for listed in theirs.characters.page()] == [(made.id, FACTS)]
     assert mine.characters.page() == []
     for act in (
         lambda: mine.characters.get(made.id),
@@ -50,8 +50,8 @@ def test_a_character_is_of_its_tenant(jobs: StoreBench) -> None:
 def test_pages_go_on_after_an_id(jobs: StoreBench) -> None:
     made = [add(jobs.store.of("mine")).id for _ in range(3)]
     mine = jobs.store.of("mine")
-    assert [one.id for one in mine.characters.page(limit=2)] == [made[2], made[1]]
-    assert [one.id for one in mine.characters.page(limit=2, after=made[1])] == [made[0]]
+    assert [listed.id for listed in mine.characters.page(limit=2)] == [made[2], made[1]]
+    assert [listed.id for listed in mine.characters.page(limit=2, after=made[1])] == [made[0]]
 
 
 def test_changes_are_noted(jobs: StoreBench) -> None:
