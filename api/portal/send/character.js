@@ -41,10 +41,12 @@ function bonesOf(character, id) {
   const table = (joints) => html`<div class="bones">${joints.map((joint) => boneField(character, joint, id))}</div>`;
   return html`<p class="chosen"><b>${character.name}</b>
       <span class="quiet">${character.format} · ${size(character.num_bytes)} · ${count(character.num_bones, "bone")}</span></p>
-    <details class="of-bones"><summary>Bones${missing.length ? ` (without: ${missing.join(", ")})` : ""}</summary>
-      <div class="figure-and-bones">${figure(character)}${table(character.joints.filter((joint) => !isFinger(joint)))}</div>
-      <details><summary>Fingers</summary>${table(character.joints.filter(isFinger))}</details>
-      ${character.at_rest.length ? html`<p class="quiet">At rest: ${character.at_rest.join(", ")}.</p>` : nothing}
+    <details .open=${characters.showsBones} @toggle=${(event) => { if (event.target === event.currentTarget) characters.showsBones = event.target.open; }}>
+      <summary>Bones${missing.length ? ` (without: ${missing.join(", ")})` : ""}</summary>
+      ${characters.showsBones ? html`
+        <div class="figure-and-bones">${figure(character)}${table(character.joints.filter((joint) => !isFinger(joint)))}</div>
+        <details><summary>Fingers</summary>${table(character.joints.filter(isFinger))}</details>
+        ${character.at_rest.length ? html`<p class="quiet">At rest: ${character.at_rest.join(", ")}.</p>` : nothing}` : nothing}
     </details>`;
 }
 

@@ -9,6 +9,16 @@ class Characters extends EventTarget {
   opened = new Map(); // characters with their bones, by id
   reading = null; // name of the file that is read
   problem = null;
+  #showsBones = false;
+
+  // Whether forms show bones: a character may have hundreds, each in the list of each joint.
+  get showsBones() { return this.#showsBones; }
+
+  set showsBones(isShown) {
+    if (isShown === this.#showsBones) return;
+    this.#showsBones = isShown;
+    this.#changed();
+  }
 
   // Load the list, and the character of a spec with its bones. One that was deleted since is taken out of the spec.
   async load(spec) {
