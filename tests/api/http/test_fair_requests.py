@@ -20,11 +20,12 @@ NUM_REQUESTS = 60
 PUBLIC = {"describeUploads", "openBrowserSession", "closeBrowserSession", "getHealth", "getReadiness"}
 """Routes that ask for no key."""
 BODIES = ("", "FromFiles", "FromUploads")
+RECORDS = ("Session", "SessionAndJob", "Calibration", "Character")
 WAITING = {
-    *(f"create{record}{body}" for record in ("Session", "SessionAndJob", "Calibration") for body in BODIES),
-    "streamJobEvents", "createUpload", "continueUpload", "deleteUpload",
+    *(f"create{record}{body}" for record in RECORDS for body in BODIES),
+    "streamJobEvents", "changeCharacter", "createUpload", "continueUpload", "deleteUpload",
 }  # fmt: skip
-"""Routes that wait for their clients: their work has shares of its own."""
+"""Routes that wait for their clients or for the check of files: their work has shares of its own."""
 
 
 class Gate:
