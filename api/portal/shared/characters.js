@@ -4,7 +4,7 @@ import { call, jsonPart } from "./api.js";
 
 const MOST = 100;
 
-class Characters extends EventTarget {
+class CharacterShelf extends EventTarget {
   list = null; // newest first; null until it is loaded
   opened = new Map(); // characters with their bones, by id
   reading = null; // name of the file that is read
@@ -70,4 +70,4 @@ class Characters extends EventTarget {
   #changed() { this.dispatchEvent(new Event("change")); }
 }
 
-export const characters = new Characters();
+export const characters = new CharacterShelf();
