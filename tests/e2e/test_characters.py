@@ -57,12 +57,13 @@ def test_a_stored_character_moves_as_everybody(served: Served, take: Path) -> No
 def test_the_form_takes_a_character_and_corrects_its_bones(served: Served, take: Path, tmp_path: Path) -> None:
     (tmp_path / "robot.glb").write_bytes(ROBOT)
     (tmp_path / "cube.glb").write_bytes(b"solid cube")
-    session = served.client.post("/v1/sessions", files=files(take)).raise_for_status().json()
+    manifest = ("manifest", (None, json.dumps({"name": "A walk"}).encode()))
+    session = served.client.post("/v1/sessions", files=[*files(take), manifest]).raise_for_status().json()
     first = served.client.post(session["links"]["jobs"], json={"frame_range": [0, 10]}).raise_for_status().json()
     assert served.wait_for_end(first["id"])["state"] == "succeeded"
     with opened(f"{served.client.base_url}#/captures", allowed=("422",)) as page:
-        page.get_by_role("button", name=f"Run again: {session['name']}").click()
-        form = page.get_by_role("form")
+        page.get_by_role("button", name="Run again: A walk").click()
+        form = page.get_by_role("form", name="Run A walk again")
         form.get_by_role("radio", name="My own character").check()
         form.get_by_label("Or a file").set_input_files(tmp_path / "cube.glb")
         expect(form.get_by_role("alert")).to_contain_text("cube.glb", timeout=120_000)
@@ -80,11 +81,11 @@ def test_the_form_takes_a_character_and_corrects_its_bones(served: Served, take:
         assert (job["spec"]["character"], job["spec"]["exports"]) == (sent["id"], ["bvh", "glb", "fbx"])
         # The next run begins with the same character; after its deletion with none.
         assert served.wait_for_end(job["id"])["state"] == "succeeded"
-        page.get_by_role("button", name=f"Run again: {session['name']}").click()
+        page.get_by_role("button", name="Run again: A walk").click()
         expect(form.get_by_label("Stored character")).to_have_value(sent["id"])
         served.client.delete(sent["links"]["self"]).raise_for_status()
         page.reload()
-        page.get_by_role("button", name=f"Run again: {session['name']}").click()
+        page.get_by_role("button", name="Run again: A walk").click()
         expect(form.get_by_label("Stored character")).to_have_value("")
     described = served.client.get(f"/v1/jobs/{job['id']}/results/character.json").json()
     assert described["missing"] == ["LeftToeBase"]
