@@ -47,19 +47,17 @@ from pipeline.capture.preflight_record import (
 )
 from pipeline.capture.recordings import Recording, find_input
 from pipeline.capture.session import Session, open_session
-from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
+from pipeline.errors import InputError, Problem, printable
 from pipeline.findings import Finding
 from pipeline.problem_codes.requests import SESSION_TOO_LARGE
 from pipeline.problem_codes.sessions import IMAGES_ARCHIVE
+from pipeline.runtime.checking import print_answer
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import is_sequence
 from pipeline.video.properties.regularity import OF_TIMES
 
 # Time at which the program began.
 _STARTED_S = time.monotonic()
-
-EXIT_BAD_INPUT = 2
-EXIT_DISK_FULL = 4
 
 
 def report(
@@ -274,22 +272,15 @@ def main(words: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(words)
     if arguments.calibration is None and not arguments.videos:
         parser.error("name a calibration")
-    try:
+    message = "The check of the files needs more memory than the service allows."
+    too_large = Problem(SESSION_TOO_LARGE, message, hint="Cut the session into several, or lower its resolution.")
+
+    def check() -> dict[str, Any]:
         if arguments.board:
             parse_board(arguments.board)
-        answer = _check(arguments)
-    except InputError as error:
-        answer = {"problems": [asdict(problem) for problem in listed(error.problems)]}
-    except MemoryError:
-        message = "The check of the files needs more memory than the service allows."
-        problem = Problem(SESSION_TOO_LARGE, message, hint="Cut the session into several, or lower its resolution.")
-        answer = {"problems": [asdict(problem)]}
-    except OSError as error:
-        if error.errno not in DISK_FULL:
-            raise
-        return EXIT_DISK_FULL
-    sys.stdout.write(json.dumps(answer, allow_nan=False) + "\n")
-    return EXIT_BAD_INPUT if "problems" in answer else 0
+        return _check(arguments)
+
+    return print_answer(check, too_large)
 
 
 if __name__ == "__main__":

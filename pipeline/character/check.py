@@ -9,7 +9,6 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,9 @@ import numpy as np
 from pipeline.character.figure import CharacterFigure, measure
 from pipeline.character.gltf_reader import CharacterFile, read_character_file
 from pipeline.character.mapping import REQUIRED, map_bones, read_bone_table
-from pipeline.errors import DISK_FULL, InputError, Problem, listed
+from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.characters import CHARACTER_TOO_LARGE, CHARACTER_UNREADABLE
-
-EXIT_BAD_INPUT = 2
-EXIT_DISK_FULL = 4
+from pipeline.runtime.checking import print_answer
 
 MAX_CONTENTS_BYTES = 1 << 20
 """Largest size of what is said about a character: each answer about it has all of that."""
@@ -119,20 +116,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("file", type=Path)
     parser.add_argument("--bones", type=Path, help="Table of bones in JSON, which corrects what is recognised.")
     arguments = parser.parse_args(words)
-    try:
-        answer = contents_of(arguments.file, arguments.bones)
-    except InputError as error:
-        answer = {"problems": [asdict(problem) for problem in listed(error.problems)]}
-    except MemoryError:
-        message = "The check of the file needs more memory than the service allows."
-        problem = Problem(CHARACTER_TOO_LARGE, message, hint="Leave out what is not the character.")
-        answer = {"problems": [asdict(problem)]}
-    except OSError as error:
-        if error.errno not in DISK_FULL:
-            raise
-        return EXIT_DISK_FULL
-    sys.stdout.write(json.dumps(answer, allow_nan=False) + "\n")
-    return EXIT_BAD_INPUT if "problems" in answer else 0
+    message = "The check of the file needs more memory than the service allows."
+    too_large = Problem(CHARACTER_TOO_LARGE, message, hint="Leave out what is not the character.")
+    return print_answer(lambda: contents_of(arguments.file, arguments.bones), too_large)
 
 
 if __name__ == "__main__":

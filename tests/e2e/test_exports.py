@@ -77,7 +77,10 @@ class ExportedCapture:
     folder: Path
 
     def paths(self, export: Export, preset: Preset = "default") -> dict[Path, SkeletonMotion]:
-        return {self.folder / preset / f"{one.name}.{ending_of(export)}": one for one in self.reconstruction.motions}
+        return {
+            self.folder / preset / f"{person.name}.{ending_of(export)}": person
+            for person in self.reconstruction.motions
+        }
 
 
 def exported(name: str, reconstruction: Reconstruction, folder: Path) -> ExportedCapture:

@@ -103,7 +103,7 @@ def test_a_format_that_no_worker_writes_is_refused_and_not_offered(with_broker: 
     address, spec = f"/v1/sessions/{session_id}/jobs", {"exports": ["bvh", "usd"]}
 
     def offered() -> set[str]:
-        (exports,) = (one for one in live.client.get("/v1/options").json()["choices"] if one["name"] == "exports")
+        (exports,) = (c for c in live.client.get("/v1/options").json()["choices"] if c["name"] == "exports")
         return {value["name"] for value in exports["values"]}
 
     # Without a ready worker nobody knows, and the job waits.

@@ -176,7 +176,7 @@ def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: 
 
     with ThreadPoolExecutor(1) as pool, serving(settings, IDEMPOTENCY_LEASE_S=str(lease_s)) as (client, process):
         sent = pool.submit(send, client)
-        wait_for(lambda: any("preflight.py" in " ".join(one.cmdline()) for one in process.children()))
+        wait_for(lambda: any("preflight.py" in " ".join(child.cmdline()) for child in process.children()))
         process.kill()
         sent.result()
     with serving(settings, IDEMPOTENCY_LEASE_S=str(lease_s), PREFLIGHT_TIMEOUT_S="1") as (client, _):
