@@ -9,6 +9,9 @@ from worker.process.priorities import raise_descriptor_limit
 
 # Time that open requests have to end after SIGTERM.
 _GRACE_S = 5
+# Idle connections stay open for longer than clients and proxies keep theirs (httpx 5 s, nginx and load balancers 60 s):
+# the side that sends has to close first, or a request meets a connection that is being closed.
+_KEEP_ALIVE_S = 75
 # Descriptors for the database, files and child processes.
 _RESERVED_DESCRIPTORS = 256
 # A connection's socket, and a file that is received or sent.
@@ -32,6 +35,7 @@ def server_config(app: FastAPI, settings: Settings) -> Config:
         forwarded_allow_ips=[str(network) for network in proxies],
         access_log=False,
         server_header=False,
+        timeout_keep_alive=_KEEP_ALIVE_S,
         timeout_graceful_shutdown=_GRACE_S,
         log_config=None,
     )

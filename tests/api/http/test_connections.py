@@ -111,6 +111,14 @@ def test_the_connection_that_was_idle_for_longest_goes_first(few: Live) -> None:
         assert [is_closed(one) for one in idle] == [False, True, False, False]
 
 
+def test_idle_connections_outlast_those_of_clients(few: Live) -> None:
+    """httpx closes connections that were idle for 5 s: closed at the same moment here, its next request would fail."""
+    with contextlib.closing(connect(few.address, "127.0.0.6")) as connection:
+        assert ask(connection) == b"HTTP/1.1 200 OK"
+        time.sleep(6)
+        assert ask(connection) == b"HTTP/1.1 200 OK"
+
+
 def test_connections_that_are_at_work_stay_and_one_more_is_refused(few: Live) -> None:
     job_id = few.job_id()
     follow = f"GET /v1/jobs/{job_id}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
