@@ -179,8 +179,9 @@ def test_connections_of_a_trusted_proxy_count_in_the_sum_only() -> None:
 
 @pytest.mark.parametrize("after", [b"", b"\r\n", b"\r\nGET"])
 def test_connections_that_begin_no_further_request_are_closed(
-    make_settings: Callable[..., Settings], after: bytes
+    make_settings: Callable[..., Settings], after: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("api.http.server._KEEP_ALIVE_S", 2)
     with (
         running(make_settings(client_idle_s=1.0)) as live,
         contextlib.closing(connect(live.address)) as connection,
