@@ -172,7 +172,7 @@ def test_checks_of_the_world_are_in_the_job_and_on_the_page(served: Served, capt
 
 def test_a_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
     """An empty, blurred room: the findings of the pictures have thumbnails on the page."""
-    video_capture(tmp_path, 12)
+    video_capture(tmp_path, 40)
     cameras = read_calibration(tmp_path / "calibration.json")
     videos = {camera.name: tmp_path / "videos" / f"{camera.name}.mp4" for camera in cameras}
     # A network may find the same in both videos, which are equal.

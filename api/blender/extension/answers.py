@@ -217,6 +217,16 @@ def files_of(document: Mapping[str, Any]) -> list[FileEntry]:
     return files
 
 
+def bones_of(document: Mapping[str, Any]) -> dict[str, str]:
+    """Bones by joint of a character. They are compared with names of bones alone, so they are taken as they are."""
+    items = _items(document, "joints")
+    return {
+        item["joint"]: item["bone"]
+        for item in items
+        if isinstance(item.get("joint"), str) and isinstance(item.get("bone"), str)
+    }
+
+
 def sentences(problem: Mapping[str, Any]) -> str:
     """Sentences of a problem for the user, cut; empty without any."""
     errors = problem.get("errors")

@@ -9,8 +9,6 @@ import http.client
 import ipaddress
 import json
 import re
-import socket
-import ssl
 import time
 import urllib.error
 import urllib.request
@@ -27,6 +25,7 @@ from api.blender.extension.answers import (
     FileEntry,
     JobEntry,
     RequestError,
+    bones_of,
     captures_of,
     files_of,
     identifier,
@@ -34,13 +33,12 @@ from api.blender.extension.answers import (
     jobs_of,
     parsed,
     plain,
-    sentences,
 )
+from api.blender.extension.refusals import AwayError, RefusedError, no_answer, refusal
 
 # Seconds without a byte from the service; of the call that checks a whole capture; of an answer as a whole.
 _SILENCE_S, _CHECK_S, _ANSWER_S = 20.0, 900.0, 60.0
 _MAX_ANSWER_BYTES = 8 << 20
-_MAX_PROBLEM_BYTES = 1 << 18
 MAX_FILE_BYTES = 4 << 30
 """Largest result file that is downloaded; GLB files are no larger."""
 MAX_FRAMES = 2_000_000
@@ -50,6 +48,7 @@ _PIECE_BYTES = 4 << 20
 # Tries without progress, and the pauses between them.
 _MAX_TRIES, _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 6, 0.5, 8.0
 _MAX_REDIRECTS = 3
+_CHARACTER = "armature.glb"
 _KEY = re.compile(r"[\x21-\x7e]{1,300}")
 _UPLOAD = re.compile(r".*/v1/uploads/([0-9A-Za-z_-]{1,64})")
 _BUSY = frozenset({409, 423, 429, 500, 502, 503, 504})
@@ -61,18 +60,6 @@ Watch = Callable[[float], None]
 
 class StoppedTaskError(Exception):
     """The user stopped a task."""
-
-
-class RefusedError(RequestError):
-    """The service refused a request."""
-
-    def __init__(self, status: int, text: str, location: str = "", retry_after_s: float = 0.0) -> None:
-        super().__init__(text)
-        self.status, self.location, self.retry_after_s = status, location, retry_after_s
-
-
-class AwayError(RequestError):
-    """The service does not answer; a later try may succeed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +191,30 @@ class BlenderClient:
     def page_of(self, job_id: str = "") -> str:
         """Address of the page of a job in a browser, or of the list of captures."""
         return f"{self.address}/#/jobs/{identifier(job_id)}" if job_id else f"{self.address}/#/captures"
+
+    def recognised_bones(self, content: bytes, stated: Mapping[str, str]) -> dict[str, str]:
+        """Bones by joint that the service recognises in the GLB of a character; ``stated`` ones go before.
+
+        The service stores the character for the moment of the request alone.
+        """
+        boundary = uuid.uuid4().hex
+        parts = (
+            (f'name="character"; filename="{_CHARACTER}"', content),
+            ('name="spec"', json.dumps({"name": _CHARACTER, "bones": dict(stated)}).encode()),
+        )
+        form = b"".join(
+            f"--{boundary}\r\nContent-Disposition: form-data; {head}\r\n\r\n".encode() + part + b"\r\n"
+            for head, part in parts
+        )
+        character = self._json(
+            "POST",
+            "/v1/characters",
+            form + f"--{boundary}--\r\n".encode(),
+            {"Content-Type": f"multipart/form-data; boundary={boundary}"},
+            silence_s=_ANSWER_S,
+        )
+        self._json("DELETE", f"/v1/characters/{identifier(character.get('id'))}")
+        return bones_of(character)
 
     def download(self, job_id: str, file: FileEntry, path: Path, watch: Watch) -> None:
         """Download a result file to a path of ours; after a break the download goes on where it broke.
@@ -338,9 +349,10 @@ class BlenderClient:
         has_key: bool = True,
         silence_s: float = _SILENCE_S,
     ) -> Mapping[str, Any]:
-        stated = {"Accept": "application/json", **(headers or {})}
+        stated = {"Accept": "application/json"}
         if method == "POST":
             stated |= {"Content-Type": "application/json", "Idempotency-Key": str(uuid.uuid4())}
+        stated |= headers or {}
         with self._open(method, self.address + path, body, stated, has_key=has_key, silence_s=silence_s) as response:
             content = _read_all(response, _MAX_ANSWER_BYTES)
         return parsed(content) if content or method == "GET" else {}
@@ -365,11 +377,11 @@ class BlenderClient:
             response: http.client.HTTPResponse = _opener(address).open(request, timeout=silence_s)
         except urllib.error.HTTPError as error:
             with error:
-                raise _refusal(error, host, has_key=bool(self.key)) from None
+                raise refusal(error, host, has_key=bool(self.key)) from None
         except urllib.error.URLError as error:
-            raise _no_answer(error.reason, host) from None
+            raise no_answer(error.reason, host) from None
         except (OSError, http.client.HTTPException) as error:
-            raise _no_answer(error, host) from None
+            raise no_answer(error, host) from None
         except ValueError:
             raise RequestError("The address or the key has characters that neither has.") from None
         return response
@@ -443,49 +455,3 @@ def _raise_unless_busy(error: AwayError | RefusedError) -> None:
     """Raise an error that another try would not change."""
     if isinstance(error, RefusedError) and error.status not in _BUSY:
         raise error
-
-
-def _refusal(error: urllib.error.HTTPError, host: str, *, has_key: bool) -> RefusedError:
-    """Error with the service's sentences; a proxy answers without any."""
-    try:
-        content = error.read(_MAX_PROBLEM_BYTES)
-        text = sentences(parsed(content))
-    except (OSError, http.client.HTTPException, AnswerError):
-        text = ""
-    if error.code == http.client.UNAUTHORIZED:
-        text = (
-            "The service does not know this key, or the key has expired or was revoked. Check the key."
-            if has_key
-            else "The service asks for a key. Put it into the extension's preferences."
-        )
-    after = error.headers.get("Retry-After", "")
-    return RefusedError(
-        error.code,
-        text or f"The server at {host} answered {error.code}.",
-        error.headers.get("Location", "")
-        if http.client.MULTIPLE_CHOICES <= error.code < http.client.BAD_REQUEST
-        else "",
-        float(after) if re.fullmatch(r"\d{1,6}", after, re.ASCII) else 0.0,
-    )
-
-
-def _no_answer(reason: object, host: str) -> RequestError:
-    """Error of a connection that could not be made, or broke."""
-    is_wrong = True
-    match reason:
-        case ssl.SSLCertVerificationError():
-            text = f"The certificate of {host} can't be verified, so nothing was sent. Check the address."
-        case ssl.SSLError():
-            text = f"The server at {host} does not speak https. Check the address: http or https?"
-        case http.client.BadStatusLine() | http.client.LineTooLong() if not isinstance(reason, ConnectionError):
-            text = f"The server at {host} is not a Multicap service. Check the address: http or https?"
-        case _:
-            is_wrong = False
-            texts = {
-                socket.gaierror: f"There is no server {host}, or no network. Check the address.",
-                ConnectionRefusedError: f"Nothing answers at {host}. Is the service running? Check address and port.",
-                TimeoutError: f"The server at {host} did not answer in time.",
-            }
-            broken = f"The connection to {host} broke off."
-            text = next((words for kind, words in texts.items() if isinstance(reason, kind)), broken)
-    return RequestError(text) if is_wrong else AwayError(text)

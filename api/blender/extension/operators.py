@@ -10,11 +10,13 @@ import bpy
 
 from api.blender.extension import characters, scene
 from api.blender.extension.answers import CaptureEntry, FileEntry, JobEntry, RequestError
+from api.blender.extension.armature_file import armature_glb
 from api.blender.extension.bone_tree import problems_of
 from api.blender.extension.capture_folder import find_capture
-from api.blender.extension.client import AwayError, BlenderClient, CallerEntry, is_on_this_machine
+from api.blender.extension.client import BlenderClient, CallerEntry, is_on_this_machine
 from api.blender.extension.glb_motion import GlbFacts, check_glb, read_motion
-from api.blender.extension.recognition import recognise
+from api.blender.extension.recognition import recognise, show_bones, stated_bones
+from api.blender.extension.refusals import AwayError
 from api.blender.extension.tasks import BackgroundTask, Speed
 from api.blender.extension.work import current, do_steps, panel_state, say, service_client, start
 
@@ -93,6 +95,13 @@ class MulticapRefresh(_FreeOperator):
             state.captures.clear()
             state.capture = 0
         start("List captures", lambda _task: client.captures(search, cursor), _show_captures)
+
+
+def _chosen_armature(context: Any) -> Any:
+    armature = panel_state(context).armature
+    if armature is None:
+        raise RequestError("Choose an armature of the scene.")
+    return armature
 
 
 def _chosen(items: Any, number: int, what: str) -> Any:
@@ -271,10 +280,27 @@ class MulticapRecognise(_FreeOperator):
     bl_idname, bl_label = "multicap.recognise", "Recognise bones"
 
     def begin(self, context: Any) -> None:
-        state = panel_state(context)
-        if state.armature is None:
-            raise RequestError("Choose an armature of the scene.")
-        recognise(state)
+        _chosen_armature(context)
+        recognise(panel_state(context))
+
+
+class MulticapAskForBones(_FreeOperator):
+    """Have the service recognise the bones that the list lacks, by the shape of the armature if names tell nothing"""
+
+    bl_idname, bl_label = "multicap.ask_for_bones", "Ask the service"
+
+    def begin(self, context: Any) -> None:
+        client, stated = service_client(), stated_bones(panel_state(context))
+        armature = _chosen_armature(context)
+        name, content = armature.name, armature_glb(characters.rest_of(armature))
+
+        def then(bones: dict[str, str]) -> None:
+            state = panel_state()
+            if state.armature is None or state.armature.name != name:
+                raise RequestError(f"The armature {name} is no longer chosen.")
+            show_bones(state, bones)
+
+        start("Recognise bones", lambda _task: client.recognised_bones(content, stated), then)
 
 
 class MulticapPutOn(_FreeOperator):
@@ -285,12 +311,10 @@ class MulticapPutOn(_FreeOperator):
     def begin(self, context: Any) -> None:
         client, state = service_client(), panel_state(context)
         job, numbers = _selected(state)
-        armature, has_timeline = state.armature, state.has_timeline
-        if armature is None:
-            raise RequestError("Choose an armature of the scene.")
+        armature, has_timeline = _chosen_armature(context), state.has_timeline
         if len(numbers) != 1:
             raise RequestError("Choose one person whose motion the armature gets.")
-        bones = {item.joint: item.bone for item in state.bones if item.bone}
+        bones = stated_bones(state)
         problems = problems_of(characters.tree_of(armature), bones)
         if problems:
             raise RequestError(" ".join(problems))
@@ -413,6 +437,7 @@ OPERATORS = (
     MulticapPeople,
     MulticapImport,
     MulticapRecognise,
+    MulticapAskForBones,
     MulticapPutOn,
     MulticapSend,
     MulticapStop,

@@ -105,7 +105,10 @@ class MULTICAP_PT_character(_Panel):  # noqa: N801 - likewise
         layout.prop(state, "armature")
         if state.armature is not None:
             layout.template_list("MULTICAP_UL_bones", "bones", state, "bones", state, "bone", rows=6)
-            layout.operator("multicap.recognise")
+            row = layout.row(align=True)
+            row.operator("multicap.recognise")
+            if state.may_write:
+                row.operator("multicap.ask_for_bones")
             layout.operator("multicap.put_on", icon="ARMATURE_DATA")
 
 

@@ -11,13 +11,19 @@ from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import pytest
+from scipy.spatial.transform import Rotation
 
 from api.blender.extension import client as client_module
 from api.blender.extension.answers import FileEntry, RequestError, files_of, job_of, plain
+from api.blender.extension.armature_file import armature_glb
 from api.blender.extension.client import BlenderClient, StoppedTaskError, is_on_this_machine, service_address
 from api.settings import Settings
+from pipeline.character.gltf_reader import decode_character
+from pipeline.character.mapping import map_bones
 from tests.api.blender.conftest import WrongService, says
+from tests.api.blender.test_retarget import armature_of
 from tests.api.conftest import Live, running
+from tests.pipeline.character.characters import character, odd_bones
 from worker.jobs.model.rights import Scope
 
 ID = "01890a5d-ac96-774b-bcce-b302099a8057"
@@ -94,6 +100,18 @@ def test_connect_list_and_download(live: Live, tmp_path: Path) -> None:
     client.download(job_id, file, tmp_path / "0", seen.append)
     assert (tmp_path / "0").read_bytes() == content
     assert seen[-1] == len(content)
+
+
+def test_the_service_recognises_bones_whose_names_tell_nothing(live: Live) -> None:
+    """By the shape of the tree, whatever stands in the list goes before; the service keeps nothing."""
+    armature = armature_of(odd_bones(), Rotation.identity(), 0.01, (1.0, 2.0, 3.0), seed=1)
+    expected = map_bones(decode_character("a.glb", character(odd_bones()))).bones
+    client = client_of(live)
+    assert client.recognised_bones(armature_glb(armature), {}) == expected
+    assert client.recognised_bones(armature_glb(armature), {"Head": expected["Head"]}) == expected
+    assert json.loads(live.client.get("/v1/characters").content)["characters"] == []
+    with pytest.raises(RequestError, match="no bone Rüssel"):
+        client.recognised_bones(armature_glb(armature), {"Head": "Rüssel"})
 
 
 def test_pages_of_captures(live: Live) -> None:

@@ -16,6 +16,8 @@ import pytest
 from api.blender.build import build
 from api.blender.extension.bone_tree import LIMBS
 from api.settings import Settings
+from pipeline.character.gltf_reader import decode_character
+from pipeline.character.mapping import map_bones
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_results
 from pipeline.skeleton.model import INDEX, SKELETON
@@ -23,7 +25,7 @@ from tests.api.blender.conftest import WrongService, says
 from tests.api.blender.test_client import ServiceGate
 from tests.api.conftest import Live, running
 from tests.e2e.foreign import BLENDER
-from tests.pipeline.character.characters import bones_of, character
+from tests.pipeline.character.characters import bones_of, character, odd_bones
 from tests.pipeline.export.test_scene import FBX, GLB, NAMES, named
 from tests.pipeline.export.test_timelines import NUM_FRAMES, RATE_HZ, nearest_m, two_people
 from worker.jobs.model.rights import Scope
@@ -202,6 +204,35 @@ def test_motion_on_an_armature(
             assert np.degrees(np.arccos(cosines.min())) < 0.05, below
     hips = np.array(heads[bones["Hips"]])
     assert np.ptp(hips[:, :2], axis=0).max() > 0.5 * np.ptp(person[:, INDEX["Hips"], :2], axis=0).max()
+
+
+def test_bones_whose_names_tell_nothing(
+    live: Live, named: Reconstruction, files: dict[str, bytes], blender: Callable[..., list[Any]], tmp_path: Path
+) -> None:
+    """The service recognises them by the shape of the armature, which stands elsewhere and is smaller."""
+    path = tmp_path / "character.glb"
+    path.write_bytes(character(odd_bones()))
+    with_people(live, named, files)
+    *_, recognised, _, bones, drawn, put = blender(
+        str(live.client.base_url),
+        [
+            ("show_people", {}),
+            ("choose", {"people": [0]}),
+            ("open_armature", {"path": str(path)}),
+            ("move_armature", {"place": [3.0, 1.0, 0.0], "degrees": 70.0, "size": 0.7}),
+            ("press", {"name": "recognise"}),
+            ("press", {"name": "ask_for_bones"}),
+            ("bones", {}),
+            ("draw", {}),
+            ("press", {"name": "put_on"}),
+        ],
+    )
+    assert recognised["is_error"]
+    expected = map_bones(decode_character("a.glb", path.read_bytes())).bones
+    assert {joint: bone for joint, bone in bones.items() if bone} == expected
+    assert "Ask the service" in drawn["MULTICAP_PT_character"]
+    assert not put["is_error"], put["message"]
+    assert live.client.get("/v1/characters").json()["characters"] == []
 
 
 def test_send_a_folder(live: Live, blender: Callable[..., list[Any]], tmp_path: Path) -> None:
