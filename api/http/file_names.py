@@ -57,8 +57,10 @@ def result_name(session_name: str, name: str, revision: int = 0, person_name: st
     'handshake-take-3_person-1.bvh'
     >>> result_name("Handshake, take 3", "person-1.bvh", 2, "Anna")
     'handshake-take-3_revision-2_person-1-anna.bvh'
+    >>> result_name("Handshake", "person-1.events.csv", person_name="Anna")
+    'handshake_person-1-anna.events.csv'
     """
-    stem, _, suffix = name.rpartition(".")
+    stem, _, suffix = name.partition(".")
     return f"{stem_of(session_name, revision)}_{named_person(stem, person_name)}.{suffix}"
 
 

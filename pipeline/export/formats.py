@@ -3,7 +3,7 @@
 ``pipeline.config`` declares names, labels, media types and limits of the formats; the web API needs these too.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -20,6 +20,7 @@ from pipeline.export.scene import TakeScene
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc, vrma
 from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames, rotation_orders
+from pipeline.gait.analysis import MarkedEvent, analyse_gait, marked_events
 from pipeline.joints import JointSet
 
 
@@ -74,6 +75,11 @@ def _usd() -> ModuleType:
     return usd
 
 
+def _events(person: PersonContent) -> Sequence[MarkedEvent]:
+    """Events of a person's gait and jumps."""
+    return marked_events(analyse_gait(person.track, person.joints, person.timebase.frame_rate_hz))
+
+
 FORMATS: Mapping[Export, Format] = MappingProxyType(
     {
         "bvh": Format(
@@ -125,7 +131,7 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
         ),
         "c3d": Format(
             lambda person: c3d_file.encode(
-                person.track, person.joints, person.timebase, person.origin_m, person.frames
+                person.track, person.joints, person.timebase, person.origin_m, person.frames, _events(person)
             ),
             lambda path, _: c3d_file.read_xyz_m(path),
             has_origin=True,

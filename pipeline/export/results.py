@@ -41,6 +41,8 @@ from pipeline.export.resample import resample
 from pipeline.export.scene import scene_of
 from pipeline.export.timelines import held
 from pipeline.export.writers import skeletons_json
+from pipeline.export.writers.gait_tables import gait_tables
+from pipeline.gait.analysis import analyse_gait
 from pipeline.paths import StrPath
 from pipeline.problem_codes.warnings import TAKE_TOO_LARGE
 from pipeline.progress import OnShare, ignore, part_of, split
@@ -132,9 +134,10 @@ def write_files(
     """Write all result files into a folder, which is created if missing.
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
-    ``calibration.json`` is written if the calibration was refined. ``metrics.json`` is the last file. It contains the
-    largest distance, for each format, between joints read back and their true positions, the same half-way between two
-    frames for files with angles, and the origin of files of single precision, if it is not the world's.
+    Beside CSV files are those of events and strides of people who have some. ``calibration.json`` is written if the
+    calibration was refined. ``metrics.json`` is the last file. It contains the largest distance, for each format,
+    between joints read back and their true positions, the same half-way between two frames for files with angles, and
+    the origin of files of single precision, if it is not the world's.
 
     Parameters
     ----------
@@ -205,6 +208,14 @@ def write_files(
     for export in exports:
         if FORMATS[export].has_origin and origin_m.any():
             check[export]["origin_m"] = origin_m.tolist()
+    if "csv" in exports:
+        for track in shown.tracks:
+            gait = analyse_gait(track, shown.joints, shown.timebase.frame_rate_hz)
+            for kind, content in gait_tables(gait, shown.timebase):
+                path = folder / f"person-{track.track_id}.{kind}.csv"
+                with replacing(path, [content]):
+                    pass
+                complete(path)
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         path = folder / CALIBRATION
         with replacing(path, [encode_calibration(reconstruction.cameras)]):

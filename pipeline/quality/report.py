@@ -19,6 +19,7 @@
   the errors by joint, leave fingers out: cameras that are too far for fingers say nothing about the body.
 - *Identity*: probability that a person is one and the same all the time, the product over the moments at which another
   choice was nearly as likely (``doubts``, with a confidence below 0.99 each); see ``pipeline.identity``.
+- *Gait*, *movements*: see ``pipeline.gait``; ``gait`` is null without gait.
 - *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of the stature (Drillis and Contini 1966).
 
 A figure without data is null (``None``).
@@ -37,6 +38,8 @@ from pipeline.data.cameras import Camera, Refinement
 from pipeline.data.people import Doubt, Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.findings import Finding, Severity
+from pipeline.gait.analysis import analyse_gait
+from pipeline.gait.document import gait_document, movement_documents
 from pipeline.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.likenesses.find import find_likenesses
 from pipeline.quality.capture_checks import capture_checks
@@ -70,6 +73,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
     errors_px = [figures.error_px for figures in views]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
+    gaits = {track.track_id: analyse_gait(track, joints, frame_rate_hz) for track in tracks}
     all_doubts = reconstruction.doubts or [()] * len(tracks)
     seen = {track.track_id: figures.sees for track, figures in zip(tracks, views, strict=True)}
     likenesses = find_likenesses(
@@ -109,6 +113,8 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
                     **_summarise_feet(contacts.get(track.track_id, ())),
                     "contacts": [_describe_contact(contact) for contact in contacts.get(track.track_id, ())],
                 },
+                "gait": gait_document(gaits[track.track_id]),
+                "movements": movement_documents(gaits[track.track_id], reconstruction.timebase),
                 **_describe_hands(whole, figures.error_px, joints),
                 "identity": _describe_identity(doubts),
             }

@@ -45,10 +45,15 @@ def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
 
     A file of a format that is no person's is of the whole take.
     """
+    stem, _, ending = path.name.partition(".")
     for name, file_format in FILE_FORMATS.items():
-        if path.suffix == f".{ending_of(name)}":
-            person = path.stem if path.stem in names else None
-            return ResultFile(path.name, name, person, file_format.media_type, path, names.get(path.stem))
+        if ending == ending_of(name):
+            person = stem if stem in names else None
+            return ResultFile(path.name, name, person, file_format.media_type, path, names.get(stem))
+    if stem in names:
+        # Tables of events and of strides.
+        kind, _, _ = ending.partition(".")
+        return ResultFile(path.name, kind, stem, FILE_FORMATS["csv"].media_type, path, names[stem])
     return ResultFile(path.name, path.stem, None, "application/json", path)
 
 

@@ -3,11 +3,13 @@
 Wrist targets are relative to the shoulder, in lengths of the arm, along the upright trunk's axes (ahead, left, up).
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.simulation.motion.exercises import Exercise, countermovement_jumps, sits, squats
 from pipeline.simulation.motion.locomotion import smoothstep
 from pipeline.simulation.motion.script import Gesture
 
@@ -16,6 +18,11 @@ BLEND_S = 0.35
 
 _GRAVITY_M_S2 = 9.81
 _LEFT = np.array([1.0, -1.0])
+_EXERCISES: Mapping[Gesture, Callable[[np.ndarray, np.random.Generator], Exercise]] = {
+    Gesture.COUNTERMOVEMENT_JUMP: countermovement_jumps,
+    Gesture.SQUAT: squats,
+    Gesture.SIT: sits,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +36,7 @@ class GestureMotion:
     # Lean of the trunk forward, and its rotation to the left
     lean_rad: Float[np.ndarray, " times"]
     twist_rad: Float[np.ndarray, " times"]
+    back_m: Float[np.ndarray, " times"] | float = 0.0  # Displacement of the hips to the back, beside that of the lean
 
 
 def overlay(
@@ -76,8 +84,8 @@ def overlay(
             slow = smoothstep(time_s / 0.8) * smoothstep((time_s[-1] - time_s) / 0.8)
             wrists = _both(0.5 + zero, -0.05 + zero, -0.6 + zero)
             return GestureMotion(wrists, _share(slow, np.ones(2)), depth * slow, zero, 0.6 * slow, zero)
-        case Gesture.JUMP:
-            return _jump(time_s, blend, rng)
+        case Gesture.JUMP | Gesture.COUNTERMOVEMENT_JUMP | Gesture.SQUAT | Gesture.SIT:
+            return _jump(time_s, blend, rng) if gesture is Gesture.JUMP else _exercise(gesture, time_s, blend, rng)
         case Gesture.HANDS:
             # Hands in front of the chest, apart from each other, that show postures of the fingers.
             arms = np.ones(2)
@@ -103,6 +111,17 @@ def _both(ahead: np.ndarray, outward: np.ndarray, up: np.ndarray) -> Float[np.nd
 
 def _share(blend: np.ndarray, arms: np.ndarray) -> Float[np.ndarray, "times 2"]:
     return blend[:, None] * arms
+
+
+def _exercise(gesture: Gesture, time_s: np.ndarray, blend: np.ndarray, rng: np.random.Generator) -> GestureMotion:
+    """Gesture of an exercise: arms hang, or are stretched ahead."""
+    exercise = _EXERCISES[gesture](time_s, rng)
+    raised = exercise.raised
+    wrists = _both(0.1 + 0.75 * raised, 0.15 - 0.1 * raised, -0.95 + 0.85 * raised)
+    arms, twist_rad = _share(blend, np.ones(2)), np.zeros_like(raised)
+    return GestureMotion(
+        wrists, arms, exercise.drop, exercise.hop_m, exercise.lean_rad, twist_rad, back_m=exercise.back_m
+    )
 
 
 def _punch(time_s: np.ndarray, blend: np.ndarray) -> GestureMotion:

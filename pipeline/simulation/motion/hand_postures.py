@@ -58,6 +58,7 @@ _OF_GESTURE: Mapping[Gesture, tuple[np.ndarray, ...]] = {
     Gesture.PUNCH: (_FIST,),
     Gesture.SWING: (_FIST,),
     Gesture.JUMP: (_FLAT, _FIST),
+    Gesture.COUNTERMOVEMENT_JUMP: (_FLAT, _FIST),
     Gesture.HANDS: _ALL,
 }
 # Gestures whose fingers come to rest between two postures, and duration of a posture and of a rest.

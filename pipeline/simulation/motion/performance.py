@@ -12,7 +12,7 @@ from pipeline.simulation.motion.feet import Feet, heels_and_toes, random_foot_sh
 from pipeline.simulation.motion.gestures import GestureMotion, overlay, smooth_noise
 from pipeline.simulation.motion.hand_postures import finger_motion
 from pipeline.simulation.motion.hands import Hands, fingers, random_scale
-from pipeline.simulation.motion.locomotion import GRID_HZ, Route, ankles, follow_steps, lay_out
+from pipeline.simulation.motion.locomotion import GRID_HZ, Route, Steps, ankles, follow_steps, lay_out
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 
 # Wrists of relaxed arms relative to the shoulders, in lengths of the arm (ahead, left, up).
@@ -32,6 +32,8 @@ class SimulatedPerson:
     # Orientation of the feet, and motion of the hands; ``None`` if their joints are not simulated
     feet: Feet | None = None
     hands: Hands | None = None
+    steps: tuple[Steps, Steps] | None = None  # Steps of the left and of the right foot
+    hop_m: Float[np.ndarray, " times"] | None = None  # Height of the feet above the floor in jumps
 
 
 def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: JointSet = COCO_17) -> SimulatedPerson:
@@ -74,6 +76,8 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: Joi
             wrists=_wrists(acting, pace, stride) + 0.015 * smooth_noise(time_s, (2, 3), 0.1, 0.5, rng),
         ),
         present=route.present,
+        steps=steps,
+        hop_m=acting.hop_m,
     )
     if len(joints.names) > len(COCO_17.names):
         feet, rolled_m = roll(steps, route, acting.hop_m, body, random_foot_shape(body, own))
@@ -114,7 +118,7 @@ def _overlays(
     """Concatenate the gestures of all cues at their rows; zero elsewhere."""
     num_rows = len(route.steps)
     wrists, arms = np.zeros((num_rows, 2, 3)), np.zeros((num_rows, 2))
-    drop, hop_m, lean_rad, twist_rad = np.zeros((4, num_rows))
+    drop, hop_m, lean_rad, twist_rad, back_m = np.zeros((5, num_rows))
     for cue, planned in zip(role.cues, cue_rows, strict=True):
         rows = slice(*planned.indices(num_rows))
         if not isinstance(cue, Stay) or cue.gesture is Gesture.IDLE or rows.start >= rows.stop:
@@ -129,9 +133,10 @@ def _overlays(
             (hop_m, gesture.hop_m),
             (lean_rad, gesture.lean_rad),
             (twist_rad, gesture.twist_rad),
+            (back_m, np.broadcast_to(gesture.back_m, time_s.shape)),
         ):
             whole[rows] = part[kept]
-    return GestureMotion(wrists, arms, drop, hop_m, lean_rad, twist_rad)
+    return GestureMotion(wrists, arms, drop, hop_m, lean_rad, twist_rad, back_m)
 
 
 def _hand(cue: Stay, route: Route, row: int, body: Proportions) -> Float[np.ndarray, " 3"]:
@@ -165,7 +170,7 @@ def _hips(
     world_from_hips = turned(route.yaw_rad, np.zeros_like(route.yaw_rad))
     # For balance the hips sway over the standing foot in walking, and move back in a lean.
     sway_m = 0.02 * pace * np.sin(np.pi * (route.steps - 0.1))
-    back_m = 0.4 * body.trunk_m * np.sin(acting.lean_rad)
+    back_m = 0.4 * body.trunk_m * np.sin(acting.lean_rad) + acting.back_m
     xy_m = route.xy_m + sway_m[:, None] * world_from_hips[:, :2, 1] - back_m[:, None] * world_from_hips[:, :2, 0]
     aside = body.hip_width_m / 2 * _SIDES[:, None] * world_from_hips[:, None, :2, 1]
     across_m = np.linalg.norm(xy_m[:, None] + aside - feet_m[..., :2], axis=-1)

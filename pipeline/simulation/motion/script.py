@@ -19,6 +19,9 @@ class Gesture(Enum):
     CROUCH = "crouch"
     JUMP = "jump"
     HANDS = "hands"
+    COUNTERMOVEMENT_JUMP = "countermovement_jump"
+    SQUAT = "squat"
+    SIT = "sit"
 
 
 @dataclass(frozen=True, slots=True)

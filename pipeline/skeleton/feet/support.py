@@ -1,5 +1,6 @@
 """Support of the body: what tells feet that carry it from feet that hang, ride along, or stand on a moving belt."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,8 @@ _SMOOTH_S, _AROUND_S, _MOVING_M_S, _RIDING = 0.06, 0.15, 0.06, 0.7
 _BELT_M_S, _LOW_M, _SPREAD_M_S, _SPREAD_SHARE, _STANCE_M = 0.15, 0.04, 0.1, 0.08, 0.15
 _BELT_SHARE, _BELT_RATIO, _BELT_WAY_M, _STAYS = 0.2, 2.0, 1.0, 0.3
 _ITERATIONS = 10
+# Shares of a stance between which its foot is flat.
+_FLAT_SHARES = (0.2, 0.6)
 
 
 OVERHEAD_M = 0.1
@@ -142,9 +145,10 @@ def belt_m(
     duration_s = len(ankles_m) / frame_rate_hz
     stands = low & (np.linalg.norm(velocity_m_s - belt_m_s, axis=-1) < _spread_m_s(belt_m_s))
     shortest = _STANCE_M / max(speed_m_s, 1e-9) * frame_rate_hz
-    on_belt = sum(
-        stop - start for foot in range(2) for start, stop in runs_of(stands[:, foot]) if stop - start >= shortest
-    )
+    runs = [
+        (foot, start, stop) for foot in range(2) for start, stop in runs_of(stands[:, foot]) if stop - start >= shortest
+    ]
+    on_belt = sum(stop - start for _, start, stop in runs)
     at_rest = np.count_nonzero(np.linalg.norm(of_low, axis=-1) < _SPREAD_M_S)
     goes_m = float(np.linalg.norm((place_m[-1] - place_m[0])[:2]))
     if (
@@ -154,7 +158,28 @@ def belt_m(
         or goes_m > _STAYS * speed_m_s * duration_s
     ):
         return unmoved_m
+    belt_m_s = _flat_velocity_m_s([ankles_m[_flat(start, stop), foot] for foot, start, stop in runs], frame_rate_hz)
     return np.asarray(belt_m_s * (np.arange(len(ankles_m)) / frame_rate_hz)[:, None])
+
+
+def _flat(start: int, stop: int) -> slice:
+    """Frames of a stance in which the foot is flat: the ankle neither follows the landing nor the rise of the heel."""
+    first, last = (start + share * (stop - start) for share in _FLAT_SHARES)
+    return slice(int(np.ceil(first)), int(np.ceil(last)))
+
+
+def _flat_velocity_m_s(stances_m: Sequence[Float[np.ndarray, "_ 3"]], frame_rate_hz: float) -> Float[np.ndarray, " 3"]:
+    """Level velocity that all stances share, by least squares with a place of its own for each.
+
+    Single velocities would be those of ankles that still land or already rise, which are slower than the belt.
+    """
+    products, squares = np.zeros(3), 0.0
+    for stance_m in stances_m:
+        time_s = np.arange(len(stance_m)) / frame_rate_hz
+        since_s = time_s - time_s.mean() if len(time_s) else time_s
+        products += since_s @ stance_m
+        squares += float(since_s @ since_s)
+    return np.asarray(products / max(squares, 1e-12) * [1.0, 1.0, 0.0])
 
 
 def _spread_m_s(belt_m_s: Float[np.ndarray, " 3"]) -> float:

@@ -51,7 +51,7 @@ def test_bones_keep_their_length(gesture: Gesture, seed: int, to_m: tuple[float,
     assert np.linalg.norm(forearm_m) == pytest.approx(person.body.forearm_m)
 
 
-@pytest.mark.parametrize("gesture", [g for g in Gesture if g is not Gesture.JUMP])
+@pytest.mark.parametrize("gesture", [g for g in Gesture if not g.value.endswith("jump")])
 def test_feet_stand_while_somebody_stays(gesture: Gesture) -> None:
     person = act(Walk((2.0, 1.0)), Stay(4.0, gesture), duration_s=9.0)
     ankles_m = joints_at(person, np.arange(4.5, 7.5, 0.02))[:, ANKLES]
