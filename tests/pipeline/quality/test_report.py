@@ -84,6 +84,8 @@ def test_a_perfect_walk_has_perfect_figures() -> None:
             "slide_after_cm": None,
             "contacts": [],
         },
+        "gait": None,
+        "movements": [],
         "identity": {"confidence": 1.0, "doubts": []},
     }
 
