@@ -213,8 +213,8 @@ def write_files(
             gait = analyse_gait(track, shown.joints, shown.timebase.frame_rate_hz)
             for kind, content in gait_tables(gait, shown.timebase):
                 path = folder / f"person-{track.track_id}.{kind}.csv"
-                with replacing(path, [content]):
-                    pass
+                with replacing(path, [content]) as part:
+                    _require_equal(part, path, [content])
                 complete(path)
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         path = folder / CALIBRATION

@@ -16,11 +16,14 @@ const OF_ALL = {
 };
 const ORDER = Object.keys(OF_ALL);
 
+// Tables of a person beside the files in a format.
+const OF_PERSON = { events: "Foot strikes, foot offs and jumps, CSV", strides: "Strides and their figures, CSV" };
+
 /** What a file is: its format, and the application that it is written for. */
 function wordsOf({ kind, format, preset, person }, options) {
   const label = (name, value) => options?.choices.find((choice) => choice.name === name)?.values.find((one) => one.name === value)?.label ?? value;
   if (kind === "character" && person !== null) return "The character in motion";
-  if (!format) return OF_ALL[kind] ?? kind;
+  if (!format) return OF_ALL[kind] ?? OF_PERSON[kind] ?? kind;
   if (person === null) return `${label("exports", format)}, in one scene with cameras and floor`;
   return preset && preset !== "default" ? `${label("exports", format)} for ${label("bvh", preset)}` : label("exports", format);
 }
