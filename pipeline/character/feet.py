@@ -5,6 +5,7 @@ and keeps its direction. Corrections begin and end over 0.2 s around the contact
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -59,15 +60,53 @@ class FootPath(NamedTuple):
     stands: Bool[np.ndarray, " frames"]  # Frames in which a part of it is held on the floor
 
 
-def place_foot(
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldFoot:
+    """A foot in its contacts: where it stands, and how it is turned."""
+
+    held: Float[np.ndarray, "frames 3"]  # Place of the ankle where the foot stands, NaN where it is free
+    foot: Float[np.ndarray, "frames 3 3"]  # Rotation of the foot from the T-pose
+    on_toes: Bool[np.ndarray, " frames"]  # Frames in which its toes stand
+    measures: FootMeasures
+    floor: ScaledFloor | None
+    frame_rate_hz: float
+
+    @property
+    def stands(self) -> Bool[np.ndarray, " frames"]:
+        """Frames in which a part of it is held on the floor."""
+        return np.isfinite(self.held[:, 0])
+
+    def path(self, free: Float[np.ndarray, "frames 3"]) -> FootPath:
+        """Path of the foot, above the floor; ``free`` are the places of its ankle where it does not stand."""
+        stands = self.stands
+        if self.floor is None:
+            return FootPath(free, self.foot, self.foot, stands)
+        moved = np.where(stands[:, None], self.held - free, 0.0)
+        eased(moved, _runs(stands), self.frame_rate_hz)
+        ankle = free + moved
+        lifted = _above_floor(ankle, self.foot, self.measures, self.floor)
+        foot = np.where(stands[:, None, None], self.foot, lifted)
+        soles = (ankle + foot @ point for point in (self.measures.heel, self.measures.ball))
+        lowest = np.min([self.floor.height(sole) for sole in soles], axis=0)
+        ankle[:, 2] += np.where(stands, 0.0, np.maximum(-lowest, 0.0))
+        # Toes stay on the floor while the heel is lifted.
+        flat, is_upright = level(self.foot, self.floor)
+        share = np.zeros((len(ankle), 1))
+        share[self.on_toes & is_upright] = 1.0
+        eased(share, _runs(self.on_toes & is_upright), self.frame_rate_hz)
+        toes = between(foot, np.where(is_upright[:, None, None], flat, foot), np.minimum(share[:, 0], 1.0))
+        return FootPath(ankle, foot, toes, stands)
+
+
+def hold_foot(
     ankle: Float[np.ndarray, "frames 3"],
     foot: Float[np.ndarray, "frames 3 3"],
     measures: FootMeasures,
     contacts: Sequence[FootContact],
     floor: ScaledFloor | None,
     frame_rate_hz: float,
-) -> FootPath:
-    """Place a foot so that it stands still in its contacts, and is above the floor.
+) -> HeldFoot:
+    """Hold a foot so that it stands still in its contacts.
 
     Parameters
     ----------
@@ -76,39 +115,26 @@ def place_foot(
     contacts
         Contacts of this foot, those that are held.
     """
+    held, on_toes = np.full_like(ankle, np.nan), _rows(contacts, ("toe",), len(ankle))
     if floor is None:
-        return FootPath(ankle, foot, foot, np.zeros(len(ankle), bool))
+        return HeldFoot(held, foot, on_toes, measures, floor, frame_rate_hz)
     foot = _levelled(ankle, foot, measures, contacts, floor, frame_rate_hz)
-    fixed = np.full_like(ankle, np.nan)
     offsets = {"heel": measures.heel, "toe": measures.ball, "foot": np.zeros(3)}
-    flat, is_upright = level(foot, floor)
+    _, is_upright = level(foot, floor)
     for contact in contacts:
         rows = contact.rows
         offset = foot[rows] @ offsets[contact.part]
-        is_held = np.isfinite(fixed[rows, 0])
+        is_held = np.isfinite(held[rows, 0])
         points = ankle[rows] + offset
-        place = (fixed[rows] + offset)[is_held].mean(0) if is_held.any() else np.median(points, axis=0)
+        place = (held[rows] + offset)[is_held].mean(0) if is_held.any() else np.median(points, axis=0)
         height = 0.0
         if contact.part == "foot":
             # The ankle of a foot on its instep is where it is.
             lies = not is_upright[rows].mean() > _MAX_TILT
             height = max(float(np.median(floor.height(points))), 0.0) if lies else measures.ankle_height
         place[2] += height - floor.height(place)
-        fixed[rows] = np.where(is_held[:, None], fixed[rows], place - offset)
-    stands = np.isfinite(fixed[:, 0])
-    moved = np.where(stands[:, None], fixed - ankle, 0.0)
-    eased(moved, _runs(stands), frame_rate_hz)
-    ankle = ankle + moved
-    foot = np.where(stands[:, None, None], foot, _above_floor(ankle, foot, measures, floor))
-    lowest = np.min([floor.height(ankle + foot @ point) for point in (measures.heel, measures.ball)], axis=0)
-    ankle[:, 2] += np.where(stands, 0.0, np.maximum(-lowest, 0.0))
-    # Toes stay on the floor while the heel is lifted.
-    share = np.zeros((len(ankle), 1))
-    on_toes = _rows(contacts, ("toe",), len(ankle)) & is_upright
-    share[on_toes] = 1.0
-    eased(share, _runs(on_toes), frame_rate_hz)
-    toes = between(foot, np.where(is_upright[:, None, None], flat, foot), np.minimum(share[:, 0], 1.0))
-    return FootPath(ankle, foot, toes, stands)
+        held[rows] = np.where(is_held[:, None], held[rows], place - offset)
+    return HeldFoot(held, foot, on_toes, measures, floor, frame_rate_hz)
 
 
 def level(

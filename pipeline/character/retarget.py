@@ -15,8 +15,9 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.spatial.transform import Rotation
 
 from pipeline.character.bone_names import HEAD, SIDES
-from pipeline.character.feet import FootPath, ScaledFloor, place_foot, scaled
+from pipeline.character.feet import HeldFoot, ScaledFloor, hold_foot, scaled
 from pipeline.character.figure import CharacterFigure
+from pipeline.character.hips import StandingLeg, shift_and_tilt
 from pipeline.character.limbs import REACH, BentLimb, between, reach, twist_rad
 from pipeline.character.mapping import HIPS
 from pipeline.data.animation import Floor, SkeletonMotion
@@ -36,8 +37,6 @@ _DOWN, _UP = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
 _OUTWARDS: Mapping[str, Float[np.ndarray, " 3"]] = {"Left": np.array([1.0, 0, 0]), "Right": np.array([-1.0, 0, 0])}
 # Time over which hips are lowered for legs that are too short, before and after.
 _LOWER_S, _SMOOTH_S = 0.12, 0.04
-# Time over which hips shift for the proportions of legs; weight of no shift beside a foot that stands.
-_SHIFT_S, _FLIGHT_WEIGHT = 0.15, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +75,7 @@ def retarget(source: SkeletonMotion, figure: CharacterFigure, floor: Floor | Non
         fit.scale,
         read_only(fit.hips),
         {node: read_only(turns) for node, turns in fit.turns.items()},
-        {side: path.stands for side, path in fit.paths.items()},
+        fit.stands,
         fit.floor,
         read_only(fit.ground),
     )
@@ -96,7 +95,11 @@ class _Fit:
         ankles_m = self._places_m[:, [INDEX[f"{side}Foot"] for side in SIDES]]
         is_known = np.ones(ankles_m.shape[:2], bool)
         self.ground = self.scale * belt_m(ankles_m, is_known, source.root_m, source.frame_rate_hz)
-        self.paths: dict[str, FootPath] = {}
+        self._arm_m = float(
+            np.mean([source.bone_length_m[[INDEX[f"{s}ForeArm"], INDEX[f"{s}Hand"]]].sum() for s in SIDES])
+        )
+        self._on_floor = {side: self._share_on_floor(floor, side) for side in SIDES}
+        self.stands: dict[str, Bool[np.ndarray, " frames"]] = {}
         self.turns: dict[int, Float[np.ndarray, "frames 3 3"]] = {}
         self.hips = np.zeros((len(source.root_m), 3))
 
@@ -112,6 +115,13 @@ class _Fit:
         """Turn the bone of a joint, if the character has it; ``turned`` is from the T-pose."""
         if (node := self._joints.get(joint)) is not None:
             self.turns[node] = turned @ self._figure.upright[node]
+
+    def _share_on_floor(self, floor: Floor | None, side: str) -> Float[np.ndarray, " frames"]:
+        """Weight of the scaled place of a hand: 1 near the floor."""
+        if floor is None:
+            return np.zeros(len(self._places_m))
+        height_m = floor.height_m(self._places_m[:, INDEX[f"{side}Hand"]])
+        return _near(height_m / self._arm_m, NEAR_FLOOR, FAR_FLOOR)
 
     def _height_of_soles(self, floor: Floor | None) -> Float[np.ndarray, " frames"]:
         """Height by which the character's ankles are above the person's scaled ones, as its soles are thicker.
@@ -133,64 +143,66 @@ class _Fit:
 
     def stand(self) -> None:
         """Place feet and hips, and legs between them."""
-        figure, rate_hz = self._figure, self._source.frame_rate_hz
-        for side in SIDES:
-            ankle = self.place(f"{side}Foot") + self._lift[:, None] * _UP
-            contacts = [c for c in self._source.contacts if c.pinned and c.side == side.lower()]
-            foot = self.joint(f"{side}Foot")
-            path = place_foot(ankle - self.ground, foot, figure.feet[side], contacts, self.floor, rate_hz)
-            self.paths[side] = path._replace(ankle=path.ankle + self.ground)
-        middle = self.place(HIPS) + self._lift[:, None] * _UP
-        hips = self.joint(HIPS)
-        at_rest = {side: figure.positions[self._joints[f"{side}UpLeg"]] for side in SIDES}
+        figure, joints = self._figure, self._joints
+        held = {side: self._held_foot(side) for side in SIDES}
+        middle, hips = self.place(HIPS) + self._lift[:, None] * _UP, self.joint(HIPS)
+        at_rest = {side: figure.positions[joints[f"{side}UpLeg"]] for side in SIDES}
         rest = sum(at_rest.values(), np.zeros(3)) / len(SIDES)
         lengths = {
             side: (figure.length(f"{side}UpLeg", f"{side}Leg"), figure.length(f"{side}Leg", f"{side}Foot"))
             for side in SIDES
         }
-        middle = middle + self._shift_for_legs(middle, {side: hips @ (at_rest[side] - rest) for side in SIDES}, lengths)
-        # Hips are lowered for feet that stand out of reach all the same.
-        lowered = np.zeros(len(middle))
-        for side in SIDES:
-            start = middle + hips @ (at_rest[side] - rest)
-            way = start - self.paths[side].ankle
-            longest = sum(lengths[side]) * REACH
-            reachable = np.sqrt(np.maximum(longest**2 - way[:, 0] ** 2 - way[:, 1] ** 2, 0.0))
-            needed = np.where(self.paths[side].stands, np.maximum(way[:, 2] - reachable, 0.0), 0.0)
-            lowered = np.maximum(lowered, needed)
-        middle = middle - _smoothed_above(lowered, rate_hz)[:, None] * _UP
+        legs = {
+            side: StandingLeg(
+                hip=middle + hips @ (at_rest[side] - rest),
+                middle=middle,
+                thigh=lengths[side][0] * (self.joint(f"{side}UpLeg") @ _DOWN),
+                shin=lengths[side][1] * (self.joint(f"{side}Leg") @ _DOWN),
+                ankle=held[side].held + self.ground,
+            )
+            for side in SIDES
+        }
+        carries = sum(self._on_floor.values(), np.zeros(len(middle)))
+        shift, tilt = shift_and_tilt(tuple(legs.values()), carries, self._source.frame_rate_hz)
+        middle, hips = middle + shift, Rotation.from_rotvec(tilt).as_matrix() @ hips
+        starts = {side: middle + hips @ (at_rest[side] - rest) for side in SIDES}
+        lowered = self._lowered(held, starts, lengths)
         self.set_turn(HIPS, hips)
-        self.hips = middle + hips @ (figure.positions[self._joints[HIPS]] - rest)
+        self.hips = middle - lowered + hips @ (figure.positions[joints[HIPS]] - rest)
         for side in SIDES:
-            start, path = middle + hips @ (at_rest[side] - rest), self.paths[side]
+            start, leg = starts[side] - lowered, legs[side]
+            path = held[side].path(start + leg.thigh + leg.shin - self.ground)
+            path = path._replace(ankle=path.ankle + self.ground)
             limb = BentLimb(self.joint(f"{side}UpLeg"), self.joint(f"{side}Leg"), path.ankle)
             limb = reach(start, limb, _DOWN, np.array(KNEE_HINGE), lengths[side], path.ankle, is_firm=True)
             for joint, turned in zip(
                 ("UpLeg", "Leg", "Foot", "ToeBase"), (limb.upper, limb.lower, path.foot, path.toes), strict=True
             ):
                 self.set_turn(f"{side}{joint}", turned)
+            self.stands[side] = path.stands
 
-    def _shift_for_legs(
+    def _held_foot(self, side: str) -> HeldFoot:
+        """Foot in its contacts, on the ground that a treadmill may move."""
+        ankle = self.place(f"{side}Foot") + self._lift[:, None] * _UP - self.ground
+        contacts = [c for c in self._source.contacts if c.pinned and c.side == side.lower()]
+        foot, measures = self.joint(f"{side}Foot"), self._figure.feet[side]
+        return hold_foot(ankle, foot, measures, contacts, self.floor, self._source.frame_rate_hz)
+
+    def _lowered(
         self,
-        middle: Float[np.ndarray, "frames 3"],
-        beside: Mapping[str, Float[np.ndarray, "frames 3"]],
+        held: Mapping[str, HeldFoot],
+        starts: Mapping[str, Float[np.ndarray, "frames 3"]],
         lengths: Mapping[str, tuple[float, float]],
     ) -> Float[np.ndarray, "frames 3"]:
-        """Shift of the hips with which legs on standing feet have the person's directions, as nearly as both allow.
-
-        It is that of thighs and shins of other proportions than the person's. Over time it is smooth, so that hips do
-        not follow each step. ``beside`` are the ways from the middle of the hips to their joints.
-        """
-        total, weights = np.zeros_like(middle), np.zeros(len(middle))
+        """Way down of the hips for feet that stand out of reach all the same."""
+        lowered = np.zeros(len(self.hips))
         for side in SIDES:
-            first, second = lengths[side]
-            leg = first * (self.joint(f"{side}UpLeg") @ _DOWN) + second * (self.joint(f"{side}Leg") @ _DOWN)
-            stands = self.paths[side].stands.astype(float)
-            total += stands[:, None] * (self.paths[side].ankle - middle - beside[side] - leg)
-            weights += stands
-        sigma = _SHIFT_S * self._source.frame_rate_hz
-        total, weights = (gaussian_filter1d(values, sigma, axis=0, mode="nearest") for values in (total, weights))
-        return total / (weights + _FLIGHT_WEIGHT)[:, None]
+            # NaN where the foot is free.
+            way = starts[side] - held[side].held - self.ground
+            longest = sum(lengths[side]) * REACH
+            reachable = np.sqrt(np.maximum(longest**2 - way[:, 0] ** 2 - way[:, 1] ** 2, 0.0))
+            lowered = np.fmax(lowered, way[:, 2] - reachable)
+        return _smoothed_above(lowered, self._source.frame_rate_hz)[:, None] * _UP
 
     def move_trunk(self) -> None:
         """Bend spine and neck evenly between the joints of the skeleton, and turn collar bones and head."""
@@ -220,17 +232,11 @@ class _Fit:
             free[side] = starts[side] + first * (upper @ _OUTWARDS[side]) + second * (lower @ _OUTWARDS[side])
             arms[side] = BentLimb(upper, lower, free[side])
         wrists_m = {side: self._places_m[:, INDEX[f"{side}Hand"]] for side in SIDES}
-        arm_m = float(
-            np.mean([self._source.bone_length_m[[INDEX[f"{s}ForeArm"], INDEX[f"{s}Hand"]]].sum() for s in SIDES])
-        )
         for side in SIDES:
-            share = np.zeros(len(self.hips))
-            if self.floor is not None:
-                height = self.floor.height(self.scale * wrists_m[side]) / self.scale
-                share = _near(height / arm_m, NEAR_FLOOR, FAR_FLOOR)
+            share = self._on_floor[side]
             led[side] = free[side] + share[:, None] * (self.scale * wrists_m[side] - free[side])
         apart_m = wrists_m["Left"] - wrists_m["Right"]
-        share = _near(np.linalg.norm(apart_m, axis=-1) / arm_m, NEAR_HAND, FAR_HAND)[:, None]
+        share = _near(np.linalg.norm(apart_m, axis=-1) / self._arm_m, NEAR_HAND, FAR_HAND)[:, None]
         middle = (led["Left"] + led["Right"]) / 2
         for side, sign in zip(SIDES, (0.5, -0.5), strict=True):
             place = led[side] + share * (middle + sign * self.scale * apart_m - led[side])
