@@ -18,6 +18,7 @@ from pipeline.character.limbs import between
 from pipeline.data.animation import Floor, FootContact
 from pipeline.skeleton.feet.floor import runs_of
 from pipeline.skeleton.feet.holding import eased
+from pipeline.skeleton.rotations import times
 
 _BACKWARD = np.array([0.0, 1.0, 0.0])
 # Cosine of the tilt of a sole from which on it does not lie on the floor: the foot lies on its instep.
@@ -86,7 +87,7 @@ class HeldFoot:
         ankle = free + moved
         lifted = _above_floor(ankle, self.foot, self.measures, self.floor)
         foot = np.where(stands[:, None, None], self.foot, lifted)
-        soles = (ankle + foot @ point for point in (self.measures.heel, self.measures.ball))
+        soles = (ankle + times(foot, point) for point in (self.measures.heel, self.measures.ball))
         lowest = np.min([self.floor.height(sole) for sole in soles], axis=0)
         ankle[:, 2] += np.where(stands, 0.0, np.maximum(-lowest, 0.0))
         # Toes stay on the floor while the heel is lifted.
@@ -123,7 +124,7 @@ def hold_foot(
     _, is_upright = level(foot, floor)
     for contact in contacts:
         rows = contact.rows
-        offset = foot[rows] @ offsets[contact.part]
+        offset = times(foot[rows], offsets[contact.part])
         is_held = np.isfinite(held[rows, 0])
         points = ankle[rows] + offset
         place = (held[rows] + offset)[is_held].mean(0) if is_held.any() else np.median(points, axis=0)
@@ -142,7 +143,7 @@ def level(
 ) -> tuple[Float[np.ndarray, "frames 3 3"], Bool[np.ndarray, " frames"]]:
     """Rotations of a flat sole in the direction of a foot, and frames of feet tilted less than 60 degrees."""
     up = floor.up
-    back = foot @ _BACKWARD
+    back = times(foot, _BACKWARD)
     back = back - (back @ up)[:, None] * up
     length = np.linalg.norm(back, axis=-1, keepdims=True)
     is_upright = (foot[:, :, 2] @ up > _MAX_TILT) & (length[:, 0] > _MAX_TILT)
@@ -166,14 +167,16 @@ def _levelled(
     on_heel, on_toes = (_rows(contacts, (part,), num_frames) for part in ("heel", "toe"))
     flat, is_upright = level(foot, floor)
     is_flat = (_rows(contacts, ("foot",), num_frames) | (on_heel & on_toes)) & is_upright
-    turns = np.zeros((num_frames, 3))
+    turns, still = np.zeros((num_frames, 3)), np.array(flat)
+    soles = Rotation.from_matrix(flat, assume_valid=True)
     for rows in _runs(is_flat):
-        mean = Rotation.from_matrix(flat[rows]).mean().as_matrix()
-        turns[rows] = Rotation.from_matrix(mean @ foot[rows].swapaxes(1, 2)).as_rotvec()
+        still[rows] = soles[rows].mean().as_matrix()
+    levelling = still[is_flat] @ foot[is_flat].swapaxes(1, 2)
+    turns[is_flat] = Rotation.from_matrix(levelling, assume_valid=True).as_rotvec()
     eased(turns, _runs(is_flat), frame_rate_hz)
     foot = Rotation.from_rotvec(turns).as_matrix() @ foot
     # On its heel alone a foot does not point into the floor.
-    sole = foot @ (measures.ball - measures.heel)
+    sole = times(foot, measures.ball - measures.heel)
     below = sole @ floor.up
     length = max(float(np.linalg.norm(measures.ball - measures.heel)), 1e-9)
     is_wrong = is_upright & on_heel & ~on_toes & (below < 0.0)
@@ -223,7 +226,7 @@ class _Pitch:
         up = floor.up - (self._across @ floor.up)[:, None] * self._across
         slope = np.linalg.norm(up, axis=-1)
         up = up / np.maximum(slope, 1e-9)[:, None]
-        turned = foot @ point
+        turned = times(foot, point)
         raised = np.einsum("fi,fi->f", turned, up)
         ahead = np.einsum("fi,fi->f", turned, np.cross(self._across, up))
         self._aside = np.einsum("fi,fi->f", turned, self._across) * (self._across @ floor.up)

@@ -1,9 +1,9 @@
 """Hips of a character above its standing feet: where its legs have the person's directions.
 
-A foot that stands is put on the floor, up to a centimetre from where it was located. Legs that are nearly straight would
-bend visibly for it: a bone turns by the change of the leg's length over the length and the tangent of half the bend. So
-hips shift and tilt instead, smoothly. Shift and tilt of all frames are those with the smallest sum of squared angles, of
-thighs, shins and hips, linearised (Whittaker's smoother).
+A foot that stands is put on the floor, up to a centimetre from where it was located. A leg that is nearly straight
+would bend visibly for it: its bones turn by the change of its length over its length and the tangent of half its bend.
+So hips shift and tilt instead, smoothly. Those of all frames are found at once: they have the smallest sum of squared
+angles of thighs, shins and hips, linearised, and of squared second differences (Whittaker's smoother).
 """
 
 from collections.abc import Sequence
@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solveh_banded
 
-# Time over which a hip follows a leg that is bent at a right angle; one that is straight is followed sooner.
+# Time over which hips follow a leg that is bent at a right angle; straighter legs are followed sooner.
 _SMOOTH_S = 0.15
-# Smallest tangent of half the bend: straighter legs bend as much as this one for a few millimetres.
+# Least tangent of half a bend: a few millimetres bend straighter legs as much as this one.
 _STRAIGHT = 0.05
 # Weights of the hips' tilt and of their shift, as a share of the leg's length, beside 1 for the direction of a leg.
 _TILT, _SHIFT = 1.0, 0.05

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from pipeline.skeleton.rotations import times
+
 # Share of its length to which a limb is stretched.
 REACH = 0.9999
 _TINY = 1e-9
@@ -45,8 +47,7 @@ def reach(
         Whether a limb that is bent beyond straight bends the other way if it does not reach the place else.
     """
     first, second = lengths
-    upper, lower = limb.upper @ along, limb.lower @ along
-    axis = limb.upper @ hinge
+    upper, lower, axis = times(limb.upper, along), times(limb.lower, along), times(limb.upper, hinge)
     way = place - start
     distance = np.clip(np.linalg.norm(way, axis=-1), abs(first - second) * (2.0 - REACH), (first + second) * REACH)
     # Angle between both bones; what of the second one is not in the plane of the hinge is kept.

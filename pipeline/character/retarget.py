@@ -26,7 +26,8 @@ from pipeline.joints import FINGERS
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
 from pipeline.skeleton.feet.support import belt_m
 from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
-from pipeline.skeleton.model import INDEX, forward_kinematics, parents_of
+from pipeline.skeleton.model import INDEX, posed_joints
+from pipeline.skeleton.rotations import times
 
 NEAR_HAND, FAR_HAND = 0.35, 0.8
 """Distance of both wrists, in lengths of the arm, up to which they keep it, and from which they are free."""
@@ -86,8 +87,7 @@ class _Fit:
 
     def __init__(self, source: SkeletonMotion, figure: CharacterFigure, floor: Floor | None) -> None:
         self._source, self._figure, self._joints = source, figure, figure.joints
-        self._places_m = forward_kinematics(source)
-        self._turned = _world_rotations(source)
+        self._places_m, self._turned = posed_joints(source)
         legs_m = [source.bone_length_m[[INDEX[f"{side}Leg"], INDEX[f"{side}Foot"]]].sum() for side in SIDES]
         self.scale = figure.leg_length / float(np.mean(legs_m))
         self.floor = scaled(floor, self.scale)
@@ -105,7 +105,7 @@ class _Fit:
 
     def joint(self, name: str) -> Float[np.ndarray, "frames 3 3"]:
         """Rotation of a joint of the skeleton from the T-pose."""
-        return self._turned[:, INDEX[name]]
+        return self._turned[INDEX[name]]
 
     def place(self, name: str) -> Float[np.ndarray, "frames 3"]:
         """Scaled place of a joint of the skeleton."""
@@ -114,7 +114,7 @@ class _Fit:
     def set_turn(self, joint: str, turned: Float[np.ndarray, "frames 3 3"]) -> None:
         """Turn the bone of a joint, if the character has it; ``turned`` is from the T-pose."""
         if (node := self._joints.get(joint)) is not None:
-            self.turns[node] = turned @ self._figure.upright[node]
+            self.turns[node] = times(turned, self._figure.upright[node])
 
     def _share_on_floor(self, floor: Floor | None, side: str) -> Float[np.ndarray, " frames"]:
         """Weight of the scaled place of a hand: 1 near the floor."""
@@ -154,10 +154,10 @@ class _Fit:
         }
         legs = {
             side: StandingLeg(
-                hip=middle + hips @ (at_rest[side] - rest),
+                hip=middle + times(hips, at_rest[side] - rest),
                 middle=middle,
-                thigh=lengths[side][0] * (self.joint(f"{side}UpLeg") @ _DOWN),
-                shin=lengths[side][1] * (self.joint(f"{side}Leg") @ _DOWN),
+                thigh=lengths[side][0] * times(self.joint(f"{side}UpLeg"), _DOWN),
+                shin=lengths[side][1] * times(self.joint(f"{side}Leg"), _DOWN),
                 ankle=held[side].held + self.ground,
             )
             for side in SIDES
@@ -165,10 +165,10 @@ class _Fit:
         carries = sum(self._on_floor.values(), np.zeros(len(middle)))
         shift, tilt = shift_and_tilt(tuple(legs.values()), carries, self._source.frame_rate_hz)
         middle, hips = middle + shift, Rotation.from_rotvec(tilt).as_matrix() @ hips
-        starts = {side: middle + hips @ (at_rest[side] - rest) for side in SIDES}
+        starts = {side: middle + times(hips, at_rest[side] - rest) for side in SIDES}
         lowered = self._lowered(held, starts, lengths)
         self.set_turn(HIPS, hips)
-        self.hips = middle - lowered + hips @ (figure.positions[joints[HIPS]] - rest)
+        self.hips = middle - lowered + times(hips, figure.positions[joints[HIPS]] - rest)
         for side in SIDES:
             start, leg = starts[side] - lowered, legs[side]
             path = held[side].path(start + leg.thigh + leg.shin - self.ground)
@@ -228,8 +228,8 @@ class _Fit:
             )
             starts[side] = place_of(figure, self.hips, self.turns, self._joints[f"{side}Arm"])
             upper, lower = self.joint(f"{side}Arm"), self.joint(f"{side}ForeArm")
-            first, second = lengths[side]
-            free[side] = starts[side] + first * (upper @ _OUTWARDS[side]) + second * (lower @ _OUTWARDS[side])
+            (first, second), out = lengths[side], _OUTWARDS[side]
+            free[side] = starts[side] + first * times(upper, out) + second * times(lower, out)
             arms[side] = BentLimb(upper, lower, free[side])
         wrists_m = {side: self._places_m[:, INDEX[f"{side}Hand"]] for side in SIDES}
         for side in SIDES:
@@ -273,7 +273,7 @@ class _Fit:
             for finger in FINGERS:
                 for number in (1, 2, 3):
                     joint = f"{side}Hand{finger.capitalize()}{number}"
-                    if INDEX[joint] < self._turned.shape[1]:
+                    if INDEX[joint] < len(self._turned):
                         self.set_turn(joint, self.joint(joint))
 
 
@@ -288,18 +288,8 @@ def place_of(
     place, turned = hips, turns[top]
     for above, below in zip((way := figure.rig.path(top, node)), way[1:], strict=False):
         turned = turns.get(above, turned)
-        place = place + turned @ (figure.positions[below] - figure.positions[above])
+        place = place + times(turned, figure.positions[below] - figure.positions[above])
     return place
-
-
-def _world_rotations(motion: SkeletonMotion) -> Float[np.ndarray, "frames joints 3 3"]:
-    """Rotations of all joints of a skeleton from the T-pose."""
-    quat = motion.parent_from_joint
-    turned = Rotation.from_quat(quat.reshape(-1, 4)).as_matrix().reshape(*quat.shape[:2], 3, 3)
-    for joint, parent in enumerate(parents_of(quat.shape[1]).tolist()):
-        if joint != parent:
-            turned[:, joint] = turned[:, parent] @ turned[:, joint]
-    return turned
 
 
 def _near(distance: Float[np.ndarray, " frames"], near: float, far: float) -> Float[np.ndarray, " frames"]:

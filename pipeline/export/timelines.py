@@ -9,7 +9,12 @@ from pipeline.data.people import Track3D
 def held(
     values: Float[np.ndarray, "rows *columns"], of_frames: range, frames: range
 ) -> Float[np.ndarray, "frames *columns"]:
-    """Values at some frames from values of ``of_frames``, of which the nearest one holds before and after them."""
+    """Values at some frames from values of ``of_frames``, of which the nearest one holds before and after them.
+
+    Frames of ``of_frames`` alone are a view.
+    """
+    if of_frames.start <= frames.start and frames.stop <= of_frames.stop:
+        return values[frames.start - of_frames.start : frames.stop - of_frames.start]
     return values[np.clip(np.arange(frames.start, frames.stop) - of_frames.start, 0, len(of_frames) - 1)]
 
 

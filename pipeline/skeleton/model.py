@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.animation import SkeletonMotion
 from pipeline.joints import FINGERS
+from pipeline.skeleton.rotations import times
 
 _UP = (0.0, 0.0, 1.0)
 _DOWN = (0.0, 0.0, -1.0)
@@ -199,6 +200,13 @@ def joint_pose(motion: SkeletonMotion, name: str) -> tuple[Float[np.ndarray, "fr
 
 def forward_kinematics(motion: SkeletonMotion) -> Float[np.ndarray, "frames joints 3"]:
     """World positions (metres) of all joints of the motion's skeleton, ends of bones included."""
+    return posed_joints(motion)[0]
+
+
+def posed_joints(
+    motion: SkeletonMotion,
+) -> tuple[Float[np.ndarray, "frames joints 3"], list[Float[np.ndarray, "frames 3 3"]]]:
+    """World positions (metres) of all joints of the motion's skeleton, and the rotation of each from the T-pose."""
     skeleton = skeleton_of(len(motion.bone_length_m))
     offsets_m = rest_offsets_m(motion.bone_length_m)
     positions_m = np.empty((len(motion.root_m), len(skeleton), 3))
@@ -212,6 +220,6 @@ def forward_kinematics(motion: SkeletonMotion) -> Float[np.ndarray, "frames join
             world_from_joint.append(parent_from_joint[index])
             continue
         parent = INDEX[joint.parent]
-        positions_m[:, index] = positions_m[:, parent] + world_from_joint[parent] @ offsets_m[index]
+        positions_m[:, index] = positions_m[:, parent] + times(world_from_joint[parent], offsets_m[index])
         world_from_joint.append(world_from_joint[parent] @ parent_from_joint[index])
-    return positions_m
+    return positions_m, world_from_joint

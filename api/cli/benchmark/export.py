@@ -10,10 +10,12 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from api.cli.benchmark.takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
+from api.cli.benchmark.takes import longer_motion, longer_observations, longer_track, peak_rss_mib
 from api.cli.console import JsonOption, emit, print_table, reporting
+from pipeline.character.files import write_character_files
+from pipeline.character.source import CharacterSource
 from pipeline.config import Export, ReconstructionConfig, installed_formats
-from pipeline.data.animation import Animation, SkeletonMotion
+from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
@@ -53,26 +55,21 @@ def long_take(num_people: int, num_frames: int) -> Reconstruction:
         tuple(replace(longer_observations(seen, num_frames), track_id=number) for number in numbers),
         Animation(
             tracks_of_all(animation.tracks[0]),
-            tuple(_longer_motion(animation.motions[0], number, num_frames) for number in numbers),
+            tuple(longer_motion(animation.motions[0], number, num_frames) for number in numbers),
             animation.floor,
         ),
     )
 
 
-def _longer_motion(motion: SkeletonMotion, number: int, num_frames: int) -> SkeletonMotion:
-    return replace(
-        motion,
-        track_id=number,
-        name=f"person-{number}",
-        start_frame=0,
-        root_m=to_and_fro(motion.root_m, num_frames),
-        parent_from_joint=to_and_fro(motion.parent_from_joint, num_frames),
-    )
+def measure(
+    num_people: int, num_frames: int, exports: Collection[Export], character: CharacterSource | None = None
+) -> dict[str, Any]:
+    """Measure seconds by kind of file, and the peak memory of the process before and after.
 
-
-def measure(num_people: int, num_frames: int, exports: Collection[Export]) -> dict[str, Any]:
-    """Measure seconds by kind of file, and the peak memory of the process before and after."""
+    Files are those of the people, or those of a character that moves as each of them.
+    """
     take = long_take(num_people, num_frames)
+    figure = None if character is None else character.open()
     before_mib = peak_rss_mib()
     seconds: defaultdict[str, float] = defaultdict(float)
     num_bytes: Counter[str] = Counter()
@@ -87,7 +84,11 @@ def measure(num_people: int, num_frames: int, exports: Collection[Export]) -> di
             num_bytes[kind] += path.stat().st_size
             last_s = now_s
 
-        write_files(take, Path(folder), exports, on_file=count)
+        if figure is None:
+            write_files(take, Path(folder), exports, on_file=count)
+        else:
+            for result in write_character_files(take, figure, Path(folder), exports):
+                count(result.path)
     return {
         "people": num_people,
         "frames": num_frames,
@@ -105,6 +106,14 @@ def export(
     exports: Annotated[
         str | None, typer.Option(help="Formats, separated by commas.", show_default="all that are installed")
     ] = None,
+    character: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            help="Time the files of this character instead: GLB, and BVH and FBX if chosen.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Time formats of a long take, from memory to verified files; simulated people, four cameras."""
@@ -112,7 +121,8 @@ def export(
         warm_up()
         chosen = installed_formats() if exports is None else tuple(exports.split(","))
         require(value_problems({"exports": chosen}))
-        result = measure(people, frames, cast(Collection[Export], chosen))
+        source = None if character is None else CharacterSource(character)
+        result = measure(people, frames, cast(Collection[Export], chosen), source)
     if as_json:
         emit(result)
         return

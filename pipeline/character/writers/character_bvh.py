@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
+from pipeline.character.writers.chains import chained_places, together
 from pipeline.character.writers.posed import PosedCharacter, names_by_node
 from pipeline.export.presets import Y_UP_FROM_WORLD
-from pipeline.export.writers.blocks import fixed, held_blocks, read_rows
-from pipeline.export.writers.euler import euler_deg
+from pipeline.export.writers.blocks import filled, fixed, held_blocks, read_rows
+from pipeline.export.writers.euler import euler_deg, turned
 
 _UNITS = 100.0
 _DECIMALS, _ANGLE_DECIMALS = 3, 4
@@ -30,21 +30,24 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
     offsets = _offsets(posed, bones)
     names = names_by_node({node: rig.names[node] for node in bones})
     yield "".join(f"{line}\n" for line in _head(posed, bones, names, offsets)).encode()
-    turning = {node: place for place, node in enumerate(bones) if node in motion.turns}
+    turning = [node for node in bones if node in motion.turns]
     places = (posed.hips_places() * _UNITS).astype(float)
-    columns = list(turning.values())
-    before_deg = np.zeros((1, len(columns), 3))
+    # Most bones of a face never turn: their angles are text that stays.
+    (still,) = fixed(np.zeros((1, 3)), _ANGLE_DECIMALS)
+    turns_as = " ".join([f"%.{_ANGLE_DECIMALS}f"] * 3)
+    template = " ".join(turns_as if node in motion.turns else still for node in bones)
+    before_deg = np.zeros((1, len(turning), 3))
     for block, num_times in held_blocks(posed.own_frames, posed.frames):
         rows = slice(block.start - posed.own_frames.start, block.stop - posed.own_frames.start)
-        turns = np.empty((len(block), len(columns), 3, 3))
+        turns = np.empty((len(block), len(turning), 3, 3))
         for place, node in enumerate(turning):
             above = np.eye(3) if node == posed.hips else posed.turn_of(int(rig.parents[node]))[rows].swapaxes(1, 2)
             turns[:, place] = Y_UP_FROM_WORLD @ (above @ motion.turns[node][rows]) @ Y_UP_FROM_WORLD.T
-        before_deg = euler_deg(turns, [_ORDER] * len(columns), before_deg[-1])
-        angles_deg = np.zeros((len(block), len(bones), 3))
-        angles_deg[:, columns] = before_deg
+        before_deg = euler_deg(turns, [_ORDER] * len(turning), before_deg[-1])
         lines = zip(
-            fixed(places[rows], _DECIMALS), fixed(angles_deg.reshape(len(block), -1), _ANGLE_DECIMALS), strict=True
+            fixed(places[rows], _DECIMALS),
+            filled(template, before_deg.reshape(len(block), -1), _ANGLE_DECIMALS),
+            strict=True,
         )
         yield "".join(f"{place} {turn}\n" for place, turn in lines).encode("ascii") * num_times
 
@@ -132,16 +135,9 @@ def read_xyz(
 def _places(
     values: Float[np.ndarray, "frames channels"], offsets: Float[np.ndarray, "bones 3"], parents: list[int]
 ) -> Float[np.ndarray, "frames bones 3"]:
-    places = np.empty((len(values), len(offsets), 3))
-    turned = np.empty((len(values), len(offsets), 3, 3))
-    for bone, parent in enumerate(parents):
-        angles_deg = values[:, 3 + 3 * bone : 6 + 3 * bone]
-        # Most bones of a face never turn.
-        is_still = bone > 0 and not angles_deg.any()
-        own = np.eye(3) if is_still else Rotation.from_euler(_ORDER, angles_deg, degrees=True).as_matrix()
-        if parent < 0:
-            places[:, bone], turned[:, bone] = values[:, :3], own
-        else:
-            places[:, bone] = places[:, parent] + turned[:, parent] @ offsets[bone]
-            turned[:, bone] = turned[:, parent] @ own
-    return places
+    angles_deg = values[:, 3:].reshape(len(values), -1, 3)
+    (turning,) = np.nonzero(angles_deg.any((0, 2)))
+    turns = turned(angles_deg[:, turning], _ORDER)
+    moving = {bone: turns[:, place] for place, bone in enumerate(turning.tolist())}
+    places = chained_places(parents, offsets, [None] * len(parents), {0: values[:, :3]}, moving)
+    return together(places, len(values))

@@ -17,10 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.character.meshes import MeshPart, mesh_parts
 from pipeline.character.rig import CharacterRig
+from pipeline.character.writers.chains import chained_places, together
 from pipeline.character.writers.posed import PosedCharacter
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.writers.blocks import frame_blocks
-from pipeline.export.writers.euler import euler_deg
+from pipeline.export.writers.euler import euler_deg, turned
 from pipeline.export.writers.fbx import ORIGIN, add_top
 from pipeline.export.writers.fbx_drawn import BoundVertices, add_material, add_mesh, add_skin
 from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, read, write
@@ -69,8 +70,8 @@ def _nodes(rig: CharacterRig) -> list[int]:
 def _add_node(scene: FbxScene, rig: CharacterRig, node: int, above: Int64) -> Int64:
     """Add the model of a node at rest."""
     kind, flag = ("LimbNode", "Skeleton") if rig.is_bone[node] else ("Null", "Null")
-    turned = Rotation.from_quat(rig.rotations[node]).as_matrix()
-    ((z_deg, y_deg, x_deg),) = euler_deg(turned[None, None], [_ORDER], np.zeros((1, 3)))[0]
+    at_rest = Rotation.from_quat(rig.rotations[node]).as_matrix()
+    ((z_deg, y_deg, x_deg),) = euler_deg(at_rest[None, None], [_ORDER], np.zeros((1, 3)))[0]
     places = (
         local(TRANSLATION, rig.translations[node] * _UNITS),
         local(ROTATION, (x_deg, y_deg, z_deg)),
@@ -139,8 +140,8 @@ class _Angles:
     def _block(self, rows: slice, before_deg: Float[np.ndarray, "bones 3"]) -> Float[np.ndarray, "frames bones 3"]:
         """Angles in the order of the rotations in some frames, continuous with the frame before."""
         some = self._held.in_rows(rows)
-        turned = np.stack([some.matrices(node) for node in self._nodes], axis=1)
-        return euler_deg(turned, [_ORDER] * len(self._nodes), before_deg)
+        turns = np.stack([some.matrices(node) for node in self._nodes], axis=1)
+        return euler_deg(turns, [_ORDER] * len(self._nodes), before_deg)
 
 
 def read_xyz(path: Path, names: tuple[str, ...], units_per_m: float) -> Iterator[Float[np.ndarray, "_ bones 3"]]:
@@ -176,35 +177,47 @@ class _StoredBones:
             if (curves := scene.curves(self._layer, number, kind)) is not None
         }
         self.num_frames = max((len(values[0]) for values in self._curves.values()), default=0)
+        self._order = self._parents_first()
+        self._place_of = {model: place for place, model in enumerate(self._order)}
+        self._parents = [self._place_of.get(self._above(model), -1) for model in self._order]
+        self._offsets, angles_deg, self._scales = (
+            np.array([self._at_rest(model, kind, usual) for model in self._order])
+            for kind, usual in ((TRANSLATION, 0.0), (ROTATION, 0.0), (_SCALING, 1.0))
+        )
+        self._turns = list(turned(angles_deg[:, ::-1], _ORDER) * self._scales[:, None])
+
+    def _above(self, model: int) -> int:
+        parent = self._scene.parent(model, "Model")
+        return int(SCENE) if parent is None else parent
+
+    def _parents_first(self) -> list[int]:
+        """Numbers of the models of bones and of nodes above them."""
+        order: dict[int, None] = {}
+        for model in self._models.values():
+            way = [model]
+            while (above := self._above(way[-1])) != SCENE and above not in order:
+                way.append(above)
+            order |= dict.fromkeys(reversed(way))
+        return list(order)
 
     def places(self, names: tuple[str, ...], block: slice) -> Float[np.ndarray, "frames bones 3"]:
         """Places of bones in the file's axes and unit in a block of frames."""
-        worlds: dict[int, Float[np.ndarray, "frames 4 4"]] = {}
-        shape = block.stop - block.start, 3
-        found = [self._world(self._models[safe_name(name)], block, worlds)[:, :3, 3] for name in names]
-        return np.stack([np.broadcast_to(places, shape) for places in found], axis=1)
+        turning = [place for place, model in enumerate(self._order) if (model, ROTATION) in self._curves]
+        angles_deg = np.stack([self._values(self._order[place], ROTATION, block) for place in turning])
+        turns = turned(angles_deg[..., ::-1], _ORDER)
+        moving = {place: turn * self._scales[place] for place, turn in zip(turning, turns, strict=True)}
+        moved = {
+            place: self._values(model, TRANSLATION, block)
+            for place, model in enumerate(self._order)
+            if (model, TRANSLATION) in self._curves
+        }
+        places = chained_places(self._parents, self._offsets, self._turns, moved, moving)
+        wanted = [places[self._place_of[self._models[safe_name(name)]]] for name in names]
+        return together(wanted, block.stop - block.start)
 
-    def _world(
-        self, model: int, block: slice, worlds: dict[int, Float[np.ndarray, "frames 4 4"]]
-    ) -> Float[np.ndarray, "frames 4 4"]:
-        if model not in worlds:
-            parent = self._scene.parent(model, "Model")
-            above = np.eye(4) if parent is None or parent == SCENE else self._world(parent, block, worlds)
-            worlds[model] = above @ self._local(model, block)
-        return worlds[model]
+    def _values(self, model: int, kind: str, block: slice) -> Float[np.ndarray, "frames 3"]:
+        return np.stack([curve[block] for curve in self._curves[model, kind]], axis=-1).astype(float)
 
-    def _local(self, model: int, block: slice) -> Float[np.ndarray, "frames 4 4"]:
+    def _at_rest(self, model: int, kind: str, usual: float) -> tuple[float, ...]:
         node = self._scene.objects[model]
-        is_still = (model, TRANSLATION) not in self._curves and (model, ROTATION) not in self._curves
-        matrices = np.tile(np.eye(4), (1 if is_still else block.stop - block.start, 1, 1))
-
-        def values(kind: str, usual: float) -> Float[np.ndarray, "frames 3"]:
-            if (model, kind) in self._curves:
-                return np.stack([curve[block] for curve in self._curves[model, kind]], axis=-1).astype(float)
-            found = numbers(node, kind, 3) if has_setting(node, kind) else (usual,) * 3
-            return np.broadcast_to(np.array(found), (len(matrices), 3))
-
-        turned = Rotation.from_euler("xyz", values(ROTATION, 0.0), degrees=True).as_matrix()
-        matrices[:, :3, :3] = turned * values(_SCALING, 1.0)[:, None]
-        matrices[:, :3, 3] = values(TRANSLATION, 0.0)
-        return matrices
+        return numbers(node, kind, 3) if has_setting(node, kind) else (usual,) * 3

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Float32, Shaped
 
 from pipeline.character.gltf_reader import decode_character
 from pipeline.character.rig import CharacterRig
+from pipeline.character.writers.chains import chained_places, together
 from pipeline.character.writers.posed import PosedCharacter, present_ranges
-from pipeline.data.arrays import read_only
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.writers.blocks import frame_blocks
 
@@ -118,12 +118,12 @@ def read_xyz(path: Path, names: tuple[str, ...]) -> Iterator[Float[np.ndarray, "
     animation = document["animations"][0]
     extras = animation["extras"]
 
-    def rows(number: int) -> Shaped[np.ndarray, "rows columns"]:
+    def rows(number: int) -> Float32[np.ndarray, "rows columns"]:
         accessor = document["accessors"][number]
         view = document["bufferViews"][accessor["bufferView"]]
         columns = _COLUMNS[accessor["type"]]
         count = accessor["count"] * columns
-        return np.frombuffer(read.binary, "<f4", count, view["byteOffset"]).reshape(-1, columns).astype(float)
+        return np.frombuffer(read.binary, "<f4", count, view["byteOffset"]).reshape(-1, columns)
 
     keys = {
         (channel["target"]["node"], channel["target"]["path"]): rows(
@@ -133,41 +133,36 @@ def read_xyz(path: Path, names: tuple[str, ...]) -> Iterator[Float[np.ndarray, "
     }
     wanted = [rig.names.index(name) for name in names]
     needed = {above for node in wanted for above in rig.ancestors(node)}
+    order = [node for node in rig.order if node in needed]
     num_frames = len(rows(animation["samplers"][0]["input"]))
     origin_m = np.array(extras.get("origin_m", (0.0, 0.0, 0.0)))
     for block in frame_blocks(num_frames):
-        places = _places(rig, keys, needed, block)
-        xyz = np.stack([places[node] for node in wanted], axis=1)
+        places = dict(zip(order, _places(rig, keys, order, block), strict=True))
+        xyz = together([places[node] for node in wanted], block.stop - block.start)
         yield xyz @ Y_UP_FROM_WORLD / extras["units_per_m"] + origin_m
 
 
 def _places(
-    rig: CharacterRig,
-    keys: dict[tuple[int, str], Shaped[np.ndarray, "rows columns"]],
-    needed: set[int],
-    block: slice,
-) -> dict[int, Float[np.ndarray, "frames 3"]]:
+    rig: CharacterRig, keys: dict[tuple[int, str], Float32[np.ndarray, "rows columns"]], order: list[int], block: slice
+) -> list[Float[np.ndarray, "_ 3"]]:
     """Places of nodes in the file's axes in a block of frames."""
-    worlds: dict[int, Float[np.ndarray, "frames 4 4"]] = {}
-    for node in rig.order:
-        if node not in needed:
-            continue
-        is_still = (node, "rotation") not in keys and (node, "translation") not in keys
-        local = np.tile(rig.locals[node], (1 if is_still else block.stop - block.start, 1, 1))
-        if (node, "rotation") in keys:
-            turned = _matrices(keys[node, "rotation"][block])
-            local[:, :3, :3] = turned * rig.scales[node]
-        if (node, "translation") in keys:
-            local[:, :3, 3] = keys[node, "translation"][block]
-        parent = int(rig.parents[node])
-        worlds[node] = local if parent < 0 else worlds[parent] @ local
-    shape = block.stop - block.start, 3
-    return {node: read_only(np.broadcast_to(world[:, :3, 3], shape)) for node, world in worlds.items()}
+    place_of = {node: place for place, node in enumerate(order)}
+    turning = [node for node in order if (node, "rotation") in keys]
+    quats = np.array([keys[node, "rotation"][block] for node in turning], float)
+    turns = _matrices(quats) * rig.scales[turning][:, None, None]
+    moving = {place_of[node]: turn for node, turn in zip(turning, turns, strict=True)}
+    moved = {
+        place_of[node]: keys[node, "translation"][block].astype(float)
+        for node in order
+        if (node, "translation") in keys
+    }
+    parents = [place_of.get(int(rig.parents[node]), -1) for node in order]
+    return chained_places(parents, rig.translations[order], list(rig.locals[order, :3, :3]), moved, moving)
 
 
-def _matrices(quat_xyzw: Float[np.ndarray, "frames 4"]) -> Float[np.ndarray, "frames 3 3"]:
+def _matrices(quat_xyzw: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
     """Rotation matrices of quaternions, by glTF's rule rather than the writer's."""
-    x, y, z, w = (quat_xyzw / np.linalg.norm(quat_xyzw, axis=-1, keepdims=True)).T
+    x, y, z, w = np.moveaxis(quat_xyzw / np.linalg.norm(quat_xyzw, axis=-1, keepdims=True), -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
         (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),

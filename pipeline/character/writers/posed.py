@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.character.mapping import HIPS
 from pipeline.character.retarget import CharacterMotion
+from pipeline.character.writers.chains import together
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import held
-from pipeline.skeleton.rotations import continuous_quat_xyzw
+from pipeline.skeleton.rotations import continuous_quat_xyzw, times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,9 +77,9 @@ class PosedCharacter:
         parent = int(rig.parents[node])
         if node == self.hips:
             above = np.eye(3) if parent < 0 else rotation_of(rig.worlds[parent])
-            return np.asarray((above.T @ Y_UP_FROM_WORLD) @ self.turn_of(node) @ at_rest)
+            return times((above.T @ Y_UP_FROM_WORLD) @ self.turn_of(node), at_rest)
         above = figure.skeleton_from_file @ rotation_of(rig.worlds[parent])
-        return np.asarray(above.T @ self.turn_of(parent).swapaxes(1, 2) @ self.turn_of(node) @ at_rest)
+        return times(times(self.turn_of(parent), above).swapaxes(1, 2) @ self.turn_of(node), at_rest)
 
     def hips_translations(self) -> Float[np.ndarray, "frames 3"]:
         """Translations of the hips in their parent in the file."""
@@ -124,9 +125,9 @@ def bone_places(posed: PosedCharacter, nodes: tuple[int, ...], frames: range) ->
         if node == posed.hips:
             places[node] = held(motion.hips, own, frames)
         else:
-            places[node] = places[parent] + turns[parent] @ (figure.positions[node] - figure.positions[parent])
+            places[node] = places[parent] + times(turns[parent], figure.positions[node] - figure.positions[parent])
         turns[node] = held(motion.turns[node], own, frames) if node in motion.turns else turns[parent]
-    return np.stack([places[node] for node in nodes], axis=1) / motion.scale
+    return together([places[node] for node in nodes], len(frames)) / motion.scale
 
 
 def names_by_node(names: Mapping[int, str]) -> dict[int, str]:

@@ -34,7 +34,11 @@ def held_blocks(of_frames: range, frames: range) -> Iterator[tuple[range, int]]:
 
 def fixed(values: Float[np.ndarray, "rows columns"], decimals: int, separator: str = " ") -> list[str]:
     """Format rows as text with a fixed number of decimals; -0.0 becomes 0.0, NaN becomes ``nan``."""
-    template = separator.join([f"%.{decimals}f"] * values.shape[1])
+    return filled(separator.join([f"%.{decimals}f"] * values.shape[1]), values, decimals)
+
+
+def filled(template: str, values: Float[np.ndarray, "rows columns"], decimals: int) -> list[str]:
+    """Format rows as text by a template for one of them, whose numbers have some decimals; -0.0 becomes 0.0."""
     # Adding zero turns -0.0 into 0.0.
     return [template % tuple(row) for row in (np.round(values, decimals) + 0.0).tolist()]
 
@@ -44,5 +48,13 @@ def read_rows(file: TextIO, separator: str) -> Iterator[Float[np.ndarray, "rows 
     while lines := list(islice(file, BLOCK_FRAMES)):
         # A pose that holds is a line over and over.
         parsed = lines[:1] if lines.count(lines[0]) == len(lines) else lines
-        values = np.array([[cell or "nan" for cell in line.strip("\r\n").split(separator)] for line in parsed], float)
+        if any(_has_empty_cell(line.strip("\r\n"), separator) for line in parsed):
+            cells = [[cell or "nan" for cell in line.strip("\r\n").split(separator)] for line in parsed]
+            values = np.array(cells, float)
+        else:
+            values = np.loadtxt(parsed, delimiter=separator, comments=None, ndmin=2)
         yield np.repeat(values, len(lines) // len(parsed), axis=0)
+
+
+def _has_empty_cell(line: str, separator: str) -> bool:
+    return line.startswith(separator) or line.endswith(separator) or 2 * separator in line

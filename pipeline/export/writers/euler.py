@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 ORDERS = tuple("".join(axes) for axes in permutations("XYZ"))
 """All orders of three different axes."""
@@ -24,22 +24,73 @@ def euler_deg(
     frame before the first frame. Angles are in degrees.
     """
     rename, sign = _renames(orders)
-    rotations = rename @ rotations @ rename.swapaxes(-1, -2)
-    cosine = np.hypot(rotations[..., 0, 1], rotations[..., 1, 1])
-    triples = _both(
-        np.arctan2(-rotations[..., 0, 1], rotations[..., 1, 1]),
-        np.arctan2(rotations[..., 2, 1], cosine),
-        np.arctan2(-rotations[..., 2, 0], rotations[..., 2, 2]),
-    )
+    axes = rename.argmax(-1)
 
-    angles = np.empty((*cosine.shape, 3))
-    previous = sign * np.radians(before_deg)
+    def entry(row: int, column: int) -> Float[np.ndarray, "frames joints"]:
+        # Adding zero turns -0.0 into 0.0.
+        return np.asarray(rotations[:, np.arange(len(axes)), axes[:, row], axes[:, column]] + 0.0)
+
+    level, upright = entry(0, 1), entry(1, 1)
+    cosine = np.hypot(level, upright)
+    triples = _both(np.arctan2(-level, upright), np.arctan2(entry(2, 1), cosine), np.arctan2(-entry(2, 0), entry(2, 2)))
+    before = sign * np.radians(before_deg)
+    angles = _nearest(triples, before)
     is_locked = cosine < _GIMBAL_LOCK
-    has_locked = is_locked.any(-1).tolist()
-    for frame in range(len(cosine)):
+    if is_locked.any():
+        some = np.flatnonzero(is_locked.any(0))
+        renamed = rename[some] @ rotations[:, some] @ rename[some].swapaxes(-1, -2)
+        angles[:, some] = _nearest_through_locks(triples[:, :, some], renamed, is_locked[:, some], before[some])
+    return sign * np.degrees(angles)
+
+
+def _nearest(
+    triples: Float[np.ndarray, "2 frames joints 3"], before: Float[np.ndarray, "joints 3"]
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Triple of each frame that is closest to that of the frame before, up to full turns; all frames at once."""
+    num_frames = triples.shape[1]
+    if num_frames == 0:
+        return triples[0]
+    by_axis = np.ascontiguousarray(np.moveaxis(triples, -1, 0))
+    first_second = [_is_second_nearer(by_axis[:, :, :1], before.T[:, None])]
+    # Whether the second triple follows each triple of the frame before.
+    after_first, after_second = (
+        _is_second_nearer(by_axis[:, :, 1:], earlier) for earlier in (by_axis[:, 0, :-1], by_axis[:, 1, :-1])
+    )
+    # A frame whose choice does not depend on the one before begins anew; others keep it or exchange it.
+    begins = np.concatenate([np.ones_like(first_second[0]), after_first == after_second])
+    chosen = np.concatenate([*first_second, after_first])
+    exchanged = np.cumsum(chosen & ~begins, axis=0, dtype=np.int32)
+    start = np.maximum.accumulate(np.where(begins, np.arange(num_frames)[:, None], 0), axis=0)
+    odd = (exchanged - np.take_along_axis(exchanged, start, 0)) % 2 == 1
+    is_second = np.take_along_axis(chosen, start, 0) ^ odd
+    angles = np.where(is_second[..., None], triples[1], triples[0])
+    steps = np.concatenate([before[None], angles[:-1]]) - angles
+    return angles + 2 * np.pi * np.cumsum(np.round(steps / (2 * np.pi)), axis=0)
+
+
+def _is_second_nearer(
+    triples: Float[np.ndarray, "3 2 frames joints"], earlier: Float[np.ndarray, "3 #frames joints"]
+) -> Bool[np.ndarray, "frames joints"]:
+    """True where the second of two triples is nearer to an earlier one, up to full turns."""
+    off = np.zeros(triples.shape[1:])
+    for ends, start in zip(triples, earlier, strict=True):
+        step = ends - start
+        step -= 2 * np.pi * np.round(step / (2 * np.pi))
+        off += step**2
+    return np.asarray(off[1] < off[0])
+
+
+def _nearest_through_locks(
+    triples: Float[np.ndarray, "2 frames joints 3"],
+    rotations: Float[np.ndarray, "frames joints 3 3"],
+    is_locked: Bool[np.ndarray, "frames joints"],
+    previous: Float[np.ndarray, "joints 3"],
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Same of joints that are in gimbal lock in some frame, one frame after the other."""
+    angles = np.empty(triples.shape[1:])
+    for frame, locked in enumerate(is_locked):
         options = triples[:, frame]
-        if has_locked[frame]:
-            locked = is_locked[frame]
+        if locked.any():
             kept = previous[locked, 2]
             first, last = rotations[frame, locked, :, 0], rotations[frame, locked, :, 2]
             before_y = first * np.cos(kept)[:, None] + last * np.sin(kept)[:, None]
@@ -49,7 +100,19 @@ def euler_deg(
         first_off, second_off = ((options - previous) ** 2).sum(-1)
         previous = np.where((second_off < first_off)[:, None], options[1], options[0])
         angles[frame] = previous
-    return sign * np.degrees(angles)
+    return angles
+
+
+def turned(angles_deg: Float[np.ndarray, "*batch 3"], order: str) -> Float[np.ndarray, "*batch 3 3"]:
+    """Matrices of intrinsic rotations by angles in degrees about the axes of ``order``, such as ``ZXY``."""
+    angles = np.radians(np.moveaxis(angles_deg, -1, 0))
+    matrices = np.broadcast_to(np.eye(3).reshape(3, 3, *[1] * (angles.ndim - 1)), (3, 3, *angles.shape[1:])).copy()
+    for axis, cosine, sine in zip(order, np.cos(angles), np.sin(angles), strict=True):
+        place = "XYZ".index(axis)
+        first, second = matrices[:, (place + 1) % 3], matrices[:, (place + 2) % 3]
+        after = cosine * first + sine * second, cosine * second - sine * first
+        matrices[:, (place + 1) % 3], matrices[:, (place + 2) % 3] = after
+    return np.moveaxis(matrices, (0, 1), (-2, -1))
 
 
 def halfway_by_angles(

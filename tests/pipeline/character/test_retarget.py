@@ -12,7 +12,7 @@ from pipeline.character.figures import angles_deg, figures_of
 from pipeline.character.gltf_reader import decode_character
 from pipeline.character.mapping import map_bones
 from pipeline.character.retarget import CharacterMotion, place_of, retarget
-from pipeline.data.animation import SkeletonMotion
+from pipeline.data.animation import Floor, FootContact, SkeletonMotion
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.pipeline.character.characters import bones_of, character, odd_bones, twin_bones, vrm
 from tests.pipeline.character.takes import take_of
@@ -132,6 +132,46 @@ def posed(turns_deg: dict[str, tuple[float, float, float]], num_frames: int = 3)
         quat[:, INDEX[joint]] = Rotation.from_rotvec(np.radians(vector)).as_quat()
     root_m = np.tile([0.0, 0.0, 0.9], (num_frames, 1))
     return SkeletonMotion(1, "a", 0, 30.0, lengths_m, root_m, quat, ())
+
+
+def standing(roll_deg: float) -> tuple[SkeletonMotion, Floor]:
+    """Person with nearly straight legs whose feet stand at different heights, and a level floor halfway between."""
+    roll, bend = (0.0, roll_deg, 0.0), 4.0
+    turns_deg = {"Hips": roll, "Spine": (0.0, -roll_deg, 0.0)}
+    for side in ("Left", "Right"):
+        turns_deg |= {f"{side}UpLeg": (-bend, -roll_deg, 0.0), f"{side}Leg": (2 * bend, 0.0, 0.0)}
+        turns_deg |= {f"{side}Foot": (-bend, 0.0, 0.0)}
+    source = posed(turns_deg, 60)
+    contacts = tuple(FootContact(side, 0, 60, 1.0, True, 0.0, 0.0) for side in ("left", "right"))
+    ankles_m = forward_kinematics(source)[0, [INDEX["LeftFoot"], INDEX["RightFoot"]]]
+    assert abs(ankles_m[0, 2] - ankles_m[1, 2]) > 0.005
+    return replace(source, contacts=contacts), Floor(float(ankles_m[:, 2].mean()) - 0.065, 0.0, 0.0)
+
+
+def test_hips_tilt_for_feet_that_were_located_beside_the_floor() -> None:
+    """Nearly straight legs, which would turn by four degrees, keep their directions."""
+    source, floor = standing(2.5)
+    motion = retarget(source, twin(source), floor)
+    for side in ("Left", "Right"):
+        own, theirs = (places(motion, f"{side}Foot"), forward_kinematics(source)[:, INDEX[f"{side}Foot"]])
+        assert 0.003 < abs(own[0, 2] - theirs[0, 2]) < 0.007
+    figures = figures_of(motion)
+    assert figures.contacts_kept == 1.0
+    assert figures.direction_deg[1] <= 1.5
+    assert 2.0 <= figures.hips_deg[0] <= 2.6
+    # The trunk stays upright, and nothing tilts without feet that stand.
+    trunk = places(motion, "Head") - places(motion, "Hips")
+    assert trunk[0, 2] / np.linalg.norm(trunk[0]) > 0.99
+    assert figures_of(retarget(replace(source, contacts=()), twin(source), floor)).hips_deg[1] < 1e-6
+
+
+def test_hips_do_not_rock_while_a_foot_stands() -> None:
+    """Where feet stand still, hips are as smooth as the person's."""
+    animation = take_of("walk", "feet", 4.0)
+    source = animation.motions[0]
+    motion = retarget(source, figure("default"), animation.floor)
+    own, theirs = (np.diff(root, 2, axis=0) for root in (motion.hips / motion.scale, source.root_m))
+    assert np.sqrt((own**2).sum(-1).mean()) <= 1.1 * np.sqrt((theirs**2).sum(-1).mean())
 
 
 def test_hands_meet_where_they_met() -> None:
