@@ -145,6 +145,7 @@ def test_calls_that_follow_from_each_other(service: Live, known: dict[str, str])
     ]
     followed = schema.exclude(operation_id=["streamJobEvents", *sent])
     calls: Counter[str] = Counter()
+    reached = {"POST /v1/jobs/{job_id}/cancel", "POST /v1/jobs/{job_id}/retry", "DELETE /v1/jobs/{job_id}"}
 
     class Workflow(followed.as_state_machine()):  # type: ignore[misc]
         def setup(self) -> None:
@@ -158,11 +159,11 @@ def test_calls_that_follow_from_each_other(service: Live, known: dict[str, str])
             case.validate_response(response, excluded_checks=inapplicable_checks(case))
 
     few = settings(SETTINGS, max_examples=20, stateful_step_count=12, phases=[Phase.generate])
-    for number in range(12):
+    for number in range(24):
         # Responses depend on earlier examples; Hypothesis reports this as flaky when it repeats a part of an example.
         with contextlib.suppress(FlakyStrategyDefinition):
             run_state_machine_as_test(seed(number)(Workflow), settings=few)
-        if sum(calls.values()) >= 300:
+        if sum(calls.values()) >= 300 and set(calls) >= reached:
             break
     assert sum(calls.values()) >= 300
-    assert {"POST /v1/jobs/{job_id}/cancel", "POST /v1/jobs/{job_id}/retry", "DELETE /v1/jobs/{job_id}"} <= set(calls)
+    assert set(calls) >= reached
