@@ -51,8 +51,8 @@ class FileFormat(Value):
     """A format of a person's file; ``pipeline.export.formats`` writes and reads it."""
 
     media_type: str  # RFC 6838, as the service sends it
-    # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints
-    holds: Literal["motion", "joints"]
+    # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles
+    holds: Literal["motion", "joints", "angles"]
     limit: FrameLimit | None = None
     has_body: bool = False  # Whether it holds a body that follows the skeleton
     has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset

@@ -133,6 +133,8 @@ Export = (
         Literal["c3d"], FileFormat("C3D, joints", _BYTES, "joints", limit=FrameLimit(2**16 - 1, TOO_LONG_FOR_C3D))
     ]
     | Annotated[Literal["csv"], FileFormat("CSV, joints in a table", _CSV, "joints")]
+    | Annotated[Literal["angles"], FileFormat("CSV, joint angles in a table", _CSV, "angles", ending="angles.csv")]
+    | Annotated[Literal["mot"], FileFormat("MOT, joint angles for OpenSim", _TEXT, "angles")]
 )
 Preset = (
     Annotated[Literal["default"], Value("Standard names")]

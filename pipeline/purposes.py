@@ -54,6 +54,11 @@ PURPOSES = (
     ),
     Purpose("vrm", "VRM characters", "VRMA, an animation that every VRM character plays.", ("vrma",)),
     Purpose("web", "Web pages", "GLB with bodies and cameras, for three.js, Babylon.js and model viewers.", ("glb",)),
-    Purpose("research", "Research", "TRC for OpenSim, C3D and CSV: positions of the joints.", ("trc", "c3d", "csv")),
+    Purpose(
+        "research",
+        "Research",
+        "TRC for OpenSim, C3D and CSV with positions of the joints, and joint angles as CSV and MOT.",
+        ("trc", "c3d", "csv", "angles", "mot"),
+    ),
 )
 """Purposes in the order of the form. The first one has the defaults."""

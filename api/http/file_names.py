@@ -59,6 +59,8 @@ def result_name(session_name: str, name: str, revision: int = 0, person_name: st
     'handshake-take-3_revision-2_person-1-anna.bvh'
     >>> result_name("Handshake", "person-1.events.csv", person_name="Anna")
     'handshake_person-1-anna.events.csv'
+    >>> result_name("Handshake", "person-1.angles.csv", person_name="Anna")
+    'handshake_person-1-anna.angles.csv'
     """
     stem, _, suffix = name.partition(".")
     return f"{stem_of(session_name, revision)}_{named_person(stem, person_name)}.{suffix}"

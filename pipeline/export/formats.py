@@ -11,13 +11,14 @@ from types import MappingProxyType, ModuleType
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pipeline.angles.compute import JointAngles
 from pipeline.config import Body, Export, Preset
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.export.presets import PRESETS
 from pipeline.export.scene import TakeScene
-from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc, vrma
+from pipeline.export.writers import angle_tables, bvh, c3d_file, csv_table, fbx, glb, trc, vrma
 from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames, rotation_orders
 from pipeline.gait.analysis import MarkedEvent, analyse_gait, marked_events
@@ -39,6 +40,7 @@ class PersonContent:
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
     preset: Preset  # Convention of BVH and FBX files
     body: BodyChoice  # Body of files that have one
+    angles: Callable[[], JointAngles]  # Joint angles in the frames of the track, computed once
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class TakeFormat:
     """Writer and reader of files of a format with the scene of a whole take."""
 
     encode: Callable[[TakeScene, Preset, Body], Iterator[bytes]]  # Yields the bytes of a file, piece by piece
-    # Yields blocks of frames of a person of a file, as of ``Format.read_xyz_m``, by the place among the scene's people
+    # Yields blocks of frames of a person of a file, as of ``Format.read``, by the place among the scene's people
     read_xyz_m: Callable[[Path, Preset, int], Iterator[Float[np.ndarray, "_ joints 3"]]]
     fits: Callable[[TakeScene], bool]  # Whether a file can be as large as a scene needs
 
@@ -56,9 +58,9 @@ class Format:
     """Writer and reader of a format."""
 
     encode: Callable[[PersonContent], Iterator[bytes]]  # Yields the bytes of a person's file, piece by piece
-    # Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3); NaN for unknown
-    # joints
-    read_xyz_m: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ joints 3"]]]
+    # Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3), or as angles in
+    # degrees, (frames, columns, 1); NaN for unknown values
+    read: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ values components"]]]
     # Place at which interpolated angles are farthest off; ``None`` for formats without angles
     between_frames: Callable[[PersonContent], BetweenFrames | None] = lambda _: None
     # Whether the file holds the person's name. Other files stay as they are when the person is renamed.
@@ -139,6 +141,14 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
         "csv": Format(
             lambda person: csv_table.encode(person.track, person.joints, person.timebase, person.frames),
             lambda path, _: csv_table.read_xyz_m(path),
+        ),
+        "angles": Format(
+            lambda person: angle_tables.encode_csv(person.angles(), person.timebase, person.frames),
+            lambda path, _: angle_tables.read_csv(path),
+        ),
+        "mot": Format(
+            lambda person: angle_tables.encode_mot(person.angles(), person.timebase, person.file_name, person.frames),
+            lambda path, _: angle_tables.read_mot(path),
         ),
     }
 )

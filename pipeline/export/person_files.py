@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pipeline.angles.compute import JointAngles, joint_angles
 from pipeline.config import FILE_FORMATS, Body, Export, Preset, Timeline
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.arrays import read_only
@@ -20,6 +21,7 @@ from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.origin import file_origin_m
 from pipeline.export.timelines import held, presence, unknown_outside
 from pipeline.export.writers import skeletons_json
+from pipeline.export.writers.angle_tables import with_sigmas
 from pipeline.export.writers.body_mesh import CAPSULES, BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
@@ -64,10 +66,11 @@ def people_of(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[
 class KeptFile:
     """A file that was written before."""
 
-    # Largest distance between joints read back and their true positions; ``None`` without any joint
+    # Largest distance between joints read back and their true positions; ``None`` without any joint, and for angles
     distance_mm: float | None
     # Place at which interpolated angles are farthest off, for formats with angles
     between: BetweenFrames | None = None
+    difference_deg: float | None = None  # Largest difference of angles read back; ``None`` without any angle
 
 
 class KeptFiles:
@@ -103,11 +106,12 @@ def write_person(
         If a file can't be written, the disk is full, or the content of a file differs from the written content.
     """
     skeleton_m = cache(lambda: forward_kinematics(person.motion))
+    angles = cache(lambda: joint_angles(person.motion, person.track, person.joints))
     for (name, path), on_file in zip(paths.items(), split(on_share, [1] * len(paths)), strict=True):
         found = kept.find(person, name, path)
         if found is None:
             # Writing takes about as long as reading.
-            found = _written(person, name, path, preset, skeleton_m, part_of(on_file, 0.5, 1.0))
+            found = _written(person, name, path, preset, skeleton_m, angles, part_of(on_file, 0.5, 1.0))
             kept.keep(person, name, path, found)
         on_file(1.0)
         yield name, found
@@ -120,6 +124,7 @@ def _written(
     path: Path,
     preset: Preset,
     skeleton_m: Callable[[], Float[np.ndarray, "frames joints 3"]],
+    angles: Callable[[], JointAngles],
     on_read: OnShare,
 ) -> KeptFile:
     """Write a file of a person and read it back; returns what was found in it."""
@@ -129,9 +134,13 @@ def _written(
             expected = partial(unknown_outside, track.xyz_m, track.frames)
             return KeptFile(furthest_mm(path, track.frames, expected, [skeletons_json.read_track_m(part)], on_read))
     export: Export = next(export for export in FILE_FORMATS if export == name)
-    if FILE_FORMATS[export].holds == "joints":
+    holds = FILE_FORMATS[export].holds
+    if holds == "joints":
         track = without_resting_fingers(track, person.joints)
         expected = partial(unknown_outside, track.xyz_m, track.frames)
+    elif holds == "angles":
+        columns = with_sigmas(angles()) if export == "angles" else angles().angle_deg
+        expected = partial(unknown_outside, columns[..., None], angles().frames)
     else:
         expected = partial(held, skeleton_m(), person.motion.frames)
     content = PersonContent(
@@ -145,9 +154,13 @@ def _written(
         person.origin_m,
         preset,
         person.body,
+        angles,
     )
     with replacing(path, FORMATS[export].encode(content)) as part:
-        distance_mm = furthest_mm(path, person.frames, expected, FORMATS[export].read_xyz_m(part, preset), on_read)
+        read = FORMATS[export].read(part, preset)
+        if holds == "angles":
+            return KeptFile(None, difference_deg=furthest(path, person.frames, expected, read, on_read))
+        distance_mm = furthest_mm(path, person.frames, expected, read, on_read)
     return KeptFile(distance_mm, FORMATS[export].between_frames(content))
 
 
@@ -200,18 +213,34 @@ def furthest_mm(
     ``expected_m`` gives the positions in a range of ``frames``, which are those of the file. ``None`` if no joint is
     known in any frame. Raises ``OSError`` if shapes or unknown joints differ.
     """
-    num_read, far_m = 0, []
-    for block_m in read_m:
-        expected_block_m = expected_m(frames[num_read : num_read + len(block_m)])
-        num_read += len(block_m)
-        if block_m.shape != expected_block_m.shape:
+    far_m = furthest(path, frames, expected_m, read_m, on_share)
+    return None if far_m is None else far_m * _MM_PER_M
+
+
+def furthest(
+    path: Path,
+    frames: range,
+    expected: Callable[[range], Float[np.ndarray, "_ values components"]],
+    read: Iterable[Float[np.ndarray, "_ values components"]],
+    on_share: OnShare,
+) -> float | None:
+    """Largest distance between values read from a file, block by block, and the expected values.
+
+    ``expected`` gives the values in a range of ``frames``, which are those of the file. ``None`` if no value is known
+    in any frame. Raises ``OSError`` if shapes or unknown values differ.
+    """
+    num_read, far = 0, []
+    for block in read:
+        expected_block = expected(frames[num_read : num_read + len(block)])
+        num_read += len(block)
+        if block.shape != expected_block.shape:
             raise spoilt(path)
-        known, known_in_file = np.isfinite(expected_block_m).all(-1), np.isfinite(block_m).all(-1)
+        known, known_in_file = np.isfinite(expected_block).all(-1), np.isfinite(block).all(-1)
         if (known != known_in_file).any():
             raise spoilt(path)
         if known.any():
-            far_m.append(np.linalg.norm((block_m - expected_block_m)[known], axis=-1).max())
+            far.append(np.linalg.norm((block - expected_block)[known], axis=-1).max())
         on_share(num_read / len(frames))
     if num_read != len(frames):
         raise spoilt(path)
-    return float(max(far_m)) * _MM_PER_M if far_m else None
+    return float(max(far)) if far else None

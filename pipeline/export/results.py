@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.write import encode as encode_calibration
 from pipeline.config import (
+    FILE_FORMATS,
     Body,
     Export,
     JobChoices,
@@ -62,7 +63,7 @@ TAKE = "take"
 CALIBRATION = "calibration.json"
 """Refined cameras, in the format that ``pipeline.calibration.write`` writes and every command reads."""
 
-_DECIMALS_MM = 4
+_DECIMALS_MM, _DECIMALS_DEG = 4, 4
 
 
 def no_file(_: Path) -> None:
@@ -203,7 +204,12 @@ def write_files(
         if of_takes.write(export, on_take):
             complete(of_takes.path(export))
         on_take(1.0)
-    check = {export: _found_in(of_people, of_takes.distances_mm.get(export)) for export, of_people in written.items()}
+    check = {
+        name: _angles_found_in(of_people.values())
+        if _holds_angles(name)
+        else _found_in(of_people, of_takes.distances_mm.get(name))
+        for name, of_people in written.items()
+    }
     origin_m = file_origin_m(shown.cameras)
     for export in exports:
         if FORMATS[export].has_origin and origin_m.any():
@@ -321,6 +327,17 @@ def _require_equal(part: Path, path: Path, pieces: Iterable[bytes]) -> None:
     with part.open("rb") as file:
         if any(file.read(len(piece)) != piece for piece in pieces) or file.read(1):
             raise spoilt(path)
+
+
+def _holds_angles(name: str) -> bool:
+    """Whether files of a format, or ``skeletons.json``, hold joint angles."""
+    return any(export == name and form.holds == "angles" for export, form in FILE_FORMATS.items())
+
+
+def _angles_found_in(files: Iterable[KeptFile]) -> dict[str, Any]:
+    """Entry of ``metrics.json`` about the files of a format with joint angles."""
+    found_deg = [file.difference_deg for file in files if file.difference_deg is not None]
+    return {"max_difference_deg": round(max(found_deg), _DECIMALS_DEG) if found_deg else None}
 
 
 def _found_in(of_people: Mapping[int, KeptFile], of_take_mm: float | None) -> dict[str, Any]:

@@ -17,6 +17,7 @@
 - *Hands*: share of a person's frames in which at least half of the joints of a hand's fingers were measured, and the
   median reprojection error of these joints. Joint sets without fingers have no such block. All other figures, except
   the errors by joint, leave fingers out: cameras that are too far for fingers say nothing about the body.
+- *Angles*: range of each joint angle and its usual standard deviation; see ``pipeline.angles``.
 - *Identity*: probability that a person is one and the same all the time, the product over the moments at which another
   choice was nearly as likely (``doubts``, with a confidence below 0.99 each); see ``pipeline.identity``.
 - *Gait*, *movements*: see ``pipeline.gait``; ``gait`` is null without gait.
@@ -33,6 +34,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.angles.compute import joint_angles
+from pipeline.angles.ranges import ranges_of_motion
 from pipeline.data.animation import Floor, FootContact
 from pipeline.data.cameras import Camera, Refinement
 from pipeline.data.people import Doubt, Source, Track3D
@@ -72,6 +75,11 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
     located = [of_person.located for of_person in views]
     errors_px = [figures.error_px for figures in views]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
+    whole_tracks = {track.track_id: track for track in reconstruction.tracks}
+    ranges = {
+        motion.track_id: ranges_of_motion(joint_angles(motion, whole_tracks[motion.track_id], joints))
+        for motion in reconstruction.motions
+    }
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
     gaits = {track.track_id: analyse_gait(track, joints, frame_rate_hz) for track in tracks}
     all_doubts = reconstruction.doubts or [()] * len(tracks)
@@ -115,6 +123,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
                 },
                 "gait": gait_document(gaits[track.track_id]),
                 "movements": movement_documents(gaits[track.track_id], reconstruction.timebase),
+                "angles": ranges.get(track.track_id, {}),
                 **_describe_hands(whole, figures.error_px, joints),
                 "identity": _describe_identity(doubts),
             }

@@ -5,7 +5,8 @@
     calibration.json
     timestamps.csv                                  camera,frame,time_s
     keypoints/<camera>/frame_000000000123_keypoints.json
-    truth.npz                                       xyz_m, joint_names, frame_rate_hz, start_time_s
+    truth.npz                                       xyz_m, joint_names, angle_deg, angle_names, frame_rate_hz,
+                                                    start_time_s
 """
 
 import csv
@@ -17,6 +18,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.calibration.write import encode
 from pipeline.data.detections import Detections
 from pipeline.joints import BODY_25, COCO_17, FINGER_JOINTS, SIDES, JointSet, finger_joints
@@ -90,6 +92,8 @@ def _truth(simulation: Simulation) -> bytes:
         file,
         xyz_m=simulation.truth_m,
         joint_names=np.array(simulation.joints.names),
+        angle_deg=simulation.truth_deg,
+        angle_names=np.array(ANGLE_NAMES),
         frame_rate_hz=np.array(simulation.timebase.frame_rate_hz),
         start_time_s=np.array(simulation.timebase.start_time_s),
     )

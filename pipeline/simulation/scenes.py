@@ -8,6 +8,7 @@ from typing import Literal, cast, get_args
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.angles.compute import angles_of
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
@@ -15,10 +16,15 @@ from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.problem_codes.commands import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
 from pipeline.simulation.acrobatics.motions import ACROBATICS, ActingPart
-from pipeline.simulation.acrobatics.performance import Acrobat, acrobat_joints_at, perform_acrobatics
+from pipeline.simulation.acrobatics.performance import (
+    Acrobat,
+    acrobat_joints_at,
+    acrobat_segments_at,
+    perform_acrobatics,
+)
 from pipeline.simulation.motion.director import Cast, improvise
 from pipeline.simulation.motion.exchange import PlaceExchange, exchange
-from pipeline.simulation.motion.performance import joints_at, perform
+from pipeline.simulation.motion.performance import joints_at, perform, segments_at
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Clock, Layout, Rig, build_cameras, choose_views, frame_times
 from pipeline.simulation.views.detector import DetectorAccuracy, detect
@@ -28,6 +34,7 @@ from pipeline.simulation.views.fields import Sketch, sketch
 from pipeline.simulation.views.occlusion import Box
 
 _JointsAt = Callable[[Float[np.ndarray, " times"]], Float[np.ndarray, "times joints 3"]]
+_SegmentsAt = Callable[[Float[np.ndarray, " times"]], Mapping[str, Float[np.ndarray, "times 3 3"]]]
 
 Joints = Literal["body", "feet", "whole"]
 """Joints that are simulated: those of the body, with heels and big toes, or with fingers too."""
@@ -81,6 +88,9 @@ class Simulation:
     joints: JointSet  # Joints of the detections and of the truth
     timebase: Timebase  # Frames of the truth
     truth_m: Float[np.ndarray, "people frames joints 3"]  # World positions of the joints, NaN while a person is absent
+    # True joint angles of ``angles.definitions.ANGLE_NAMES`` in degrees; NaN while a person is absent, and of segments
+    # that are not simulated
+    truth_deg: Float[np.ndarray, "people frames angles"]
     present: Bool[np.ndarray, "people frames"]  # Whether each person is present, visible or not
     # Content of each camera's heatmaps and part affinity fields; see ``views.fields.render``
     sketches: tuple[Sketch, ...]
@@ -295,20 +305,24 @@ def simulate(scene_name: str, seed: int, num_views: int | None = None, joints: J
 
 def _act(
     scene: Scene, cast_seed: np.random.SeedSequence, people_seed: np.random.SeedSequence, joints: JointSet
-) -> list[_JointsAt]:
-    """Positions of each person's joints as a function of time."""
+) -> list[tuple[_JointsAt, _SegmentsAt]]:
+    """Positions of each person's joints, and orientations of the segments, as functions of time."""
     if isinstance(scene.cast, Acrobatics):
         parts = ACROBATICS[scene.cast.motion]
-        return [
-            partial(acrobat_joints_at, acrobat, joints=joints)
+        acrobats = (
+            _acrobat(scene.cast, part, scene.duration_s, np.random.default_rng(person_seed))
             for part, person_seed in zip(parts, people_seed.spawn(len(parts)), strict=True)
-            for acrobat in [_acrobat(scene.cast, part, scene.duration_s, np.random.default_rng(person_seed))]
+        )
+        return [
+            (partial(acrobat_joints_at, acrobat, joints=joints), partial(acrobat_segments_at, acrobat))
+            for acrobat in acrobats
         ]
     roles = _roles(scene.cast, scene, np.random.default_rng(cast_seed))
-    return [
-        partial(joints_at, perform(role, scene.duration_s, np.random.default_rng(person_seed), joints))
+    people = (
+        perform(role, scene.duration_s, np.random.default_rng(person_seed), joints)
         for role, person_seed in zip(roles, people_seed.spawn(len(roles)), strict=True)
-    ]
+    )
+    return [(partial(joints_at, person), partial(segments_at, person)) for person in people]
 
 
 def _acrobat(cast: Acrobatics, part: ActingPart, duration_s: float, rng: np.random.Generator) -> Acrobat:
@@ -348,7 +362,7 @@ def record(scene: Scene, seed: int, num_views: int | None = None, joints: Joints
     people = _act(scene, cast_seed, people_seed, joint_set)
 
     def truth_at(time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "people times joints 3"]:
-        return np.stack([joints_of_person_at(time_s) for joints_of_person_at in people])
+        return np.stack([joints_of_person_at(time_s) for joints_of_person_at, _ in people])
 
     cameras = build_cameras(scene.rig, np.random.default_rng(rig_seed))
     streams = [np.random.default_rng(camera_seed) for camera_seed in cameras_seed.spawn(num_cameras)]
@@ -372,7 +386,9 @@ def record(scene: Scene, seed: int, num_views: int | None = None, joints: Joints
         sketches.append(sketch(*body))
     rate_hz = scene.clock.frame_rate_hz
     timebase = Timebase(0.0, rate_hz, round(scene.duration_s * rate_hz))
-    truth_m = truth_at(np.arange(timebase.num_frames) / rate_hz)
+    frame_s = np.arange(timebase.num_frames) / rate_hz
+    truth_m = truth_at(frame_s)
+    truth_deg = np.degrees([angles_of(segments_of_person_at(frame_s)) for _, segments_of_person_at in people])
     return Simulation(
         cameras=tuple(cameras[number] for number in chosen),
         times=times,
@@ -381,6 +397,7 @@ def record(scene: Scene, seed: int, num_views: int | None = None, joints: Joints
         joints=joint_set,
         timebase=timebase,
         truth_m=read_only(truth_m),
+        truth_deg=read_only(truth_deg),
         present=read_only(np.isfinite(truth_m).all((2, 3))),
         sketches=tuple(sketches),
     )

@@ -77,7 +77,8 @@ class FilesInPieces(KeptFiles):
                 raise spoilt(path)
         found = json.loads(head)
         between = found["between"]
-        return KeptFile(found["distance_mm"], None if between is None else BetweenFrames(**between))
+        farthest = None if between is None else BetweenFrames(**between)
+        return KeptFile(found["distance_mm"], farthest, found["difference_deg"])
 
     def keep(self, person: PersonOfTake, name: str, path: Path, kept: KeptFile) -> None:
         """Keep a copy of a person's file."""

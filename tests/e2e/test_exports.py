@@ -299,6 +299,7 @@ def test_metrics_say_how_far_joints_are_in_each_format(capture: ExportedCapture)
         assert set(check) == {"skeletons", *(EXPORTS if preset == "default" else OF_PRESETS)}
         assert check["bvh"]["max_distance_mm"] < 0.5
     check = json.loads((capture.folder / "default" / "metrics.json").read_bytes())["exports"]
+    assert max(check.pop(export)["max_difference_deg"] for export in ("angles", "mot")) < 0.001
     assert max(check[export]["max_distance_mm"] for export in check if export != "bvh") < 0.1
 
 

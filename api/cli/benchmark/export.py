@@ -79,7 +79,7 @@ def measure(
         def count(path: Path) -> None:
             nonlocal last_s
             now_s = time.perf_counter()
-            kind = path.suffix.removeprefix(".") if path.stem.startswith("person-") else path.name
+            kind = path.name.partition(".")[2] if path.stem.startswith("person-") else path.name
             seconds[kind] += now_s - last_s
             num_bytes[kind] += path.stat().st_size
             last_s = now_s

@@ -53,6 +53,8 @@ ANGLE_NAMES = tuple(ANGLE_LIMITS_DEG)
 POINTS = (*BODY_FEET.names, "left_back", "right_back")
 """Points of an acrobat: the joints of ``BODY_FEET``, and two points in the middle of the back."""
 
+_OUTWARDS = {"left": 1.0, "right": -1.0}
+
 # Distances in metres from points of an adult to the surface of the body.
 _FLESH_M: Mapping[str, float] = {
     "nose": 0.03, "eye": 0.04, "ear": 0.085, "shoulder": 0.06, "elbow": 0.035, "wrist": 0.03, "hip": 0.09,
@@ -93,36 +95,57 @@ def _pitch_roll_yaw(
     return np.asarray(_about(1, pitch_rad) @ _about(0, roll_rad) @ _about(2, yaw_rad))
 
 
-def points_m(
-    body: AcrobatBody, root_m: Float[np.ndarray, "times 3"], angles_rad: Float[np.ndarray, "times angles"]
-) -> Float[np.ndarray, "times points 3"]:
-    """World positions of ``POINTS`` in metres, for the hips' centre and the angles of ``ANGLE_NAMES``."""
-    size = body.proportions
+def parts_of(
+    angles_rad: Float[np.ndarray, "times angles"],
+) -> dict[str, Float[np.ndarray, "times 3 3"]]:
+    """Orientations of the body's parts in the world for the angles of ``ANGLE_NAMES``, by name.
+
+    Axes of each part are ahead, left and up in the rest pose. Names are those of ``angles.definitions.SEGMENTS``, and
+    ``waist``, the middle of the back.
+    """
     angle = dict(zip(ANGLE_NAMES, angles_rad.T, strict=True))
     pelvis = _about(2, angle["yaw"]) @ _about(1, angle["pitch"]) @ _about(0, angle["roll"])
     bend = _pitch_roll_yaw(angle["spine_bend"] / 2, angle["spine_side"] / 2, angle["spine_twist"] / 2)
     waist = pelvis @ bend
-    chest = waist @ bend
-    head = chest @ _pitch_roll_yaw(angle["nod"], np.zeros(len(root_m)), angle["head_twist"])
-    back_m = root_m + _LUMBAR * size.trunk_m * waist[..., 2]
-    neck_m = back_m + (1 - _LUMBAR) * size.trunk_m * chest[..., 2]
-    ears_m = neck_m + size.neck_m * head[..., 2]
-    by_name = {
-        name: ears_m + size.stature_m * head @ offset for name, offset in zip(BODY_FEET.names, _FACE, strict=False)
-    }
-    for side, outwards in (("left", 1.0), ("right", -1.0)):
+    thorax = waist @ bend
+    head = thorax @ _pitch_roll_yaw(angle["nod"], np.zeros(len(angles_rad)), angle["head_twist"])
+    parts = {"pelvis": pelvis, "waist": waist, "thorax": thorax, "head": head}
+    for side, outwards in _OUTWARDS.items():
         limb = {name: angle[f"{side}_{name}"] for name in _LIMB_LIMITS_DEG}
-        by_name[f"{side}_back"] = back_m + outwards * 0.2 * size.shoulder_width_m * waist[..., 1]
-        shoulder_m = neck_m + outwards * size.shoulder_width_m / 2 * chest[..., 1]
-        arm = chest @ _pitch_roll_yaw(-limb["arm_raise"], outwards * limb["arm_aside"], outwards * limb["arm_twist"])
-        elbow_m = shoulder_m - size.upper_arm_m * arm[..., 2]
-        wrist_m = elbow_m - size.forearm_m * (arm @ _about(1, -limb["elbow"]))[..., 2]
-        hip_m = root_m + outwards * size.hip_width_m / 2 * pelvis[..., 1]
+        arm = thorax @ _pitch_roll_yaw(-limb["arm_raise"], outwards * limb["arm_aside"], outwards * limb["arm_twist"])
         thigh = pelvis @ _pitch_roll_yaw(-limb["leg_raise"], outwards * limb["leg_aside"], outwards * limb["leg_twist"])
-        knee_m = hip_m - size.thigh_m * thigh[..., 2]
-        shin = thigh @ _about(1, limb["knee"])
-        ankle_m = knee_m - size.shin_m * shin[..., 2]
-        foot = shin @ _about(1, limb["point_toes"])
+        shank = thigh @ _about(1, limb["knee"])
+        parts |= {
+            f"{side}_upper_arm": arm,
+            f"{side}_forearm": arm @ _about(1, -limb["elbow"]),
+            f"{side}_thigh": thigh,
+            f"{side}_shank": shank,
+            f"{side}_foot": shank @ _about(1, limb["point_toes"]),
+        }
+    return parts
+
+
+def points_m(
+    body: AcrobatBody, root_m: Float[np.ndarray, "times 3"], angles_rad: Float[np.ndarray, "times angles"]
+) -> Float[np.ndarray, "times points 3"]:
+    """World positions of ``POINTS`` in metres, for the hips' centre and the angles of ``ANGLE_NAMES``."""
+    size, part = body.proportions, parts_of(angles_rad)
+    back_m = root_m + _LUMBAR * size.trunk_m * part["waist"][..., 2]
+    neck_m = back_m + (1 - _LUMBAR) * size.trunk_m * part["thorax"][..., 2]
+    ears_m = neck_m + size.neck_m * part["head"][..., 2]
+    by_name = {
+        name: ears_m + size.stature_m * part["head"] @ offset
+        for name, offset in zip(BODY_FEET.names, _FACE, strict=False)
+    }
+    for side, outwards in _OUTWARDS.items():
+        by_name[f"{side}_back"] = back_m + outwards * 0.2 * size.shoulder_width_m * part["waist"][..., 1]
+        shoulder_m = neck_m + outwards * size.shoulder_width_m / 2 * part["thorax"][..., 1]
+        elbow_m = shoulder_m - size.upper_arm_m * part[f"{side}_upper_arm"][..., 2]
+        wrist_m = elbow_m - size.forearm_m * part[f"{side}_forearm"][..., 2]
+        hip_m = root_m + outwards * size.hip_width_m / 2 * part["pelvis"][..., 1]
+        knee_m = hip_m - size.thigh_m * part[f"{side}_thigh"][..., 2]
+        ankle_m = knee_m - size.shin_m * part[f"{side}_shank"][..., 2]
+        foot = part[f"{side}_foot"]
         sole_m = size.ankle_height_m
         by_name |= {
             f"{side}_shoulder": shoulder_m,

@@ -193,6 +193,33 @@ _GRAPPLING = (
     KeyPose(5.2, _OVER, (*_KNEES, *_INSTEPS)),
 )
 
+_SQUAT = {
+    "pitch": 32.0, "spine_bend": 12.0, "nod": -20.0, "leg_raise": 100.0, "leg_aside": 14.0, "leg_twist": 12.0,
+    "knee": 98.0, "point_toes": -28.0, "arm_raise": 78.0, "elbow": 10.0,
+}  # fmt: skip
+_HALF_SQUAT = {**_between(_STAND, _SQUAT), "arm_raise": 60.0}
+_SQUATTING = tuple(
+    KeyPose(time_s, pose, _FEET)
+    for time_s, pose in ((0.0, _STAND), (0.4, _STAND), (1.5, _SQUAT), (2.5, _STAND), (2.9, _STAND), (4.0, _HALF_SQUAT),
+                         (5.0, _STAND), (6.2, _SQUAT), (7.3, _STAND))
+)  # fmt: skip
+# A kick to the front, then one to the side, both with the right leg.
+_FIGHTER = {**_STAND, "arm_raise": 35.0, "arm_aside": 12.0, "elbow": 105.0, "knee": 14.0, "leg_raise": 9.0}
+_CHAMBERED = {**_FIGHTER, "right_leg_raise": 88.0, "right_knee": 105.0, "right_point_toes": 20.0}
+_FRONT_KICK = {
+    **_CHAMBERED, "pitch": -8.0, "right_leg_raise": 95.0, "right_knee": 12.0, "right_point_toes": 35.0,
+}  # fmt: skip
+_TURNED_OUT = {
+    **_CHAMBERED, "roll": -18.0, "right_leg_raise": 62.0, "right_leg_aside": 45.0, "right_leg_twist": -20.0,
+}  # fmt: skip
+_SIDE_KICK = {**_TURNED_OUT, "roll": -24.0, "right_leg_raise": 40.0, "right_leg_aside": 58.0, "right_knee": 14.0}
+_KICKING = tuple(
+    KeyPose(time_s, pose, _FEET if pose is _FIGHTER else _LEFT_FOOT)
+    for time_s, pose in ((0.0, _FIGHTER), (0.5, _FIGHTER), (0.9, _CHAMBERED), (1.1, _FRONT_KICK), (1.35, _CHAMBERED),
+                         (1.9, _FIGHTER), (2.6, _FIGHTER), (3.0, _TURNED_OUT), (3.25, _SIDE_KICK), (3.55, _TURNED_OUT),
+                         (4.2, _FIGHTER), (4.7, _FIGHTER))
+)  # fmt: skip
+
 ACROBATICS: Mapping[str, tuple[ActingPart, ...]] = MappingProxyType(
     {
         "lying": (ActingPart(_LYING),),
@@ -202,6 +229,8 @@ ACROBATICS: Mapping[str, tuple[ActingPart, ...]] = MappingProxyType(
         "kneel": (ActingPart(_KNEELING),),
         "pull-up": (ActingPart(_PULL_UP),),
         "roll": (ActingPart(_ROLL),),
+        "squat": (ActingPart(_SQUATTING),),
+        "kick": (ActingPart(_KICKING),),
         "grappling": (ActingPart(_GRAPPLED, (0.25, 0.0), 180.0), ActingPart(_GRAPPLING, (-0.35, 0.0))),
     }
 )

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
+from pipeline.angles.definitions import SEGMENTS, WORLD
 from pipeline.joints import BODY_FEET, COCO_17, FINGER_JOINTS, SIDES, JointSet
 from pipeline.simulation.acrobatics.anatomy import (
     ANGLE_LIMITS_DEG,
@@ -15,6 +16,7 @@ from pipeline.simulation.acrobatics.anatomy import (
     CLEARANCE_M,
     POINTS,
     AcrobatBody,
+    parts_of,
     points_m,
 )
 from pipeline.simulation.acrobatics.key_poses import KeyPose, ReferenceMotion, reference_motion, vary
@@ -92,6 +94,14 @@ def acrobat_joints_at(
         hands = replace(acrobat.hands, angles_rad=acrobat.hands.angles_rad[row])
         joints_m = np.concatenate([joints_m, fingers(hands, *(body_m[:, pair] for pair in _PAIRS))], axis=1)
     return np.asarray(joints_m)
+
+
+def acrobat_segments_at(
+    acrobat: Acrobat, time_s: Float[np.ndarray, " times"]
+) -> dict[str, Float[np.ndarray, "times 3 3"]]:
+    """Exact orientations ``world_from_segment`` of the segments of ``pipeline.angles``, without hands, by name."""
+    state = acrobat.motion(np.clip(time_s, 0.0, acrobat.motion.x[-1]))
+    return {name: part @ WORLD for name, part in parts_of(state[:, 3:]).items() if name in SEGMENTS}
 
 
 def feet_on_floor(

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.angles.definitions import WORLD
+from pipeline.joints import COCO_17, SIDES
+
 STANDING_LEG = 0.985
 """Height of the hips above the ankles of a standing person, as a share of the leg's length."""
 
@@ -134,8 +137,7 @@ def joints_of(body: Proportions, pose: Pose) -> Float[np.ndarray, "times 17 3"]:
     heading_rad = pose.yaw_rad + pose.twist_rad
     pelvis = turned(pose.yaw_rad, np.zeros_like(pose.yaw_rad))
     upright = turned(heading_rad, np.zeros_like(heading_rad))
-    trunk = turned(heading_rad, pose.lean_rad)
-    head = turned(heading_rad + pose.gaze_rad[:, 0], _HEAD_LEAN * pose.lean_rad + pose.gaze_rad[:, 1])
+    trunk, head = _trunk_and_head(pose)
 
     neck_m = pose.hips_m + body.trunk_m * trunk[:, :, 2]
     shoulders_m = _both_sides(neck_m, trunk, body.shoulder_width_m)
@@ -156,6 +158,42 @@ def joints_of(body: Proportions, pose: Pose) -> Float[np.ndarray, "times 17 3"]:
     face_m = ears_m[:, None] + body.stature_m * np.einsum("tab,kb->tka", head, face)
     pairs = [shoulders_m, elbows_m, wrists_m, hips_m, knees_m, ankles_m]
     return np.concatenate([face_m, *pairs], axis=1)
+
+
+def segments_of(pose: Pose, joints_m: Float[np.ndarray, "times 17 3"]) -> dict[str, Float[np.ndarray, "times 3 3"]]:
+    """Exact orientations ``world_from_segment`` of the body's segments, without feet and hands; see ``angles``.
+
+    The trunk is rigid but for its twist, so the pelvis leans with it. ``joints_m`` are the joints of the pose: planes
+    in which limbs bend are theirs.
+    """
+    trunk, head = _trunk_and_head(pose)
+    segments = {"pelvis": turned(pose.yaw_rad, pose.lean_rad) @ WORLD, "thorax": trunk @ WORLD, "head": head @ WORLD}
+    for side in SIDES:
+        for upper, lower, names, forward in (
+            ("thigh", "shank", ("hip", "knee", "ankle"), 1.0),
+            ("upper_arm", "forearm", ("shoulder", "elbow", "wrist"), -1.0),
+        ):
+            start_m, middle_m, end_m = (joints_m[:, COCO_17.index(f"{side}_{name}")] for name in names)
+            # The knee points to the front, the elbow to the back; to the front times up is to the right.
+            right = forward * np.cross(middle_m - start_m, start_m - end_m)
+            segments[f"{side}_{upper}"] = _along(start_m - middle_m, right)
+            segments[f"{side}_{lower}"] = _along(middle_m - end_m, right)
+    return segments
+
+
+def _along(
+    upwards: Float[np.ndarray, "times 3"], right: Float[np.ndarray, "times 3"]
+) -> Float[np.ndarray, "times 3 3"]:
+    """Orientations of segments by their Y axis and their Z axis, which are at right angles."""
+    y, z = (vector / np.linalg.norm(vector, axis=-1, keepdims=True) for vector in (upwards, right))
+    return np.stack([np.cross(y, z), y, z], axis=-1)
+
+
+def _trunk_and_head(pose: Pose) -> tuple[Float[np.ndarray, "times 3 3"], Float[np.ndarray, "times 3 3"]]:
+    """Orientations of trunk and head."""
+    heading_rad = pose.yaw_rad + pose.twist_rad
+    nod_rad = _HEAD_LEAN * pose.lean_rad + pose.gaze_rad[:, 1]
+    return turned(heading_rad, pose.lean_rad), turned(heading_rad + pose.gaze_rad[:, 0], nod_rad)
 
 
 def _both_sides(center_m: np.ndarray, axes: np.ndarray, width_m: float) -> Float[np.ndarray, "times 2 3"]:

@@ -6,8 +6,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
-from pipeline.joints import COCO_17, FINGER_JOINTS, JointSet
-from pipeline.simulation.motion.body import STANDING_LEG, Pose, Proportions, joints_of, random_proportions, turned
+from pipeline.angles.definitions import WORLD
+from pipeline.joints import COCO_17, FINGER_JOINTS, SIDES, JointSet
+from pipeline.simulation.motion.body import (
+    STANDING_LEG,
+    Pose,
+    Proportions,
+    joints_of,
+    random_proportions,
+    segments_of,
+    turned,
+)
 from pipeline.simulation.motion.feet import Feet, heels_and_toes, random_foot_shape, roll
 from pipeline.simulation.motion.gestures import GestureMotion, overlay, smooth_noise
 from pipeline.simulation.motion.hand_postures import finger_motion
@@ -91,6 +100,34 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: Joi
 
 def joints_at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times joints 3"]:
     """World positions in metres of the joints for which the person was performed, NaN while the person is absent."""
+    now = _at(person, time_s)
+    joints_m = joints_of(person.body, now.pose)
+    shoulders_m, elbows_m, wrists_m, ankles_m = (joints_m[:, pair] for pair in _PAIRS)
+    if now.feet is not None:
+        joints_m = np.concatenate([joints_m, heels_and_toes(now.feet, ankles_m, person.body)], axis=1)
+    if now.hands is not None:
+        joints_m = np.concatenate([joints_m, fingers(now.hands, shoulders_m, elbows_m, wrists_m)], axis=1)
+    return np.where(now.present[:, None, None], joints_m, np.nan)
+
+
+def segments_at(
+    person: SimulatedPerson, time_s: Float[np.ndarray, " times"]
+) -> dict[str, Float[np.ndarray, "times 3 3"]]:
+    """Exact orientations ``world_from_segment`` of the segments of ``pipeline.angles``, by name.
+
+    NaN while the person is absent. Feet are among them if they are simulated; hands, which hold no pose of their own,
+    are not.
+    """
+    now = _at(person, time_s)
+    segments = segments_of(now.pose, joints_of(person.body, now.pose))
+    if now.feet is not None:
+        for foot, side in enumerate(SIDES):
+            segments[f"{side}_foot"] = turned(now.feet.yaw_rad[:, foot], now.feet.pitch_rad[:, foot]) @ WORLD
+    return {name: np.where(now.present[:, None, None], turns, np.nan) for name, turns in segments.items()}
+
+
+def _at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> SimulatedPerson:
+    """Person with pose, presence, feet and hands at given times in place of the grid's."""
     row = np.clip(time_s * GRID_HZ, 0, len(person.present) - 1)
     lower = np.minimum(row.astype(int), len(person.present) - 2)
     share = row - lower
@@ -99,17 +136,18 @@ def joints_at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> F
         weight = share.reshape(-1, *(1,) * (values.ndim - 1))
         return np.asarray(values[lower] * (1 - weight) + values[lower + 1] * weight)
 
-    pose = Pose(*(between(getattr(person.pose, field.name)) for field in fields(Pose)))
-    there = person.present[lower] & person.present[lower + 1]
-    joints_m = joints_of(person.body, pose)
-    shoulders_m, elbows_m, wrists_m, ankles_m = (joints_m[:, pair] for pair in _PAIRS)
-    if person.feet is not None:
-        feet = replace(person.feet, yaw_rad=between(person.feet.yaw_rad), pitch_rad=between(person.feet.pitch_rad))
-        joints_m = np.concatenate([joints_m, heels_and_toes(feet, ankles_m, person.body)], axis=1)
-    if person.hands is not None:
-        hands = replace(person.hands, angles_rad=between(person.hands.angles_rad))
-        joints_m = np.concatenate([joints_m, fingers(hands, shoulders_m, elbows_m, wrists_m)], axis=1)
-    return np.where(there[:, None, None], joints_m, np.nan)
+    feet, hands = person.feet, person.hands
+    if feet is not None:
+        feet = replace(feet, yaw_rad=between(feet.yaw_rad), pitch_rad=between(feet.pitch_rad))
+    if hands is not None:
+        hands = replace(hands, angles_rad=between(hands.angles_rad))
+    return replace(
+        person,
+        pose=Pose(*(between(getattr(person.pose, field.name)) for field in fields(Pose))),
+        present=person.present[lower] & person.present[lower + 1],
+        feet=feet,
+        hands=hands,
+    )
 
 
 def _overlays(

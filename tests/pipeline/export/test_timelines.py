@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from trc import TRCData
 
+from pipeline.angles.compute import joint_angles
 from pipeline.config import ending_of, installed_formats
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
@@ -17,7 +18,7 @@ from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.export.timelines import held, unknown_outside
-from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, trc, vrma
+from pipeline.export.writers import angle_tables, bvh, c3d_file, csv_table, fbx, glb, trc, vrma
 from pipeline.export.writers.blocks import BLOCK_FRAMES, held_blocks
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
@@ -155,6 +156,7 @@ def test_files_of_the_person_s_own_frames_are_those_of_the_motion_alone(
     write_results(two_people, tmp_path, EXPORTS, timeline="person")
     for track, motion in zip(two_people.tracks, two_people.motions, strict=True):
         name, (joints, clock) = motion.name, (two_people.joints, two_people.timebase)
+        angles = joint_angles(motion, track, joints)
         contents = {
             "bvh": bvh.encode(motion, PRESETS["default"]),
             "glb": glb.encode(motion, np.zeros(3)),
@@ -163,6 +165,8 @@ def test_files_of_the_person_s_own_frames_are_those_of_the_motion_alone(
             "trc": trc.encode(track, joints, clock, f"{name}.trc"),
             "c3d": c3d_file.encode(track, joints, clock, np.zeros(3)),
             "csv": csv_table.encode(track, joints, clock),
+            "angles.csv": angle_tables.encode_csv(angles, clock, track.frames),
+            "mot": angle_tables.encode_mot(angles, clock, f"{name}.mot", track.frames),
         }
         for export, content in contents.items():
             assert (tmp_path / f"{name}.{export}").read_bytes() == b"".join(content), (name, export)

@@ -86,6 +86,7 @@ def test_a_perfect_walk_has_perfect_figures() -> None:
         },
         "gait": None,
         "movements": [],
+        "angles": {},
         "identity": {"confidence": 1.0, "doubts": []},
     }
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.errors import InputError
 from pipeline.geometry.camera import project
 from pipeline.simulation.acrobatics.motions import ACROBATICS
@@ -13,6 +14,7 @@ from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Clock, frame_times
 from pipeline.simulation.scenes import JOINT_SETS, SCENES, Joints, Simulation, known_joints, record, simulate
 from pipeline.simulation.views.detector import NOBODY, PERFECT
+from pipeline.skeleton.rotations import unit
 
 NAMES = (
     "room", "store", "store-large", "outdoor", "unsynchronised", "crowd", "handshake", "noisy", "comings-and-goings",
@@ -62,6 +64,27 @@ def test_records_fit_together(name: str) -> None:
         assert detections.frame.max(initial=0) < len(simulation.times[camera].time_s)
         assert NOBODY <= identity.min(initial=0) <= identity.max(initial=0) < num_people
         np.testing.assert_array_equal(np.isnan(detections.keypoints_px).any(-1), detections.score == 0)
+
+
+@pytest.mark.parametrize("name", ["comings-and-goings", "squat", "kick"])
+def test_true_angles_are_those_of_the_true_joints(name: str) -> None:
+    """Angles come from rotations; hinges can be measured at the joints too."""
+    simulation = record(replace(SCENES[name], duration_s=4.0), 1, 2, "feet")
+    present = simulation.present
+    for angle, above, middle, below in (
+        ("left_knee_flexion", "left_hip", "left_knee", "left_ankle"),
+        ("right_elbow_flexion", "right_shoulder", "right_elbow", "right_wrist"),
+    ):
+        found_deg = simulation.truth_deg[..., ANGLE_NAMES.index(angle)]
+        start_m, joint_m, end_m = (
+            simulation.truth_m[:, :, simulation.joints.index(joint)] for joint in (above, middle, below)
+        )
+        upper, lower = unit(joint_m - start_m), unit(end_m - joint_m)
+        bend_deg = np.degrees(np.arctan2(np.linalg.norm(np.cross(upper, lower), axis=-1), (upper * lower).sum(-1)))
+        np.testing.assert_allclose(np.abs(found_deg[present]), bend_deg[present], atol=1e-6)
+        assert np.isnan(found_deg[~present]).all()
+    assert np.isnan(simulation.truth_deg[..., ANGLE_NAMES.index("left_wrist_flexion")]).all()
+    assert np.isfinite(simulation.truth_deg[..., ANGLE_NAMES.index("left_ankle_dorsiflexion")][present]).all()
 
 
 @pytest.mark.parametrize("name", ["handshake", "noisy", "unsynchronised", "roll"])

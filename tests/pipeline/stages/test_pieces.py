@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 
+from pipeline.angles.compute import joint_angles
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import Export, ReconstructionConfig, installed_formats
 from pipeline.data.animation import SkeletonMotion
@@ -159,6 +160,7 @@ def test_formats_say_whether_their_files_hold_names(session: KeypointSession, ca
         of_person = PersonContent(
             *(one.track, motion, one.joints, one.timebase, "f", one.frames, one.is_present, one.origin_m, "default"),
             one.body,
+            lambda: joint_angles(motion, one.track, one.joints),
         )
         return b"".join(FORMATS_BY_NAME[name].encode(of_person))
 

@@ -1,0 +1,1 @@
+"""Joint angles of a fitted skeleton by the definitions of the International Society of Biomechanics."""
