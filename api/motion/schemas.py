@@ -17,7 +17,10 @@ class MotionRecord(ResponseModel):
 
     num_bytes: int = Field(description="Size of a record.")
     offsets: dict[str, int] = Field(description="First byte of each field; docs/formats.md describes the fields.")
-    absent: int = Field(description="Coordinate of a joint without a position.")
+    absent: int = Field(description="Coordinate of a joint without a position, and number of an angle that is unknown.")
+    angle_step_deg: float | None = Field(
+        default=None, description="Step of quantised joint angles; null of results that have none."
+    )
     error_step_px: float = Field(description="Step of quantised reprojection errors.")
     unknown_error: int = Field(description="Value of an error that is not known.")
 
@@ -119,6 +122,9 @@ class MotionDescription(ResponseModel):
     joint_names: tuple[str, ...] = Field(description="Names of the joints, in the order of the records' positions.")
     bones: tuple[tuple[str, str], ...] = Field(description="Pairs of joints, for drawing.")
     skeleton: MotionSkeleton
+    angle_names: tuple[str, ...] = Field(
+        default=(), description="Names of the joint angles of the records, in their order; docs/biomechanics.md."
+    )
     record: MotionRecord
     people: tuple[MotionPerson, ...] = Field(description="People, in the order of their records.")
     cameras: tuple[MotionCamera, ...] = Field(description="Cameras of the session.")

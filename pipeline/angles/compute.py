@@ -6,7 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.angles.definitions import ANGLE_NAMES, JOINTS, SEGMENTS, WORLD, AngleJoint, name_of, segments_of, sides_of
+from pipeline.angles.definitions import (
+    ANGLE_NAMES,
+    JOINTS,
+    SEGMENTS,
+    WORLD,
+    AngleJoint,
+    BodySegment,
+    name_of,
+    segments_of,
+    sides_of,
+)
 from pipeline.angles.precision import angle_sigma_rad, vector_m
 from pipeline.angles.sequences import angles_rad, continuous, is_locked, mirrored
 from pipeline.data.animation import SkeletonMotion
@@ -39,7 +49,7 @@ class JointAngles:
         return range(self.start_frame, self.start_frame + len(self.angle_deg))
 
 
-def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> JointAngles:
+def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_sigmas: bool = True) -> JointAngles:
     """Compute the joint angles of a person.
 
     Parameters
@@ -52,6 +62,8 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> Jo
         the limb is straight.
     joints
         Joints of the track.
+    has_sigmas
+        Whether standard deviations are computed, which take most of the time; otherwise they are NaN.
     """
     num_frames = len(motion.root_m)
     found_rad, sigma_rad = np.full((2, len(_JOINTS), num_frames, 3), np.nan)
@@ -67,7 +79,8 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> Jo
         for number, (joint, side) in enumerate(_JOINTS):
             rotation = _proximal_from_distal(world_from_segment, joint, side)
             found_rad[number, rows] = angles_rad(rotation, joint.sequence)
-            sigma_rad[number, rows] = angle_sigma_rad(world_from_segment, part, joints, joint, side)
+            if has_sigmas:
+                sigma_rad[number, rows] = angle_sigma_rad(world_from_segment, part, joints, joint, side)
             ends = [name for name in segments_of(joint, side) if name]
             is_free[number, rows] = np.all([known[name] for name in ends], axis=0)[:, None]
             is_free[number, rows, ::2] &= ~is_locked(rotation, joint.sequence)[:, None]
@@ -91,6 +104,21 @@ def _rows_of(track: Track3D, rows: slice) -> Track3D:
         source=track.source[rows],
         uncertainty_m=None if sigma_m is None else sigma_m[rows],
     )
+
+
+def observable_angles(joints: JointSet) -> tuple[str, ...]:
+    """Names of the angles that the joints of a detector can show, in the order of ``ANGLE_NAMES``."""
+    return tuple(
+        name_of(angle, side)
+        for joint, side in _JOINTS
+        if all(_has_landmarks(SEGMENTS[name], joints) for name in segments_of(joint, side) if name)
+        for angle in joint.angles
+    )
+
+
+def _has_landmarks(segment: BodySegment, joints: JointSet) -> bool:
+    """Whether the joints of a detector have all landmarks of a segment."""
+    return {*segment.primary, *segment.secondary} <= set(joints.names)
 
 
 def segments_from(motion: SkeletonMotion) -> dict[str, Float[np.ndarray, "frames 3 3"]]:
@@ -128,7 +156,7 @@ def observed(track: Track3D, joints: JointSet) -> dict[str, Bool[np.ndarray, " f
     by_segment = {}
     for name, segment in SEGMENTS.items():
         landmarks = sorted({*segment.primary, *segment.secondary})
-        if not set(landmarks) <= set(joints.names):
+        if not _has_landmarks(segment, joints):
             by_segment[name] = np.zeros(len(known), bool)
             continue
         by_segment[name] = known[:, joints.indices(tuple(landmarks))].all(1)
@@ -145,7 +173,7 @@ def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " f
     That of a straight arm or leg is not seen: the fit interpolates it from one bend to the next.
     """
     segment = SEGMENTS[name]
-    if not {*segment.primary, *segment.secondary} <= set(joints.names):
+    if not _has_landmarks(segment, joints):
         return np.zeros(track.num_frames, bool)
     along, aside = (unit(vector_m(weights, track, joints)) for weights in (segment.primary, segment.secondary))
     return np.linalg.norm(np.cross(along, aside), axis=-1) > _STRAIGHT_SINE

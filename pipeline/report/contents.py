@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from pipeline.angles.compute import joint_angles
 from pipeline.body.installed import find as find_body
 from pipeline.capture.session import Session
 from pipeline.choices import Choice
@@ -20,6 +21,7 @@ from pipeline.export.overlay import given_names, people_at
 from pipeline.progress import OnShare
 from pipeline.quality.report import all_checks, quality_report
 from pipeline.quality.views import views_of
+from pipeline.report.angles import MAX_PEOPLE, PersonAngles
 from pipeline.report.motion import motion_of
 from pipeline.report.page import ReportContents, Rows
 from pipeline.report.pictures import MAX_PICTURES, Moment, Picture, draw_picture, moments_of
@@ -70,6 +72,7 @@ def contents_of(
         name=name,
         motion=motion,
         metrics=metrics,
+        angles=_angles_of(take, metrics),
         findings=[*session.findings, *all_checks(metrics)],
         pictures=pictures,
         notes=notes,
@@ -81,6 +84,17 @@ def contents_of(
             for camera in take.cameras
         ],
     )
+
+
+def _angles_of(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonAngles]:
+    """Joint angles of the first people of whom any is known."""
+    ranges = {person["id"]: person["angles"] for person in metrics["people"]}
+    people = zip(take.tracks, take.motions, strict=True)
+    known = [(track, motion) for track, motion in people if ranges[track.track_id]]
+    return [
+        PersonAngles(motion.name, joint_angles(motion, track, take.joints), ranges[track.track_id])
+        for track, motion in known[:MAX_PEOPLE]
+    ]
 
 
 def _picture(reading: ReadVideo, session: Session, take: Reconstruction, camera: str, moment: Moment) -> Picture | None:

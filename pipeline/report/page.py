@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.findings import Finding, worst_first
+from pipeline.report.angles import PersonAngles, angle_parts
 from pipeline.report.markup import Markup, data, element, joined, source_hash
 from pipeline.report.motion import ReportMotion
 from pipeline.report.pictures import Picture
@@ -28,6 +29,7 @@ class ReportContents:
     name: str  # Name of the take
     motion: ReportMotion  # Motion and quality for the script
     metrics: Mapping[str, Any]  # Content of ``metrics.json``
+    angles: Sequence[PersonAngles]  # Joint angles of the first people
     findings: Sequence[Finding]  # Warnings of the result
     pictures: Sequence[Picture]  # Pictures of the cameras, those of a moment together
     notes: Sequence[str]  # Sentences about the report itself, such as pictures that are missing
@@ -58,7 +60,14 @@ def encode_page(contents: ReportContents) -> bytes:
     body = element(
         "body",
         _header(contents),
-        element("main", _findings(contents.findings), _take(contents), _pictures(contents), _details(contents)),
+        element(
+            "main",
+            _findings(contents.findings),
+            _take(contents),
+            _angles(contents),
+            _pictures(contents),
+            _details(contents),
+        ),
         data("take", contents.motion.document),
         element("script", Markup(script), type="module"),
     )
@@ -209,6 +218,18 @@ def _strip(figures: Mapping[str, Any]) -> Markup:
     return element(
         "div", element("span", class_="who"), element("canvas", role="img", aria_label=label), class_="strip"
     )
+
+
+def _angles(contents: ReportContents) -> Markup:
+    if not contents.angles:
+        return Markup()
+    notes = [
+        "By the definitions of the International Society of Biomechanics; docs/biomechanics.md tells what not to trust."
+    ]
+    if len(contents.metrics["people"]) > len(contents.angles):
+        notes.append(f"These are the first {len(contents.angles)} people; metrics.json has the ranges of all.")
+    parts = angle_parts(contents.angles, contents.metrics["frame_rate_hz"])
+    return _section("angles", "Joint angles", (element("p", note, class_="quiet") for note in notes), parts)
 
 
 def _pictures(contents: ReportContents) -> Markup:

@@ -321,6 +321,8 @@ def test_figures_and_plots(shown: Shown) -> None:
         ("cameras", "a", 3),
         ("joints", "left wrist", 17),
         ("angles", "Left knee", 6),
+        ("angles-knee", "right knee flexion", 2),
+        ("angles-hip", "left hip adduction", 6),
         ("speeds", "hips", 5),
     ):
         shown.page.get_by_label("Plot", exact=True).select_option(kind)
@@ -329,6 +331,8 @@ def test_figures_and_plots(shown: Shown) -> None:
     shown.page.get_by_label("Plot", exact=True).select_option("angles")
     # The walker's elbows are bent by 0.9 rad all the time.
     expect(shown.page.locator(".u-series", has_text="Left elbow").locator(".u-value")).to_have_text("52 °")
+    shown.page.get_by_label("Plot", exact=True).select_option("angles-elbow")
+    expect(shown.page.locator(".u-series", has_text="left elbow flexion").locator(".u-value")).to_have_text("52 °")
 
 
 def test_measured_clocks_are_shown_with_their_evidence(shown: Shown) -> None:

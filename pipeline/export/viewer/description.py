@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.angles.compute import joint_angles, observable_angles
+from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.body.shape import BodyShapes
 from pipeline.capture.session import Session
 from pipeline.data.animation import SkeletonMotion
@@ -21,6 +23,7 @@ from pipeline.export.colors import color_rgb
 from pipeline.export.viewer.bodies import describe_body, describe_shape
 from pipeline.export.viewer.frames import (
     ABSENT,
+    ANGLE_STEP_DEG,
     ERROR_STEP_PX,
     UNKNOWN_ERROR,
     PersonFrames,
@@ -90,7 +93,10 @@ class ViewerMotion:
         self._report, self._first_frame = report, first_frame
         num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
         self._skeleton = skeleton_of(num_bones) if num_bones else ()
-        self._dtype = record_type(len(reconstruction.joints.names), num_bones, len(reconstruction.cameras))
+        self._angle_names = observable_angles(reconstruction.joints)
+        self._dtype = record_type(
+            len(reconstruction.joints.names), num_bones, len(self._angle_names), len(reconstruction.cameras)
+        )
         self._steps_m: list[float] = []
         self._strips: list[str] = []
 
@@ -120,6 +126,7 @@ class ViewerMotion:
                 "names": places,
                 "parents": [None if joint.parent is None else places.index(joint.parent) for joint in self._skeleton],
             },
+            "angle_names": self._angle_names,
             "record": self._describe_record(),
             "people": list(self._describe_people()),
             "body": None if self._shapes is None else describe_body(self._shapes),
@@ -152,6 +159,7 @@ class ViewerMotion:
             "num_bytes": self._dtype.itemsize,
             "offsets": {name: fields[name][1] for name in self._dtype.names or () if name != "padding"},
             "absent": ABSENT,
+            "angle_step_deg": ANGLE_STEP_DEG,
             "error_step_px": ERROR_STEP_PX,
             "unknown_error": UNKNOWN_ERROR,
         }
@@ -205,11 +213,14 @@ def person_frames(reconstruction: Reconstruction, views: Sequence[PersonViews], 
     """Content of the records of the person with a number on the list of tracks."""
     track, motion = reconstruction.tracks[number], reconstruction.motions[number]
     doubts: Sequence[Any] = reconstruction.doubts[number] if reconstruction.doubts else ()
+    joints = reconstruction.joints
+    shown = np.isin(ANGLE_NAMES, observable_angles(joints))
     return PersonFrames(
         track,
         motion.root_m,
         forward_kinematics(motion),
-        _mean_of_joints(views[number].error_px[:, :, : len(without_hands(reconstruction.joints).names)]),
+        joint_angles(motion, track, joints, has_sigmas=False).angle_deg[:, shown],
+        _mean_of_joints(views[number].error_px[:, :, : len(without_hands(joints).names)]),
         identity_confidence(track.start_frame, track.num_frames, doubts, reconstruction.timebase),
     )
 

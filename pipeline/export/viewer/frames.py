@@ -8,6 +8,7 @@ field                   type             meaning
 ``origin_m``            3 x float32      position that the following ones are relative to, world coordinates
 ``joints``              joints x 3 int16 position of each joint in steps from the origin; -32768: absent
 ``skeleton``            bones x 3 int16  position of each joint of the animation skeleton, likewise
+``angles``              angles x int16   joint angles in steps of 0.1 degrees; -32768: unknown
 ``source_views``        joints x uint8   ``Source`` in the two low bits, number of cameras (at most 63) above them
 ``score``               joints x uint8   mean confidence of the observations, 255 for 1
 ``error``               joints x uint8   mean reprojection error in steps of 0.5 px, 254 for more; 255: unknown
@@ -29,10 +30,11 @@ from pipeline.data.people import Track3D
 from pipeline.export.writers.blocks import frame_blocks
 
 ABSENT = -32768
-"""Coordinate of a joint without a position."""
+"""Coordinate of a joint without a position, and number of an angle that is unknown."""
 UNKNOWN_ERROR = 255
 ERROR_STEP_PX = 0.5
 POSITION_STEP_M = 1e-4
+ANGLE_STEP_DEG = 0.1
 
 _LARGEST = 32767
 _MAX_VIEWS = 63
@@ -47,17 +49,20 @@ class PersonFrames:
     # Positions that the others are stored relative to: those of the skeleton's root
     root_m: Float[np.ndarray, "frames 3"]
     skeleton_m: Float[np.ndarray, "frames bones 3"]  # Positions of the joints of the animation skeleton
+    # Joint angles of those of ``ANGLE_NAMES`` that the detector's joints can show; NaN where they are unknown
+    angle_deg: Float[np.ndarray, "frames angles"]
     # Mean reprojection error of the body's joints in each camera, NaN where a camera sees nothing of the person
     camera_error_px: Float[np.ndarray, "frames cameras"]
     identity: Float[np.ndarray, " frames"]  # Confidence in the person's identity in [0, 1]
 
 
-def record_type(num_joints: int, num_bones: int, num_cameras: int) -> np.dtype[np.void]:
+def record_type(num_joints: int, num_bones: int, num_angles: int, num_cameras: int) -> np.dtype[np.void]:
     """Structure of a record; its fields are listed at the top of this module."""
     fields: list[tuple[str, str, tuple[int, ...]]] = [
         ("origin_m", "<f4", (3,)),
         ("joints", "<i2", (num_joints, 3)),
         ("skeleton", "<i2", (num_bones, 3)),
+        ("angles", "<i2", (num_angles,)),
         ("source_views", "u1", (num_joints,)),
         ("score", "u1", (num_joints,)),
         ("error", "u1", (num_joints,)),
@@ -90,6 +95,7 @@ def encode_person(person: PersonFrames, dtype: np.dtype[np.void]) -> Iterator[by
         records["joints"] = _steps(track.xyz_m[rows] - origin_m, step_m)
         records["skeleton"] = ABSENT
         records["skeleton"][:, :num_bones] = _steps(person.skeleton_m[rows] - origin_m, step_m)
+        records["angles"] = _angle_steps(person.angle_deg[rows])
         records["source_views"] = track.source[rows] | np.minimum(track.views[rows], _MAX_VIEWS) << 2
         records["score"] = share_byte(track.score[rows])
         records["error"] = error_byte(track.error_px[rows])
@@ -107,6 +113,15 @@ def error_byte(error_px: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*sha
     """Quantise errors in steps of ``ERROR_STEP_PX``; NaN becomes ``UNKNOWN_ERROR``."""
     steps = np.minimum(np.rint(error_px / ERROR_STEP_PX), UNKNOWN_ERROR - 1)
     return np.where(np.isnan(steps), UNKNOWN_ERROR, steps).astype(np.uint8)
+
+
+def _angle_steps(angle_deg: Float[np.ndarray, "frames angles"]) -> np.ndarray:
+    """Quantise angles; those of many turns are brought within the range of the numbers by whole turns."""
+    is_known = np.isfinite(angle_deg)
+    known_deg = np.where(is_known, angle_deg, 0.0)
+    most_deg = ANGLE_STEP_DEG * _LARGEST - 360.0
+    whole_turns_deg = np.where(np.abs(known_deg) > most_deg, 360.0 * np.round(known_deg / 360.0), 0.0)
+    return np.where(is_known, np.rint((known_deg - whole_turns_deg) / ANGLE_STEP_DEG), ABSENT).astype(np.int16)
 
 
 def _steps(offset_m: Float[np.ndarray, "frames joints 3"], step_m: float) -> np.ndarray:

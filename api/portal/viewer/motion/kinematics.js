@@ -1,11 +1,22 @@
-// Joint angles and speeds from positions of the animation skeleton. Pure functions of typed arrays; NaN stays NaN.
+// Bends of joints and speeds from positions of the animation skeleton. Pure functions of typed arrays; NaN stays NaN.
 
-/** Angles that plots offer: the bend at `at` between the bones from `from` and to `to`; 0 is straight. */
+/** Bends that plots offer: the angle at `at` between the bones from `from` and to `to`; 0 is straight. */
 export const ANGLES = ["Left", "Right"].flatMap((side) => [
   { label: `${side} elbow`, from: `${side}Arm`, at: `${side}ForeArm`, to: `${side}Hand` },
   { label: `${side} knee`, from: `${side}UpLeg`, at: `${side}Leg`, to: `${side}Foot` },
   { label: `${side} hip`, from: "Spine", at: `${side}UpLeg`, to: `${side}Leg` },
 ]);
+
+/** Groups of joint angles for a plot each: name, and the angles with their numbers among `names`. */
+export function angleGroups(names) {
+  const groups = new Map();
+  names.forEach((name, number) => {
+    const [part] = name.replace(/^(left|right)_/, "").split("_");
+    const group = part === "subtalar" ? "ankle" : part;
+    groups.set(group, [...(groups.get(group) ?? []), { label: name.replaceAll("_", " "), number }]);
+  });
+  return [...groups].map(([name, angles]) => ({ name, angles }));
+}
 
 /** Joints whose speeds plots offer. */
 export const SPEEDS = [["Hips", "hips"], ["LeftHand", "left hand"], ["RightHand", "right hand"], ["LeftFoot", "left foot"], ["RightFoot", "right foot"]];

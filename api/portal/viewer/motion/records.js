@@ -27,6 +27,7 @@ export class FrameRecords {
     this.numCameras = description.cameras.length;
     this.offsets = offsets;
     this.absent = absent;
+    this.angleStepDeg = description.record.angle_step_deg ?? null;
     this.errorStepPx = error_step_px;
     this.unknownError = unknown_error;
     this.origin = description.origin_m ?? [0, 0, 0];
@@ -59,6 +60,12 @@ export class FrameRecords {
   /** Number of cameras that saw a joint. */
   views(place, joint) {
     return this.#byte(place, "source_views", joint) >> 2;
+  }
+
+  /** Joint angle in degrees by its number among `angle_names`; NaN where it is unknown. */
+  angleDeg({ buffer, start }, number) {
+    const [steps] = new Int16Array(buffer, start + this.offsets.angles + 2 * number, 1);
+    return steps === this.absent ? NaN : steps * this.angleStepDeg;
   }
 
   /** Reprojection error of a joint in pixels; NaN without one. */

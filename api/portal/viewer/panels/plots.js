@@ -1,8 +1,8 @@
-// Plots around the play head: reprojection error by camera and joint, joint angles, speeds.
+// Plots around the play head: reprojection error by camera and joint, joint angles, bends, speeds.
 
 import uPlot from "../../vendor/uPlot.esm.js";
 import { el } from "../dom.js";
-import { ANGLES, bendDeg, SPEEDS, speedMS } from "../motion/kinematics.js";
+import { ANGLES, angleGroups, bendDeg, SPEEDS, speedMS } from "../motion/kinematics.js";
 
 const HALF_WINDOW_S = 4;
 const HEIGHT_PX = 230;
@@ -11,7 +11,7 @@ const TINTS = ["#56b4e9", "#e69f00", "#2fc79a", "#f0e442", "#e07a3f", "#d98cc0",
 const KINDS = {
   cameras: { label: "Error by camera", unit: "px" },
   joints: { label: "Error by joint", unit: "px" },
-  angles: { label: "Joint angles", unit: "°" },
+  angles: { label: "Bends of joints", unit: "°" },
   speeds: { label: "Speeds", unit: "m/s" },
 };
 
@@ -21,6 +21,7 @@ export class Plots {
   #plot = null;
   #window = null;
   #kind;
+  #kinds;
   #person = 0;
   #place;
   #swatch = el("span", { class: "look-swatch", "aria-hidden": "true" }); // colour of the person
@@ -33,19 +34,22 @@ export class Plots {
     this.#kind = kind;
     this.#store = store;
     this.#player = player;
-    const { people } = store.description;
+    const { people, angle_names: angleNames = [] } = store.description;
+    const groups = angleGroups(angleNames).map(({ name, angles }) => [`angles-${name}`, { label: `Angles: ${name}`, unit: "°", angles }]);
+    this.#kinds = { ...KINDS, ...Object.fromEntries(groups) };
     const choose = (label, values, onchange) => el("label", { class: "look-choice" }, `${label} `,
       el("select", { class: "look-select", "aria-label": label, onchange }, values.map(([value, text]) => el("option", { value }, text))));
     this.#place = el("div", { class: "look-plot" });
     this.element = el("div", { class: "look-plots" },
       el("div", { class: "look-choices" },
         this.#swatch, choose("Person", people.map(({ name }, number) => [number, name]), (event) => this.#choose({ person: Number(event.target.value) })),
-        choose("Plot", Object.entries(KINDS).map(([kind, { label }]) => [kind, label]), (event) => this.#choose({ kind: event.target.value }))),
+        choose("Plot", Object.entries(this.#kinds).map(([kind, { label }]) => [kind, label]), (event) => this.#choose({ kind: event.target.value }))),
       this.#place);
     this.#showTint();
     this.#resizing = new ResizeObserver(() => this.#fit());
     this.#resizing.observe(this.#place);
-    this.element.querySelector("[aria-label=Plot]").value = kind;
+    if (!(kind in this.#kinds)) this.#kind = "cameras";
+    this.element.querySelector("[aria-label=Plot]").value = this.#kind;
     player.addEventListener("time", () => this.draw(), this.#listening);
     store.addEventListener("load", () => this.draw(true), this.#listening);
   }
@@ -110,6 +114,10 @@ export class Plots {
       const joints = description.joint_names.map((name, joint) => [name, joint]).filter(([name]) => !/(thumb|index|middle|ring|pinky)/.test(name));
       return joints.map(([name, joint]) => ({ label: name.replaceAll("_", " "), value: (frame) => ifHere(here(frame), (place) => records.jointErrorPx(place, joint)) }));
     }
+    const { angles } = this.#kinds[this.#kind];
+    if (angles) {
+      return angles.map(({ label, number }) => ({ label, value: (frame) => ifHere(here(frame), (place) => records.angleDeg(place, number)) }));
+    }
     const [before, after] = [0, 1].map(() => new Float32Array(3 * records.numBones));
     const at = (frame, out) => this.#store.positions(this.#person, frame, "skeleton", out);
     if (this.#kind === "angles") {
@@ -124,7 +132,7 @@ export class Plots {
   }
 
   #make(series, data) {
-    const { label, unit } = KINDS[this.#kind];
+    const { label, unit } = this.#kinds[this.#kind];
     const text = getComputedStyle(this.#place).color;
     const grid = { stroke: "rgb(128 140 136 / 0.18)", width: 1 };
     const axis = { stroke: text, grid, ticks: grid, font: "12px system-ui, sans-serif" };

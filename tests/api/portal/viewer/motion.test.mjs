@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
+import { angleGroups, bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
 import { FrameRecords, parsePieces } from "../../../../api/portal/viewer/motion/records.js";
 import { about, centerOf, originOf } from "../../../../api/portal/viewer/motion/nearby.js";
 import { EditedStore } from "../../../../api/portal/viewer/motion/edited.js";
@@ -68,6 +68,23 @@ test("records hold what the pipeline wrote", () => {
   assert.deepEqual(expected.sources.map((_, joint) => records.views(place, joint)), expected.views);
   assert.deepEqual(description.cameras.map((_, camera) => records.cameraErrorPx(place, camera)), [0, 5, NaN]);
   assert.equal(records.identity(place), 153 / 255);
+  assert.equal(expected.angles_deg.length, description.angle_names.length);
+  expected.angles_deg.forEach((value, number) => {
+    const found = records.angleDeg(place, number);
+    if (value === null) assert.ok(Number.isNaN(found), description.angle_names[number]);
+    else assert.ok(Math.abs(found - value) <= 0.051, `${description.angle_names[number]} ${found} ${value}`);
+  });
+  // The person's left wrist is unknown in this frame, the right one is not.
+  const known = (name) => expected.angles_deg[description.angle_names.indexOf(name)] !== null;
+  assert.ok(!known("left_elbow_flexion") && known("right_elbow_flexion"));
+});
+
+test("joint angles have a plot for each part of the body, with both sides", () => {
+  const groups = angleGroups(["pelvis_tilt", "left_hip_flexion", "left_ankle_dorsiflexion", "left_subtalar_inversion", "right_hip_flexion", "right_ankle_dorsiflexion"]);
+  assert.deepEqual(groups.map(({ name }) => name), ["pelvis", "hip", "ankle"]);
+  assert.deepEqual(groups[1].angles, [{ label: "left hip flexion", number: 1 }, { label: "right hip flexion", number: 4 }]);
+  assert.deepEqual(groups[2].angles.map(({ number }) => number), [2, 3, 5]);
+  assert.deepEqual(angleGroups([]), []);
 });
 
 test("a cut answer is refused", () => {

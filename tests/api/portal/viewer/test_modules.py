@@ -9,6 +9,8 @@ import av
 import numpy as np
 import pytest
 
+from pipeline.angles.compute import joint_angles, observable_angles
+from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.body import installed
 from pipeline.body.shape import shape_body
 from pipeline.data.cameras import Camera, LensModel
@@ -124,6 +126,12 @@ def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "row": row,
         "joints": [xyz.tolist() if np.isfinite(xyz).all() else [None] * 3 for xyz in track.xyz_m[row]],
         "skeleton": skeleton_m[row].tolist(),
+        "angles_deg": [
+            float(value) if np.isfinite(value) else None
+            for value in joint_angles(reconstruction.motions[1], track, reconstruction.joints).angle_deg[
+                row, np.isin(ANGLE_NAMES, observable_angles(reconstruction.joints))
+            ]
+        ],
         "sources": track.source[row].tolist(),
         "views": track.views[row].tolist(),
     }

@@ -50,6 +50,10 @@ def read_record(description: dict[str, Any], content: bytes, person: int, row: i
     return {
         "joints_m": positions_m("joints", num_joints),
         "skeleton_m": positions_m("skeleton", num_bones),
+        "angle_deg": [
+            np.nan if step == record["absent"] else step * record["angle_step_deg"]
+            for step in values("angles", f"{len(description['angle_names'])}h")
+        ],
         "source": [value & 3 for value in source_views],
         "views": [value >> 2 for value in source_views],
         "score": [value / 255 for value in values("score", f"{num_joints}B")],

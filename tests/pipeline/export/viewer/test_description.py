@@ -7,13 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.angles.compute import joint_angles
+from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.body import installed
 from pipeline.body.makehuman import NUM_COARSE_TRIANGLES
 from pipeline.body.shape import shape_body
 from pipeline.body.standing import standing_ankle_m
 from pipeline.data.people import Doubt
 from pipeline.data.reconstruction import Reconstruction
-from pipeline.export.viewer.description import ViewerMotion
+from pipeline.export.viewer.description import ViewerMotion, person_frames
+from pipeline.export.viewer.frames import ABSENT, ANGLE_STEP_DEG, encode_person, record_type
+from pipeline.joints import COCO_17
 from pipeline.quality.report import quality_report
 from pipeline.quality.views import views_of
 from pipeline.skeleton.model import forward_kinematics, skeleton_of
@@ -51,6 +55,9 @@ def test_records_hold_positions_sources_and_figures() -> None:
         skeleton_m = forward_kinematics(motion)
         for row in (0, 11, 20, track.num_frames - 1):
             found = read_record(description, content, person, row)
+            angle_deg = joint_angles(motion, track, reconstruction.joints).angle_deg[row]
+            shown_deg = [angle_deg[ANGLE_NAMES.index(name)] for name in description["angle_names"]]
+            np.testing.assert_allclose(found["angle_deg"], shown_deg, atol=0.051)
             np.testing.assert_allclose(found["joints_m"], track.xyz_m[row], atol=0.6e-4)
             np.testing.assert_allclose(found["skeleton_m"], skeleton_m[row], atol=0.6e-4)
             assert found["source"] == track.source[row].tolist()
@@ -58,6 +65,17 @@ def test_records_hold_positions_sources_and_figures() -> None:
             np.testing.assert_allclose(found["score"], track.score[row], atol=0.002)
             assert list(found["error"]) == [255 if np.isnan(px) else 4 for px in track.error_px[row]]
             assert found["camera_error"] == (0, 0, 0)
+
+
+def test_angles_of_many_turns_keep_within_the_numbers_of_records() -> None:
+    turned_deg = np.array([[0.04, -181.26, np.nan], [3200.0, -7200.5, 3276.0]])
+    person = person_frames(two_people(), views_of(two_people()), 0)
+    person = replace(person, angle_deg=np.repeat(turned_deg, 20, axis=0))
+    dtype = record_type(len(COCO_17.names), person.skeleton_m.shape[1], 3, len(person.camera_error_px[0]))
+    records = np.frombuffer(b"".join(encode_person(person, dtype)), dtype)
+    assert records["angles"][0].tolist() == [0, -1813, ABSENT]
+    off_deg = records["angles"][-1] * ANGLE_STEP_DEG - turned_deg[1]
+    np.testing.assert_allclose(off_deg, 360.0 * np.round(off_deg / 360.0), atol=0.051)
 
 
 def test_bodies_have_the_people_s_bones() -> None:
