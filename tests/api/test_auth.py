@@ -113,7 +113,7 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         job_id = live.job_id()
         live.finish(
             job_id,
-            motion={"motion.bin": bytes(132), "motion.json": json.dumps(ANSWERS["MotionDescription"]).encode()},
+            motion={"motion.bin": bytes(144), "motion.json": json.dumps(ANSWERS["MotionDescription"]).encode()},
             people=[PersonSpan(1, 0, 60)],
         )
         session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]

@@ -10,12 +10,12 @@ from api.motion.examples import ANSWERS
 from pipeline.edits import PersonSpan
 from tests.api.conftest import Live, problem_of
 
-RECORD_BYTES = 44
+RECORD_BYTES = 48
 PEOPLE = ((1, 0, 30), (4, 20, 10), (5, 25, 35))
 
 
 def record(person: int, frame: int) -> bytes:
-    return struct.pack("<11I", person, frame, *range(9))
+    return struct.pack("<12I", person, frame, *range(10))
 
 
 def records(person: int, first: int, stop: int) -> bytes:
