@@ -21,7 +21,7 @@ from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.origin import file_origin_m
 from pipeline.export.timelines import held, presence, unknown_outside
 from pipeline.export.writers import skeletons_json
-from pipeline.export.writers.angle_tables import with_sigmas
+from pipeline.export.writers.angle_tables import filled_angles, with_sigmas
 from pipeline.export.writers.body_mesh import CAPSULES, BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
@@ -139,8 +139,11 @@ def _written(
         track = without_resting_fingers(track, person.joints)
         expected = partial(unknown_outside, track.xyz_m, track.frames)
     elif holds == "angles":
-        columns = with_sigmas(angles()) if export == "angles" else angles().angle_deg
-        expected = partial(unknown_outside, columns[..., None], angles().frames)
+        of_person = angles()
+        if export == "mot":
+            expected = partial(held, filled_angles(of_person).angle_deg[..., None], of_person.frames)
+        else:
+            expected = partial(unknown_outside, with_sigmas(of_person)[..., None], of_person.frames)
     else:
         expected = partial(held, skeleton_m(), person.motion.frames)
     content = PersonContent(

@@ -87,7 +87,7 @@ def _range(found: Mapping[str, Any] | None) -> str:
     if found is None:
         return "-"
     sigma = "" if found["sigma_deg"] is None else f" ± {found['sigma_deg']:.1f}"
-    return f"{found['min_deg']:.0f} to {found['max_deg']:.0f}°{sigma}"
+    return f"{round(found['min_deg'])} to {round(found['max_deg'])}°{sigma}"
 
 
 def _plot(
@@ -107,7 +107,7 @@ def _plot(
     marks = [
         joined(
             element("line", x1=_LEFT, x2=_WIDTH, y1=f"{place:.1f}", y2=f"{place:.1f}", class_="grid"),
-            element("text", f"{tick_deg:.0f}°", x=_LEFT - 4, y=f"{place + 4:.1f}", text_anchor="end"),
+            element("text", f"{round(tick_deg)}°", x=_LEFT - 4, y=f"{place + 4:.1f}", text_anchor="end"),
         )
         for tick_deg, place in zip(ticks_deg, y(ticks_deg), strict=True)
     ]

@@ -1,12 +1,13 @@
 """Joint angles in tables: CSV for spreadsheets and statistics, and MOT, the form of OpenSim's motion files.
 
 A CSV file has the columns ``frame`` (output frame of the session) and ``time_s`` (on the session's clock), each angle
-of ``pipeline.angles`` in degrees, and then the standard deviation of each. Cells of unknown angles are empty. A MOT
-file has ``time`` and the angles; unknown ones are ``nan``. So is everything in frames before and after the track.
-Numbers are rounded to 0.001 degrees and 1 us.
+of ``pipeline.angles`` in degrees, and then the standard deviation of each. Cells of unknown angles are empty, also in
+frames before and after the track. A MOT file has ``time`` and those angles that are known in some frame; gaps are
+filled in, since OpenSim stops reading at a number that is unknown. Numbers are rounded to 0.001 degrees and 1 us.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from jaxtyping import Float
 from pipeline.angles.compute import JointAngles
 from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.data.cameras import Timebase
-from pipeline.export.timelines import unknown_outside
+from pipeline.export.timelines import held, unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
 
 _DECIMALS = 3
@@ -25,6 +26,28 @@ _END_OF_HEAD = "endheader"
 def with_sigmas(angles: JointAngles) -> Float[np.ndarray, "frames columns"]:
     """Columns of a CSV file: angles in degrees, then their standard deviations."""
     return np.concatenate([angles.angle_deg, angles.sigma_deg], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilledAngles:
+    """Angles that are known in some frame, with gaps filled in.
+
+    Programs that read motions stop at a number that is unknown.
+    """
+
+    names: tuple[str, ...]
+    angle_deg: Float[np.ndarray, "frames angles"]  # Between known angles evenly, before and after them the nearest one
+
+
+def filled_angles(angles: JointAngles) -> FilledAngles:
+    """Columns of a MOT file: angles that are ever known, with gaps filled in."""
+    frames = np.arange(len(angles.angle_deg))
+    columns = {}
+    for name, angle_deg in zip(ANGLE_NAMES, angles.angle_deg.T, strict=True):
+        known = np.isfinite(angle_deg)
+        if known.any():
+            columns[name] = np.interp(frames, frames[known], angle_deg[known])
+    return FilledAngles(tuple(columns), np.array([*columns.values()]).reshape(len(columns), len(frames)).T)
 
 
 def encode_csv(angles: JointAngles, timebase: Timebase, frames: range) -> Iterator[bytes]:
@@ -40,19 +63,24 @@ def encode_csv(angles: JointAngles, timebase: Timebase, frames: range) -> Iterat
 
 def encode_mot(angles: JointAngles, timebase: Timebase, file_name: str, frames: range) -> Iterator[bytes]:
     """Write a person's angles as an OpenSim motion, piece by piece; ``frames`` are the output frames of the file."""
+    filled = filled_angles(angles)
     head = (
         file_name,
         "version=1",
         f"nRows={len(frames)}",
-        f"nColumns={1 + len(ANGLE_NAMES)}",
+        f"nColumns={1 + len(filled.names)}",
         "inDegrees=yes",
         _END_OF_HEAD,
-        "\t".join(["time", *ANGLE_NAMES]),
+        "\t".join(["time", *filled.names]),
     )
     yield "".join(f"{line}\n" for line in head).encode("utf-8")
-    for rows, cells in _blocks(angles.angle_deg, angles.frames, frames, "\t"):
-        lines = (f"{timebase.time_s(number):.6f}\t{row}\n" for number, row in zip(frames[rows], cells, strict=True))
-        yield "".join(lines).encode("ascii")
+    for rows in frame_blocks(len(frames)):
+        times_s = np.array([timebase.time_s(number) for number in frames[rows]])
+        cells = fixed(held(filled.angle_deg, angles.frames, frames[rows]), _DECIMALS, "\t")
+        lines = (
+            "\t".join([f"{time_s:.6f}", *([row] if row else [])]) for time_s, row in zip(times_s, cells, strict=True)
+        )
+        yield "".join(f"{line}\n" for line in lines).encode("ascii")
 
 
 def read_csv(path: Path) -> Iterator[Float[np.ndarray, "rows columns 1"]]:
@@ -64,7 +92,7 @@ def read_csv(path: Path) -> Iterator[Float[np.ndarray, "rows columns 1"]]:
 
 
 def read_mot(path: Path) -> Iterator[Float[np.ndarray, "rows columns 1"]]:
-    """Read angles in degrees from a file of ``encode_mot``, block by block; NaN where unknown."""
+    """Read angles in degrees from a file of ``encode_mot``, block by block."""
     with path.open(encoding="utf-8") as file:
         while (line := file.readline()) and line.rstrip("\n") != _END_OF_HEAD:
             pass

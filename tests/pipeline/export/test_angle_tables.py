@@ -47,23 +47,48 @@ def test_mot_has_the_form_of_opensim() -> None:
     head, _, body = content.partition("endheader\n")
     assert head == "person-1.mot\nversion=1\nnRows=12\nnColumns=44\ninDegrees=yes\n"
     assert body.splitlines()[0].split("\t") == ["time", *ANGLE_NAMES]
+    assert "nan" not in content
     table = np.genfromtxt(io.StringIO(body), delimiter="\t", skip_header=1)
     assert table.shape == (12, 44)
     np.testing.assert_allclose(table[:, 0], 2.0 + np.arange(12) / 50.0, atol=1e-6)
-    np.testing.assert_allclose(table[3:10, 1:], some_angles().angle_deg, atol=6e-4)
-    assert np.isnan(table[[0, 1, 2, 10, 11], 1:]).all()
+    angle_deg = some_angles().angle_deg.copy()
+    # An unknown angle is between its neighbours, and the first and the last pose hold.
+    angle_deg[2, 4] = (angle_deg[1, 4] + angle_deg[3, 4]) / 2
+    np.testing.assert_allclose(table[3:10, 1:], angle_deg, atol=6e-4)
+    np.testing.assert_allclose(table[[0, 1, 2, 10, 11], 1:], angle_deg[[0, 0, 0, 6, 6]], atol=6e-4)
+
+
+def test_mot_leaves_out_angles_that_are_never_known(tmp_path: Path) -> None:
+    angle_deg = np.full((7, len(ANGLE_NAMES)), np.nan)
+    for known, header in (((), "time"), (("left_knee_flexion",), "time\tleft_knee_flexion")):
+        for name in known:
+            angle_deg[2:4, ANGLE_NAMES.index(name)] = 12.5
+        angles = JointAngles(3, angle_deg, np.full_like(angle_deg, np.nan))
+        path = tmp_path / "person-1.mot"
+        path.write_bytes(b"".join(angle_tables.encode_mot(angles, CLOCK, path.name, FRAMES)))
+        lines = path.read_text().splitlines()
+        assert lines[3] == f"nColumns={1 + len(known)}"
+        assert lines[6] == header
+        found = np.concatenate(list(angle_tables.read_mot(path)))
+        assert found.shape == (12, len(known), 1)
+        assert (found == 12.5).all()
 
 
 def test_files_are_read_back_as_they_were_written(tmp_path: Path) -> None:
     angles = some_angles()
-    for name, content, read, columns in (
-        ("a.csv", angle_tables.encode_csv(angles, CLOCK, FRAMES), angle_tables.read_csv, 2 * len(ANGLE_NAMES)),
-        ("a.mot", angle_tables.encode_mot(angles, CLOCK, "a", FRAMES), angle_tables.read_mot, len(ANGLE_NAMES)),
+    filled_deg = angle_tables.filled_angles(angles).angle_deg
+    for name, content, read, expected in (
+        (
+            "a.csv",
+            angle_tables.encode_csv(angles, CLOCK, FRAMES),
+            angle_tables.read_csv,
+            angle_tables.with_sigmas(angles),
+        ),
+        ("a.mot", angle_tables.encode_mot(angles, CLOCK, "a", FRAMES), angle_tables.read_mot, filled_deg),
     ):
         (tmp_path / name).write_bytes(b"".join(content))
         found = np.concatenate(list(read(tmp_path / name)))
-        assert found.shape == (12, columns, 1)
-        expected = angle_tables.with_sigmas(angles)[:, :columns]
+        assert found.shape == (12, expected.shape[1], 1)
         np.testing.assert_allclose(found[3:10, :, 0], expected, atol=6e-4)
 
 

@@ -52,7 +52,7 @@ def test_the_same_take_gives_the_same_report_with_the_digests_of_its_files(tmp_p
     assert hashlib.sha256(calibration.read_bytes()).hexdigest() in texts[0]
     assert texts[0].count("data:image/jpeg;base64,") >= len(session.cameras)
     knee = written.metrics["people"][0]["angles"]["left_knee_flexion"]
-    assert f"{knee['min_deg']:.0f} to {knee['max_deg']:.0f}°" in texts[0]
+    assert f"{round(knee['min_deg'])} to {round(knee['max_deg'])}°" in texts[0]
     assert texts[0].count('aria-label="Knee flexion from') == len(written.metrics["people"])
 
 
