@@ -12,13 +12,13 @@ from pipeline.problem_codes.requests import MISSING_PART
 
 def _faults(counts: Mapping[str, int]) -> Iterator[tuple[Code, str, str]]:
     if not counts[CHARACTER]:
-        yield MISSING_PART, "There is no character: send its file, GLB or VRM.", CHARACTER
+        yield MISSING_PART, "There is no character: send its file, GLB, VRM or FBX.", CHARACTER
 
 
 CHARACTER_FORM = FormKind(
     name="CharacterForm",
     noun="character",
-    parts={CHARACTER: "File of the character: GLB (binary glTF 2.0) or VRM, with everything inside."},
+    parts={CHARACTER: "File of the character: GLB (binary glTF 2.0) or VRM with everything inside, or binary FBX 7."},
     documents={SPEC: CharacterSpec},
     uploaded=UploadedCharacter,
     form_example={CHARACTER: "robot.vrm", SPEC: examples.SPEC},

@@ -28,8 +28,9 @@ from worker.jobs.model.characters import Character, StoredCharacterFile
 from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.tenant_records import TenantRecords
 
-MEDIA_TYPE = "model/gltf-binary"
-_BONES = "bones"
+MEDIA_TYPES = ("model/gltf-binary", "application/octet-stream")
+"""Media types of characters' files: of GLB and VRM, and of FBX, which has none of its own."""
+_BONES, _FBX = "bones", "FBX"
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +130,8 @@ async def check_again(
 
 def download_of(character: Character) -> Download:
     """File of a character as it was sent."""
-    file = character.file
-    return Download(file.name, MEDIA_TYPE, file.key, file.num_bytes, file.sha256, remedy="Send the character again.")
+    file, media_type = character.file, MEDIA_TYPES[character.facts.get("format") == _FBX]
+    return Download(file.name, media_type, file.key, file.num_bytes, file.sha256, remedy="Send the character again.")
 
 
 def facts_of(contents: CharacterContents) -> dict[str, object]:

@@ -9,7 +9,7 @@ from api.auth import RecordsDep
 from api.characters import examples
 from api.characters.form import CHARACTER_FORM
 from api.characters.intake import (
-    MEDIA_TYPE,
+    MEDIA_TYPES,
     CheckedCharacter,
     bones_of,
     check_again,
@@ -38,7 +38,7 @@ router = APIRouter(prefix="/v1/characters", tags=["characters"])
 small = APIRouter(prefix="/v1/characters", tags=["characters"], route_class=SmallBodyRoute)
 
 _ONE = answer("Character")
-_FILE = file_content((MEDIA_TYPE,), "(the file)")
+_FILE = file_content(MEDIA_TYPES, "(the file)")
 
 
 def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCharacter) -> Answer:

@@ -83,10 +83,11 @@ class CharacterSummaryOut(ResponseModel):
     file: str = Field(description="Name of the file.")
     num_bytes: int = Field(description="Size of the file.")
     sha256: str = Field(description="SHA-256 of the file.")
-    format: Literal["GLB", "VRM 0.x", "VRM 1.0"] = Field(description="Format of the file.")
+    format: Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"] = Field(description="Format of the file.")
     method: Method = Field(description=f"How the bones were recognised. {_METHODS}")
     stature: float = Field(
-        description="Height of the mesh in the rest pose, in the file's unit: metres by the rules of glTF."
+        description="Height of the mesh in the rest pose, in the file's unit: metres by the rules of glTF; that of FBX "
+        "is converted to metres."
     )
     num_bones: int = Field(description="Number of bones.")
     num_vertices: int = Field(description="Number of vertices that bones move; those in compressed form don't count.")
@@ -113,7 +114,7 @@ class BoneOut(ResponseModel):
     bone: str = Field(description="Name of the bone.")
     parent: str | None = Field(description="Name of the next bone above; null at the top.")
     position: tuple[float, float, float] = Field(
-        description="Position of the bone's joint, in the file's unit, Z up; the character faces -Y."
+        description="Position of the bone's joint, in the unit of the stature, Z up; the character faces -Y."
     )
 
 

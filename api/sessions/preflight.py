@@ -98,9 +98,9 @@ class CharacterFacts(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    format: Literal["GLB", "VRM 0.x", "VRM 1.0"]
+    format: Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"]
     method: Literal["vrm", "names", "shape", "table"]
-    stature: float  # Height in the rest pose, in the file's unit
+    stature: float  # Height in the rest pose, in the file's unit; of FBX in metres
     num_bones: int
     num_vertices: int  # Of meshes that bones move
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.character.figure import CharacterFigure, measure
-from pipeline.character.gltf_reader import CharacterFile, read_character_file
+from pipeline.character.file_reader import read_character_file
 from pipeline.character.mapping import REQUIRED, map_bones, read_bone_table
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.characters import CHARACTER_TOO_LARGE, CHARACTER_UNREADABLE
@@ -67,7 +67,7 @@ def _described(figure: CharacterFigure) -> dict[str, Any]:
         for joint in (*mapping.bones, *mapping.missing)
     ]
     return {
-        "format": _format(figure.file),
+        "format": figure.file.format,
         "method": mapping.method,
         "stature": _stature(figure),
         "num_bones": int(rig.is_bone.sum()),
@@ -79,13 +79,6 @@ def _described(figure: CharacterFigure) -> dict[str, Any]:
         "at_rest": list(mapping.at_rest),
         "skeleton": _skeleton(figure),
     }
-
-
-def _format(file: CharacterFile) -> str:
-    """Format by the extension of a VRM's humanoid, ``GLB`` without one."""
-    extensions = file.document.get("extensions")
-    names = extensions.keys() if isinstance(extensions, dict) else ()
-    return "VRM 1.0" if "VRMC_vrm" in names else "VRM 0.x" if "VRM" in names else "GLB"
 
 
 def _stature(figure: CharacterFigure) -> float:

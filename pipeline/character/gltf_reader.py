@@ -4,33 +4,35 @@ The rest pose is the one in which the mesh was bound to the bones, where a skin 
 are often saved in the middle of a movement.
 """
 
-import contextlib
 import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy.spatial.transform import Rotation
 
+from pipeline.character.problems import (
+    MAX_COORDINATE,
+    MAX_LEVELS,
+    MAX_NODES,
+    MAX_SCALE,
+    MIN_SCALE,
+    CharacterFileError,
+    checked,
+)
 from pipeline.character.rig import CharacterRig
 from pipeline.data.arrays import read_only
-from pipeline.errors import InputError, Problem, printable
+from pipeline.errors import printable
 from pipeline.parsing import UnreadableError, read_json
-from pipeline.problem_codes.characters import CHARACTER_FORMAT, CHARACTER_TOO_LARGE, CHARACTER_UNREADABLE
-from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.characters import CHARACTER_FORMAT, CHARACTER_TOO_LARGE
 
-MAX_BYTES = 512 << 20
-"""Largest file that is read."""
-MAX_NODES = 20_000
-"""Largest number of nodes."""
+Format = Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"]
+"""Formats of characters' files."""
 
-_MAX_JSON_BYTES, _MAX_DEPTH, _MAX_VERTICES, _MAX_JOINTS, _MAX_NAME = 64 << 20, 512, 4_000_000, 100_000, 200
-# Coordinates and scales beyond are damage; products of a few of them don't overflow.
-_MAX_COORDINATE, _MAX_SCALE, _MIN_SCALE = 1e9, 1e6, 1e-9
+_MAX_JSON_BYTES, _MAX_VERTICES, _MAX_JOINTS, _MAX_NAME = 64 << 20, 4_000_000, 100_000, 200
 # Difference of a matrix to what translation, rotation and scales give, as a share of its scales.
 _SHEAR = 1e-3
 _HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
@@ -45,15 +47,6 @@ _COMPONENTS: Mapping[int, np.dtype[Any]] = {
 _NUM_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # Extensions that compress matrices and skins too; Draco compresses meshes alone.
 _COMPRESSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-_EXPORT_AGAIN = "Export the character once more, as GLB (binary glTF 2.0) with everything inside."
-
-
-class _CharacterError(Exception):
-    """A file can't be used: code, message and hint."""
-
-    def __init__(self, message: str, code: Code = CHARACTER_UNREADABLE, hint: str = _EXPORT_AGAIN) -> None:
-        super().__init__(message)
-        self.code, self.message, self.hint = code, message, hint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,82 +62,62 @@ class CharacterFile:
     """Content of a character's file."""
 
     name: str  # Base name of the file
-    document: Mapping[str, Any]  # JSON of the file
-    binary: memoryview  # Bytes of the file's buffer, as they are
+    format: Format
+    # JSON and bytes of the buffer: those of the file as they are, or those that were made from an FBX file
+    document: Mapping[str, Any]
+    binary: memoryview
     rig: CharacterRig
     skinned: tuple[Skinned, ...]  # Meshes that bones move; those in compressed form are left out
     humanoid: Mapping[str, int]  # Nodes by the names of VRM's humanoid bones; empty in other files
 
 
-@contextlib.contextmanager
-def checked(name: str) -> Iterator[None]:
-    """Block in which errors of a file become an ``InputError`` with the file's name."""
-    try:
-        yield
-    except _CharacterError as error:
-        raise InputError([Problem(error.code, error.message, file=name, hint=error.hint)]) from error
-
-
-def read_character_file(path: Path) -> CharacterFile:
-    """Read a character from a GLB or VRM file.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read, is in another format, is damaged, or is larger than ``MAX_BYTES``, or has more than
-        ``MAX_NODES`` nodes.
-    """
-    with checked(path.name):
-        try:
-            if path.stat().st_size > MAX_BYTES:
-                message = f"The file has more than {MAX_BYTES >> 20} MiB."
-                raise _CharacterError(message, CHARACTER_TOO_LARGE, "Leave out what is not the character.")
-            content = path.read_bytes()
-        except OSError as error:
-            raise _CharacterError(f"The file can't be read: {error.strerror or error}.", hint="Check it.") from error
-        return _read(path.name, content)
-
-
 def decode_character(name: str, content: bytes) -> CharacterFile:
-    """Read a character from the bytes of a GLB or VRM file; errors are those of ``read_character_file``."""
+    """Read a character from the bytes of a GLB or VRM file.
+
+    Raises ``InputError`` if the file is in another format, is damaged, or has more than is read.
+    """
     with checked(name):
-        return _read(name, content)
+        document, binary = _chunks(content)
+        return character_of(name, document, binary, _format(document))
 
 
-def _read(name: str, content: bytes) -> CharacterFile:
-    document, binary = _chunks(content)
+def character_of(name: str, document: dict[str, Any], binary: memoryview, format_name: Format) -> CharacterFile:
+    """Character of a document and its buffer; errors are those of ``checked``."""
     reader = GltfDocument(document, binary)
     rig, skinned = reader.rig(), []
     for mesh_node in reader.skinned_nodes():
         found = reader.skinned(mesh_node, rig)
         if found is not None:
             skinned.append(found)
-    return CharacterFile(name, document, binary, rig, tuple(skinned), reader.humanoid())
+    return CharacterFile(name, format_name, document, binary, rig, tuple(skinned), reader.humanoid())
+
+
+def _format(document: Mapping[str, Any]) -> Format:
+    """Format by the extension of a VRM's humanoid, ``GLB`` without one."""
+    extensions = document.get("extensions")
+    names = extensions.keys() if isinstance(extensions, dict) else ()
+    return "VRM 1.0" if "VRMC_vrm" in names else "VRM 0.x" if "VRM" in names else "GLB"
 
 
 def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:
     """JSON and buffer of a file."""
-    if content.startswith((b"Kaydara FBX Binary", b"; FBX")):
-        message = "Characters are not read from FBX files."
-        hint = "Export the character as GLB: Blender, Maya, Unity and Unreal do so."
-        raise _CharacterError(message, CHARACTER_FORMAT, hint)
     if len(content) < _HEAD.size + _CHUNK.size or not content.startswith(b"glTF"):
-        raise _CharacterError("The file is no GLB or VRM.", CHARACTER_FORMAT)
+        raise CharacterFileError("The file is no GLB, VRM or FBX.", CHARACTER_FORMAT)
     _, version, _ = _HEAD.unpack_from(content)
     if version != 2:
-        raise _CharacterError(f"The file is glTF {version}; glTF 2.0 is read.", CHARACTER_FORMAT)
+        raise CharacterFileError(f"The file is glTF {version}; glTF 2.0 is read.", CHARACTER_FORMAT)
     length, kind = _CHUNK.unpack_from(content, _HEAD.size)
     start = _HEAD.size + _CHUNK.size
     if kind != b"JSON" or start + length > len(content):
-        raise _CharacterError("The file is cut off.")
+        raise CharacterFileError("The file is cut off.")
     if length > _MAX_JSON_BYTES:
-        raise _CharacterError(f"The file describes more than {_MAX_JSON_BYTES >> 20} MiB.", CHARACTER_TOO_LARGE)
+        raise CharacterFileError(f"The file describes more than {_MAX_JSON_BYTES >> 20} MiB.", CHARACTER_TOO_LARGE)
     try:
         document = read_json(content[start : start + length])
     except UnreadableError as error:
-        raise _CharacterError("The description of the file is no JSON.") from error
+        raise CharacterFileError("The description of the file is no JSON.") from error
     if not isinstance(document, dict):
-        raise _CharacterError("The description of the file is no JSON object.")
+        raise CharacterFileError("The description of the file is no JSON object.")
     binary = memoryview(b"")
     place = start + length
     if len(content) >= place + _CHUNK.size:
@@ -152,7 +125,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:
         place += _CHUNK.size
         if kind == b"BIN\0":
             if place + length > len(content):
-                raise _CharacterError("The file is cut off.")
+                raise CharacterFileError("The file is cut off.")
             binary = memoryview(content)[place : place + length]
     return document, binary
 
@@ -165,9 +138,9 @@ class GltfDocument:
         self.nodes = self._objects("nodes")
         if len(self.nodes) > MAX_NODES:
             message = f"The file has {len(self.nodes):,} nodes; at most {MAX_NODES:,} are read."
-            raise _CharacterError(message, CHARACTER_TOO_LARGE, "Leave out what is not the character.")
+            raise CharacterFileError(message, CHARACTER_TOO_LARGE, "Leave out what is not the character.")
         if not self.nodes:
-            raise _CharacterError("The file has no nodes.")
+            raise CharacterFileError("The file has no nodes.")
         self._views, self._accessors = self._objects("bufferViews"), self._objects("accessors")
         self.meshes, self.skins = self._objects("meshes"), self._objects("skins")
         self.materials = self._objects("materials")
@@ -176,18 +149,18 @@ class GltfDocument:
             if isinstance(required, list) and extension in required:
                 message = f"The content of the file is compressed ({extension})."
                 hint = "Export the character once more without compression."
-                raise _CharacterError(message, CHARACTER_FORMAT, hint)
+                raise CharacterFileError(message, CHARACTER_FORMAT, hint)
         for number, buffer in enumerate(self._objects("buffers")):
             if number or "uri" in buffer:
-                raise _CharacterError("The file keeps a part of its content in other files.")
+                raise CharacterFileError("The file keeps a part of its content in other files.")
             if self._count(buffer, "byteLength") > len(binary):
-                raise _CharacterError("The file is cut off.")
+                raise CharacterFileError("The file is cut off.")
         self.joints_of = [self._indices(skin, "joints", self.nodes) for skin in self.skins]
         if not all(self.joints_of):
-            raise _CharacterError("A skin has no bones.")
+            raise CharacterFileError("A skin has no bones.")
         if sum(map(len, self.joints_of)) > _MAX_JOINTS:
             message = f"The skins of the file have more than {_MAX_JOINTS:,} bones."
-            raise _CharacterError(message, CHARACTER_TOO_LARGE, "Leave out what is not the character.")
+            raise CharacterFileError(message, CHARACTER_TOO_LARGE, "Leave out what is not the character.")
         self._bind: dict[int, Float[np.ndarray, "joints 4 4"]] = {}
         self._num_vertices = 0
 
@@ -218,7 +191,7 @@ class GltfDocument:
                 parent = int(rig.parents[joint])
                 if parent not in place_of or is_bound[joint]:
                     continue
-                found = _decomposed(joint_from_mesh[place_of[parent]] @ mesh_from_joint[place])
+                found = decomposed(joint_from_mesh[place_of[parent]] @ mesh_from_joint[place])
                 if found is not None:
                     translations[joint], rotations[joint], scales[joint] = found
                     is_bound[joint] = True
@@ -245,15 +218,15 @@ class GltfDocument:
             found = [self.rows(attributes, name, kind) for name, kind in _SKINNED]
             self._num_vertices += 0 if found[0] is None else len(found[0])
             if self._num_vertices > _MAX_VERTICES:
-                raise _CharacterError(f"The file has more than {_MAX_VERTICES:,} vertices.", CHARACTER_TOO_LARGE)
+                raise CharacterFileError(f"The file has more than {_MAX_VERTICES:,} vertices.", CHARACTER_TOO_LARGE)
             if any(rows is None for rows in found):
                 continue
             (points, influences, weights) = (np.asarray(rows, float) for rows in found)
             if not len(points) == len(influences) == len(weights):
-                raise _CharacterError("A mesh has attributes of different lengths.")
+                raise CharacterFileError("A mesh has attributes of different lengths.")
             numbers = influences[np.arange(len(points)), weights.argmax(1)].astype(int)
             if len(numbers) and numbers.max() >= len(joints):
-                raise _CharacterError("A mesh names a bone that its skin does not have.")
+                raise CharacterFileError("A mesh names a bone that its skin does not have.")
             moved = np.einsum("vij,vj->vi", scene_from_mesh[numbers, :3, :3], points)
             positions.append(moved + scene_from_mesh[numbers, :3, 3])
             bones.append(joints[numbers])
@@ -261,7 +234,7 @@ class GltfDocument:
             return None
         all_positions = np.concatenate(positions)
         if not np.isfinite(all_positions).all():
-            raise _CharacterError("A mesh has positions that are no numbers.")
+            raise CharacterFileError("A mesh has positions that are no numbers.")
         return Skinned(read_only(all_positions), read_only(np.concatenate(bones)))
 
     def humanoid(self) -> dict[str, int]:
@@ -301,42 +274,42 @@ class GltfDocument:
         for number, node in enumerate(self.nodes):
             for child in self._indices(node, "children", self.nodes):
                 if parents[child] >= 0:
-                    raise _CharacterError("A node has two parents.")
+                    raise CharacterFileError("A node has two parents.")
                 parents[child] = number
         depth = np.full(len(parents), -1)
         for start in range(len(parents)):
             way: list[int] = []
             above = start
             while above >= 0 and depth[above] < 0:
-                if len(way) > _MAX_DEPTH:
-                    raise _CharacterError(f"Nodes are in a circle, or have more than {_MAX_DEPTH} levels.")
+                if len(way) > MAX_LEVELS:
+                    raise CharacterFileError(f"Nodes are in a circle, or have more than {MAX_LEVELS} levels.")
                 way.append(above)
                 above = int(parents[above])
             first = 0 if above < 0 else int(depth[above]) + 1
             for level, passed in enumerate(reversed(way), first):
                 depth[passed] = level
-        if depth.max() > _MAX_DEPTH:
-            raise _CharacterError(f"Nodes have more than {_MAX_DEPTH} levels.")
+        if depth.max() > MAX_LEVELS:
+            raise CharacterFileError(f"Nodes have more than {MAX_LEVELS} levels.")
         return parents
 
     def _place(self, node: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Translation, rotation and scales of a node."""
         if "matrix" in node:
             matrix = _numbers(node["matrix"], 16).reshape(4, 4).T
-            found = _decomposed(matrix)
+            found = decomposed(matrix)
             if found is None:
-                raise _CharacterError("A node has a matrix that is no translation, rotation and scale.")
+                raise CharacterFileError("A node has a matrix that is no translation, rotation and scale.")
             return found
         translation = _numbers(node.get("translation", (0.0, 0.0, 0.0)), 3)
         rotation = _numbers(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), 4)
         scales = _numbers(node.get("scale", (1.0, 1.0, 1.0)), 3)
         length = np.linalg.norm(rotation)
         if not 0.1 < length < 10.0:
-            raise _CharacterError("A node has a rotation that is no unit quaternion.")
+            raise CharacterFileError("A node has a rotation that is no unit quaternion.")
         # Scale 0 hides things; it has no inverse, which nobody needs unless a bone has it.
-        if np.abs(translation).max() > _MAX_COORDINATE or np.abs(scales).max() > _MAX_SCALE:
-            raise _CharacterError("A node is too far away, or too large.")
-        return translation, rotation / length, np.where(np.abs(scales) < _MIN_SCALE, _MIN_SCALE, scales)
+        if np.abs(translation).max() > MAX_COORDINATE or np.abs(scales).max() > MAX_SCALE:
+            raise CharacterFileError("A node is too far away, or too large.")
+        return translation, rotation / length, np.where(np.abs(scales) < MIN_SCALE, MIN_SCALE, scales)
 
     def bind_matrices(self, skin: int) -> Float[np.ndarray, "joints 4 4"]:
         """Matrices from a mesh to each bone of its skin in the bound pose."""
@@ -346,11 +319,11 @@ class GltfDocument:
             if rows is None:
                 matrices = np.tile(np.eye(4), (num_joints, 1, 1))
             elif len(rows) < num_joints:
-                raise _CharacterError("A skin has fewer matrices than bones.")
+                raise CharacterFileError("A skin has fewer matrices than bones.")
             else:
                 matrices = np.asarray(rows[:num_joints], float).reshape(-1, 4, 4).swapaxes(1, 2)
-            if not (np.abs(matrices) < _MAX_COORDINATE).all():
-                raise _CharacterError("A skin has matrices that are no numbers, or too large.")
+            if not (np.abs(matrices) < MAX_COORDINATE).all():
+                raise CharacterFileError("A skin has matrices that are no numbers, or too large.")
             self._bind[skin] = matrices
         return self._bind[skin]
 
@@ -362,22 +335,22 @@ class GltfDocument:
         component = accessor.get("componentType")
         dtype = _COMPONENTS.get(component) if isinstance(component, int) else None
         if accessor.get("type") != kind or dtype is None:
-            raise _CharacterError(f"The accessor of {name} has another type than its use asks for.")
+            raise CharacterFileError(f"The accessor of {name} has another type than its use asks for.")
         if "sparse" in accessor or "bufferView" not in accessor:
             return None
         view = self._views[self.index(accessor, "bufferView", self._views)]
         if isinstance(view.get("extensions"), dict):
             return None
         if self._count(view, "buffer") != 0:
-            raise _CharacterError("A view is of a buffer that the file does not have.")
+            raise CharacterFileError("A view is of a buffer that the file does not have.")
         columns, count = _NUM_COMPONENTS[kind], self._count(accessor, "count")
         start, length = self._count(view, "byteOffset"), self._count(view, "byteLength")
         offset, row_bytes = self._count(accessor, "byteOffset"), columns * dtype.itemsize
         stride = self._count(view, "byteStride") or row_bytes
         if stride < row_bytes or start + length > len(self._binary):
-            raise _CharacterError(f"The data of {name} lie outside of the file.")
+            raise CharacterFileError(f"The data of {name} lie outside of the file.")
         if count and offset + (count - 1) * stride + row_bytes > length:
-            raise _CharacterError(f"The data of {name} lie outside of their view.")
+            raise CharacterFileError(f"The data of {name} lie outside of their view.")
         if not count:
             return np.zeros((0, columns), dtype)
         rows = np.ndarray((count, columns), dtype, self._binary, start + offset, (stride, dtype.itemsize))
@@ -391,25 +364,25 @@ class GltfDocument:
     def require(self, is_true: bool, message: str) -> None:
         """Refuse the file with a message unless something is true of it."""
         if not is_true:
-            raise _CharacterError(message)
+            raise CharacterFileError(message)
 
     def index(self, owner: Mapping[str, Any], name: str, targets: Sequence[object]) -> int:
         """Number in a field that names one of some targets."""
         number = owner.get(name)
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(targets):
-            raise _CharacterError(f"The field {name} names something that the file does not have.")
+            raise CharacterFileError(f"The field {name} names something that the file does not have.")
         return number
 
     def _indices(self, owner: Mapping[str, Any], name: str, targets: Sequence[object]) -> tuple[int, ...]:
         numbers = owner.get(name, [])
         if not isinstance(numbers, list) or len(numbers) > MAX_NODES:
-            raise _CharacterError(f"The field {name} is no list.")
+            raise CharacterFileError(f"The field {name} is no list.")
         return tuple(self.index({name: number}, name, targets) for number in numbers)
 
     def _count(self, owner: Mapping[str, Any], name: str) -> int:
         number = owner.get(name, 0)
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**40:
-            raise _CharacterError(f"The field {name} is no count.")
+            raise CharacterFileError(f"The field {name} is no count.")
         return number
 
 
@@ -420,35 +393,35 @@ def objects_in(owner: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     """List of objects in a field of a file."""
     values = owner.get(name, [])
     if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-        raise _CharacterError(f"The field {name} is no list of objects.")
+        raise CharacterFileError(f"The field {name} is no list of objects.")
     return values
 
 
 def _numbers(value: Any, count: int) -> Float[np.ndarray, " count"]:
     is_list = isinstance(value, (list, tuple)) and len(value) == count
     if not is_list or not all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in value):
-        raise _CharacterError("A node has a place that is no list of numbers.")
+        raise CharacterFileError("A node has a place that is no list of numbers.")
     numbers = np.array(value, float)
     if not np.isfinite(numbers).all():
-        raise _CharacterError("A node has a place that is not finite.")
+        raise CharacterFileError("A node has a place that is not finite.")
     return numbers
 
 
 def _inverses(matrices: Float[np.ndarray, "joints 4 4"]) -> Float[np.ndarray, "joints 4 4"] | None:
     """Inverse matrices; ``None`` if one of them has none."""
     scales = np.abs(np.linalg.det(matrices[:, :3, :3]))
-    if (scales < _MIN_SCALE**2).any():
+    if (scales < MIN_SCALE**2).any():
         return None
     return np.linalg.inv(matrices)
 
 
-def _decomposed(matrix: Float[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Translation, rotation and scales of a matrix; ``None`` if it shears, or is flat."""
+def decomposed(matrix: Float[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Translation, rotation (quaternion) and scales of a matrix; ``None`` if it shears, or is flat."""
     turned = matrix[:3, :3]
-    if not (np.abs(matrix) < _MAX_COORDINATE).all():
+    if not (np.abs(matrix) < MAX_COORDINATE).all():
         return None
     scales = np.linalg.norm(turned, axis=0)
-    if not ((scales > _MIN_SCALE) & (scales < _MAX_SCALE)).all():
+    if not ((scales > MIN_SCALE) & (scales < MAX_SCALE)).all():
         return None
     if np.linalg.det(turned) < 0:
         scales[0] = -scales[0]

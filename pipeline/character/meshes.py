@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from pipeline.character.gltf_reader import CharacterFile, GltfDocument, checked, objects_in
+from pipeline.character.gltf_reader import CharacterFile, GltfDocument, objects_in
+from pipeline.character.problems import checked
 from pipeline.data.arrays import read_only
 
 _TRIANGLES = 4

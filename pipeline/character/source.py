@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.character.figure import CharacterFigure, measure
-from pipeline.character.gltf_reader import read_character_file
+from pipeline.character.file_reader import read_character_file
 from pipeline.character.mapping import map_bones
 from pipeline.runtime.packages.storage import sha256_of
 
 
 @dataclass(frozen=True, slots=True)
 class CharacterSource:
-    """File of a character, GLB or VRM, with a table of its bones.
+    """File of a character, GLB, VRM or FBX, with a table of its bones.
 
     >>> character = CharacterSource(Path("robot.vrm"))  # doctest: +SKIP
     >>> character.open().mapping.document()["missing"]  # doctest: +SKIP

@@ -12,18 +12,18 @@ CHARACTER_FORMAT = CHARACTERS.code(
     "character_format",
     _WHERE,
     "The file is in a format that characters are not read from.",
-    "Export the character as GLB (binary glTF 2.0) or VRM.",
+    "Export the character as GLB (binary glTF 2.0), VRM or binary FBX 7.",
 )
 CHARACTER_UNREADABLE = CHARACTERS.code(
     "character_unreadable",
     _WHERE,
     "The file of the character is damaged, or breaks the rules of its format.",
-    "Follow the message: export the character once more, as GLB with everything inside.",
+    "Follow the message: export the character once more, as GLB with everything inside, or as binary FBX.",
 )
 CHARACTER_TOO_LARGE = CHARACTERS.code(
     "character_too_large",
     _WHERE,
-    "The file of the character is larger, or has more nodes, than is read.",
+    "The file of the character is larger, or has more nodes or vertices, than is read.",
     "Follow the message: leave out what is not the character, or use smaller pictures.",
 )
 CHARACTER_BONES = CHARACTERS.code(

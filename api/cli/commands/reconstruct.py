@@ -117,7 +117,7 @@ def command(
     ] = None,
     character: Annotated[
         Path | None,
-        typer.Option(help="Character that moves as each person: a GLB or VRM file, see docs/characters.md."),
+        typer.Option(help="Character that moves as each person: a GLB, VRM or FBX file, see docs/characters.md."),
     ] = None,
     bones: Annotated[
         Path | None,

@@ -20,14 +20,14 @@ export function characterField({ id, chosen, set }) {
     if (added) set(added.id);
   };
   return html`<fieldset class="choice character"><legend>Character</legend>
-    <p class="quiet">A figure with a skeleton, from a GLB or VRM file. Its bones are recognised; each person moves it in a file of its own.</p>
+    <p class="quiet">A figure with a skeleton, from a GLB, VRM or FBX file. Its bones are recognised; each person moves it in a file of its own.</p>
     <div class="pair">
       <label class="field"><span>Stored character</span>
         <select name="${id}-character" @change=${(event) => choose(event.target.value)}>
           <option value="" .selected=${live(!chosen)}>${characters.list === null ? "Loading …" : "None"}</option>
           ${list.map(({ id: one, name }) => html`<option value=${one} .selected=${live(one === chosen)}>${name}</option>`)}
         </select></label>
-      <label class="field"><span>Or a file</span><input type="file" accept=".glb,.vrm" ?disabled=${characters.reading !== null} @change=${add}></label>
+      <label class="field"><span>Or a file</span><input type="file" accept=".glb,.vrm,.fbx" ?disabled=${characters.reading !== null} @change=${add}></label>
     </div>
     ${characters.reading === null ? nothing : html`<p class="chosen" role="status"><b>${characters.reading}</b> <span class="quiet">Reading the character …</span></p>`}
     ${problemBox(characters.problem)}

@@ -31,11 +31,18 @@ _FOOTER_ALIGNMENT, _FOOTER_ZEROS = 16, 120
 # Nodes without children that end like nodes with children.
 _ALWAYS_ENDED = frozenset({"AnimationStack", "AnimationLayer"})
 _ARRAYS: Mapping[str, np.dtype[Any]] = MappingProxyType(
-    {"b": np.dtype("?"), "i": np.dtype("<i4"), "l": np.dtype("<i8"), "f": np.dtype("<f4"), "d": np.dtype("<f8")}
+    {
+        "b": np.dtype("?"),
+        "c": np.dtype("u1"),
+        "i": np.dtype("<i4"),
+        "l": np.dtype("<i8"),
+        "f": np.dtype("<f4"),
+        "d": np.dtype("<f8"),
+    }
 )
 _ARRAY_HEAD, _LENGTH = struct.Struct("<III"), struct.Struct("<I")
 _SCALARS: Mapping[str, struct.Struct] = MappingProxyType(
-    {code: struct.Struct(f"<{form}") for code, form in zip("CYILFD", "?hiqfd", strict=True)}
+    {code: struct.Struct(f"<{form}") for code, form in zip("CBZYILFD", "?BBhiqfd", strict=True)}
 )
 # Arrays of fewer bytes are stored as they are.
 _COMPRESSED_FROM_BYTES = 128
@@ -55,7 +62,7 @@ class Int64(int):
 class ArrayProperty:
     """Array as a property, of which only its size is known until it is needed."""
 
-    code: str  # Type of the elements: ``b``, ``i``, ``l``, ``f`` or ``d``
+    code: str  # Type of the elements: ``b``, ``c``, ``i``, ``l``, ``f`` or ``d``
     length: int  # Number of elements
     is_compressed: bool
     num_bytes: int  # Size in the file

@@ -11,6 +11,8 @@ from pipeline.export.writers.fbx_nodes import ArrayProperty, FbxError, Node, Pro
 from pipeline.export.writers.fbx_scene import SEPARATOR, SETTINGS
 
 _Value = TypeVar("_Value", int, float, str, ArrayProperty)
+# Connections of an object to another one, and to a setting of it.
+_CONNECTIONS = ("OO",), ("OP",)
 # Values of a setting follow its name, type, label and flags.
 _FIRST_VALUE = 4
 
@@ -18,16 +20,20 @@ _FIRST_VALUE = 4
 class StoredScene:
     """Objects of a file by their ids, in the file's order.
 
-    Methods raise ``FbxError`` if the file lacks what they look for.
+    Objects without an id, and connections of other kinds than the writer's, are left out. Methods raise ``FbxError``
+    if the file lacks what they look for.
     """
 
     def __init__(self, nodes: tuple[Node, ...]) -> None:
-        self.objects = {property_of(node, 0, int): node for node in _top_node(nodes, "Objects").children}
+        objects = _top_node(nodes, "Objects").children
+        self.objects = {property_of(node, 0, int): node for node in objects if _has_id(node)}
         self.global_settings = _top_node(nodes, "GlobalSettings")
         # Children of each object, and the setting to which a child is connected; "" for the object itself.
         self._children: defaultdict[int, list[tuple[int, str]]] = defaultdict(list)
         self._parents: defaultdict[int, list[int]] = defaultdict(list)
         for node in _top_node(nodes, "Connections").children:
+            if node.properties[:1] not in _CONNECTIONS:
+                continue
             of_setting = property_of(node, 3, str) if property_of(node, 0, str) == "OP" else ""
             child, parent = property_of(node, 1, int), property_of(node, 2, int)
             self._children[parent].append((child, of_setting))
@@ -71,6 +77,10 @@ class StoredScene:
             if len(times[-1]) != len(values[-1]):
                 raise FbxError("a curve has other times than values")
         return times, values
+
+
+def _has_id(node: Node) -> bool:
+    return bool(node.properties) and isinstance(node.properties[0], int)
 
 
 def name_of(node: Node) -> str:

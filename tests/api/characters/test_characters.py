@@ -1,4 +1,4 @@
-"""Characters: sent as GLB or VRM, their bones recognised and corrected, downloaded, deleted."""
+"""Characters: sent as GLB, VRM or FBX, their bones recognised and corrected, downloaded, deleted."""
 
 import hashlib
 import json
@@ -10,8 +10,10 @@ import pytest
 
 from api.settings import Settings
 from api.uploads.routes import VERSION
+from pipeline.character.gltf_reader import decode_character
 from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.character.characters import bones_of, character, glb, odd_bones, vrm
+from tests.pipeline.character.fbx.fbx_characters import fbx_of
 
 MIXAMO = character(bones_of("mixamo"), unit=100.0, armature_scale=0.01)
 
@@ -64,6 +66,16 @@ def test_a_file_is_read_and_kept(strict: Live) -> None:
     assert places["mixamorig:LeftForeArm"]["parent"] == "mixamorig:LeftArm"
     assert places["mixamorig:Head"]["position"][2] > places["mixamorig:Hips"]["position"][2] > 50.0
     assert strict.client.get(made["links"]["self"]).json() == made
+
+
+def test_fbx_is_read_in_metres(strict: Live) -> None:
+    content = fbx_of(decode_character("a.glb", MIXAMO))
+    made = send(strict, content, "robot.fbx").json()
+    assert (made["format"], made["method"], made["num_bones"]) == ("FBX", "names", 52)
+    assert 1.65 < made["stature"] < 1.8
+    assert bones(made) == bones(send(strict).json())
+    answer = strict.client.get(made["links"]["file"])
+    assert (answer.content, answer.headers["content-type"]) == (content, "application/octet-stream")
 
 
 def test_lists_are_paged_and_have_no_bones(strict: Live) -> None:
@@ -191,7 +203,9 @@ def test_what_is_no_character_is_refused(strict: Live) -> None:
     def codes(answer: Any) -> list[tuple[str, str]]:
         return [(item["code"], item["pointer"]) for item in problem_of(answer, 422, "invalid_request")["errors"]]
 
-    assert codes(send(strict, b"Kaydara FBX Binary  ")) == [("character_format", "/character")]
+    assert codes(send(strict, b"solid cube")) == [("character_format", "/character")]
+    assert codes(send(strict, b"; FBX 6.1.0 project file")) == [("character_format", "/character")]
+    assert codes(send(strict, b"Kaydara FBX Binary  ")) == [("character_unreadable", "/character")]
     assert codes(send(strict, MIXAMO[:2000])) == [("character_unreadable", "/character")]
     table = glb({"asset": {"version": "2.0"}, "nodes": [{"name": "Table"}]}, b"")
     assert codes(send(strict, table)) == [("character_bones", "/character")]

@@ -10,7 +10,9 @@ import pytest
 
 from api.sessions.preflight import CharacterContents
 from pipeline.character import check
+from pipeline.character.gltf_reader import decode_character
 from tests.pipeline.character.characters import bones_of, character, glb, parts, vrm
+from tests.pipeline.character.fbx.fbx_characters import fbx_of, mutated_fbx
 from tests.pipeline.character.test_gltf_reader import changed
 
 MIXAMO = character(bones_of("mixamo"), unit=100.0, armature_scale=0.01)
@@ -74,6 +76,24 @@ def test_mutated_files_are_answered(tmp_path: Path, capsys: pytest.CaptureFixtur
             assert printed["problems"]
     assert set(codes) == {0, 2}
     assert codes.count(2) > 50
+
+
+@pytest.mark.parametrize("num_files", [40, pytest.param(200, marks=pytest.mark.slow)])
+def test_mutated_fbx_files_are_answered(num_files: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng, path, codes = np.random.default_rng(39), tmp_path / "robot.fbx", []
+    content = fbx_of(decode_character("a.glb", MIXAMO))
+    for number in range(num_files):
+        path.write_bytes(mutated_fbx(content, number, rng))
+        with np.errstate(all="ignore"):
+            code, printed = checked(path, capsys)
+        codes.append(code)
+        if code == 0:
+            assert CharacterContents.model_validate(printed).format == "FBX"
+        else:
+            assert {problem["code"].split("_")[0] for problem in printed["problems"]} == {"character"}
+    assert set(codes) == {0, 2}
+    assert codes.count(0) > num_files // 6
+    assert codes.count(2) > num_files // 4
 
 
 def mutated(number: int, document: dict[str, Any], binary: bytes, rng: np.random.Generator) -> bytes:

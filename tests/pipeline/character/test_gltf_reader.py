@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from pipeline.character.figure import measure
-from pipeline.character.gltf_reader import MAX_NODES, decode_character, read_character_file
+from pipeline.character.file_reader import read_character_file
+from pipeline.character.gltf_reader import decode_character
 from pipeline.character.mapping import map_bones
+from pipeline.character.problems import MAX_NODES
 from pipeline.errors import InputError
 from tests.pipeline.character.characters import bones_of, character, glb, parts, vrm
 
