@@ -21,6 +21,8 @@ from tests.pipeline.character.test_mapping import Z_UP
 CHARACTERS = ("default", "mixamo", "game_engine", "vrm 0.x", "vrm 1.0", "odd")
 TAKES = (("walk", "feet", 4.0), ("walk", "body", 4.0), ("cartwheel", "body", 5.0), ("handstand", "body", 6.0))
 
+ON_THE_FLOOR = tuple(pytest.param((scene, "body", 20.0), marks=pytest.mark.slow) for scene in ("crawl", "lying"))
+
 
 @cache
 def figure(name: str) -> CharacterFigure:
@@ -49,7 +51,7 @@ def places(motion: CharacterMotion, joint: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", CHARACTERS)
-@pytest.mark.parametrize("take", TAKES, ids=lambda take: "-".join(take[:2]))
+@pytest.mark.parametrize("take", [*TAKES, *ON_THE_FLOOR], ids=lambda take: "-".join(take[:2]))
 def test_feet_stand_still_on_the_floor(name: str, take: tuple[str, str, float]) -> None:
     animation = take_of(*take)
     figures = figures_of(retarget(animation.motions[0], figure(name), animation.floor))
