@@ -9,6 +9,7 @@ from typing import Any
 
 from pipeline.findings import Finding, worst_first
 from pipeline.report.angles import PersonAngles, angle_parts
+from pipeline.report.gait import GAIT_COLUMNS, MOVEMENT_COLUMNS, gait_rows, movement_rows
 from pipeline.report.markup import Markup, data, element, joined, source_hash
 from pipeline.report.motion import ReportMotion
 from pipeline.report.pictures import Picture
@@ -65,6 +66,7 @@ def encode_page(contents: ReportContents) -> bytes:
             _findings(contents.findings),
             _take(contents),
             _angles(contents),
+            _gait(contents),
             _pictures(contents),
             _details(contents),
         ),
@@ -203,6 +205,24 @@ def _person_row(figures: Mapping[str, Any], person: Mapping[str, Any]) -> tuple[
         _figure(figures["stature_m"], "m", 2),
         str(len(figures["identity"]["doubts"])),
     )
+
+
+def _gait(contents: ReportContents) -> Markup:
+    """Tables of gait and movements; empty if nobody walks, jumps, squats or sits down."""
+    names = [person["name"] for person in contents.motion.document["people"]]
+    named = list(zip(names, contents.metrics["people"], strict=True))
+    tables = [
+        _table(caption, columns, rows)
+        for caption, columns, rows in (
+            ("Gait", GAIT_COLUMNS, gait_rows(named)),
+            ("Movements", MOVEMENT_COLUMNS, movement_rows(named)),
+        )
+        if rows
+    ]
+    if not tables:
+        return Markup()
+    note = "Means and standard deviations over strides that neither turn nor start nor stop."
+    return _section("gait", "Gait and movement", element("p", note, class_="quiet"), tables)
 
 
 def _choice_of_humans(contents: ReportContents) -> Markup:
