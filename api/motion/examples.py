@@ -44,6 +44,8 @@ _MOTION: dict[str, Any] = {
             "reprojection_error_px": 3.1,
             "identity": {"confidence": 1.0, "doubts": []},
             "contacts": [[0, 0, 1, 2]],
+            "gait": None,
+            "movements": [],
         }
     ],
     "cameras": [

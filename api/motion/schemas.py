@@ -1,5 +1,7 @@
 """Bodies of motion for viewers. They declare what the export has written; the service sends its file as it is."""
 
+from typing import Any
+
 from pydantic import Field
 
 from api.contract.schemas import ResponseModel
@@ -56,6 +58,14 @@ class MotionPerson(ResponseModel):
     identity: MotionIdentity
     contacts: tuple[tuple[int, int, int, int], ...] = Field(
         description="Contacts of the feet: side (0 left, 1 right), part (0 foot, 1 heel, 2 toe), first frame, frames."
+    )
+    gait: dict[str, Any] | None = Field(
+        default=None,
+        description="Figures of the person's gait, as `people[].gait` of `metrics.json`; null without gait.",
+    )
+    movements: tuple[dict[str, Any], ...] = Field(
+        default=(),
+        description="Jumps, squats, sitting down and standing up, as `people[].movements` of `metrics.json`.",
     )
 
 

@@ -13,17 +13,21 @@ from playwright.sync_api import Page, Route, expect
 
 from pipeline.body import installed
 from pipeline.body.makehuman import NUM_COARSE_TRIANGLES
+from pipeline.data.cameras import Timebase
 from pipeline.data.people import Doubt
+from pipeline.gait.document import gait_document, movement_documents
+from pipeline.simulation.motion.script import Gesture
 from tests.api.conftest import Live, running
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of
+from tests.pipeline.gait.walks import exercise, gait_of, walk
 from tests.pipeline.media import write_pictures
 
 NUM_FRAMES, RATE_HZ = 120, 25
 # Numbers of frames are drawn as bits: columns of this width, black or white.
 BITS, BIT_PX, HEIGHT_PX = 8, 40, 180
 
-MOUNT = """async ({ jobs, clock, video, clocks }) => {
+MOUNT = """async ({ jobs, clock, video, clocks, person }) => {
   const { mount, mountPair } = await import("/portal/viewer/mount.js");
   const { ApiSource } = await import("/portal/viewer/source.js");
   const place = document.createElement("div");
@@ -37,6 +41,7 @@ MOUNT = """async ({ jobs, clock, video, clocks }) => {
       const description = await read();
       if (clock !== null) Object.assign(description.cameras[0], { clock, size_px: [320, 180], video: "a.mp4" });
       if (clocks !== null) description.clocks = clocks;
+      if (person !== null) Object.assign(description.people[0], person);
       return description;
     };
     source.video = async (camera) => (camera.name === "a" && video !== null ? { url: video, startS: 0 } : null);
@@ -79,13 +84,15 @@ class Shown:
         clock: list[Any] | None = None,
         video: Path | None = None,
         clocks: list[dict[str, Any]] | None = None,
+        person: dict[str, Any] | None = None,
     ) -> None:
         address = None
         if video is not None:
             address = f"/{video.name}"
             self.page.route(f"**{address}", lambda route: send_part(route, video.read_bytes()))
         jobs = self.job_ids[:count]
-        self.page.evaluate(MOUNT, {"jobs": jobs, "clock": clock, "video": address, "clocks": clocks})
+        choices = {"clock": clock, "video": address, "clocks": clocks, "person": person}
+        self.page.evaluate(MOUNT, {"jobs": jobs, **choices})
         expect(self.page.locator(".look-viewer[data-ready=true]").first).to_be_visible(timeout=180_000)
 
     @property
@@ -359,6 +366,23 @@ def test_measured_clocks_are_shown_with_their_evidence(shown: Shown) -> None:
     middle_px = float(mark.get_attribute("x") or 0) + float(mark.get_attribute("width") or 0) / 2
     assert float(x_px) == pytest.approx(middle_px, abs=1.0)
     assert points.count("M") == 1
+
+
+def test_gait_and_movements_are_shown_where_there_are_some(shown: Shown) -> None:
+    shown.mount()
+    expect(shown.page.get_by_role("tab", name="Gait and movement")).to_have_count(0)
+    jumps = movement_documents(gait_of(exercise(Gesture.COUNTERMOVEMENT_JUMP)), Timebase(0.0, 60.0, 480))
+    shown.mount(person={"gait": gait_document(gait_of(walk(1.2))), "movements": jumps})
+    shown.page.get_by_role("tab", name="Gait and movement").click()
+    gait = shown.page.get_by_role("table", name="Gait")
+    expect(gait.get_by_role("row")).to_have_count(4)
+    expect(gait.get_by_role("row").nth(1)).to_contain_text("steps/min")
+    movements = shown.page.get_by_role("table", name="Movements")
+    expect(movements.get_by_role("row")).to_have_count(1 + len(jumps))
+    button = movements.get_by_role("button").first
+    frame = int(button.text_content() or "")
+    button.click()
+    assert shown.frame == min(frame, NUM_FRAMES - 1)
 
 
 @pytest.mark.parametrize("kind", ["numbered_video", "fragmented_video"])

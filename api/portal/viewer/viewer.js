@@ -5,6 +5,7 @@ import { graphics } from "./graphics.js";
 import { listenToKeys } from "./keys.js";
 import { MotionStore } from "./motion/store.js";
 import { clocksPanel } from "./panels/clocks.js";
+import { gaitPanel } from "./panels/gait.js";
 import { camerasTable, peopleTable, warningList } from "./panels/figures.js";
 import { Plots } from "./panels/plots.js";
 import { Strips } from "./panels/strips.js";
@@ -182,9 +183,11 @@ export class Viewer {
     this.plots = new Plots(this.store, player, { kind });
     const warnings = warningList(description);
     const clocks = clocksPanel(description);
+    const gait = gaitPanel(description, player);
     this.figures = tabs([
       { id: "people", label: "People", element: peopleTable(description, player, this.strips.spots) },
       { id: "plots", label: "Plots", element: this.plots.element, onshow: () => this.plots.draw(true) },
+      ...(gait ? [{ id: "gait", label: "Gait and movement", element: gait }] : []),
       { id: "cameras", label: "Cameras", element: camerasTable(description) },
       ...(clocks ? [{ id: "clocks", label: "Clocks", element: clocks }] : []),
       ...(warnings ? [{ id: "warnings", label: `Warnings (${description.warnings.length})`, element: warnings }] : []),

@@ -192,6 +192,8 @@ class ViewerMotion:
                     ]
                     for contact in motion.contacts
                 ],
+                "gait": of_person["gait"],
+                "movements": of_person["movements"],
                 "body": None if self._shapes is None else describe_shape(self._shapes, motion, floor),
             }
             offset_bytes += track.num_frames * self._dtype.itemsize

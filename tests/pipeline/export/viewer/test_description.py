@@ -179,6 +179,7 @@ def test_people_have_names_colours_and_figures() -> None:
     assert [contact[2:] for contact in second["contacts"]] == [
         [30 + one.start_frame, one.num_frames] for one in contacts
     ]
+    assert (first["gait"], first["movements"]) == (None, [])
 
 
 def test_far_joints_take_coarser_steps() -> None:
