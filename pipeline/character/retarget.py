@@ -2,8 +2,9 @@
 
 Each bone turns from its T-pose as the joint of the skeleton does, so that limbs have the person's directions. Paths are
 scaled by the length of the legs. What directions alone would lose is fitted in each frame: feet stand where they stand
-(``feet``), legs reach them, and hands meet where they met. A hand that is near the other one, or near the floor, is led
-to the scaled place; the weight rises from 0 to 1 between two distances, which are shares of the arm's length.
+(``feet``), hips shift and tilt for them (``hips``), legs reach them, and hands meet where they met. A hand that is near
+the other one, or near the floor, is led to the scaled place; the weight rises from 0 to 1 between two distances, which
+are shares of the arm's length.
 """
 
 from collections.abc import Mapping
