@@ -18,9 +18,10 @@ from pipeline.detect.entries import entry_of
 from pipeline.edits import document_of
 from pipeline.errors import InputError
 from pipeline.export.overlay import given_names, people_at
+from pipeline.gait.analysis import analyse_gait
 from pipeline.progress import OnShare
 from pipeline.quality.report import all_checks, quality_report
-from pipeline.quality.views import views_of
+from pipeline.quality.views import views_of, without_fingers
 from pipeline.report.angles import MAX_PEOPLE, PersonAngles
 from pipeline.report.motion import motion_of
 from pipeline.report.page import ReportContents, Rows
@@ -92,7 +93,12 @@ def _angles_of(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonA
     people = zip(take.tracks, take.motions, strict=True)
     known = [(track, motion) for track, motion in people if ranges[track.track_id]]
     return [
-        PersonAngles(motion.name, joint_angles(motion, track, take.joints), ranges[track.track_id])
+        PersonAngles(
+            motion.name,
+            joint_angles(motion, track, take.joints),
+            ranges[track.track_id],
+            analyse_gait(without_fingers(track, take.joints), take.joints, take.timebase.frame_rate_hz).strides,
+        )
         for track, motion in known[:MAX_PEOPLE]
     ]
 

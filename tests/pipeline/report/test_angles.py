@@ -1,7 +1,8 @@
 """Joint angles in a report: lines with gaps, ranges as words, names that are text."""
 
 import re
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from defusedxml import ElementTree
@@ -9,6 +10,7 @@ from defusedxml import ElementTree
 from pipeline.angles.compute import JointAngles
 from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.angles.ranges import ranges_of_motion
+from pipeline.gait.strides import Stride
 from pipeline.report.angles import PersonAngles, angle_parts
 
 
@@ -68,3 +70,28 @@ def test_an_angle_that_hardly_moves_fills_no_plot() -> None:
     heights = {float(y) for y in re.findall(r"[ML][\d.]+ ([\d.]+)", line.attrib["d"])}
     assert len(heights) == 1
     assert 40.0 < heights.pop() < 80.0
+
+
+def stride(side: Literal["left", "right"], start: float, stop: float, is_steady: bool = True) -> Stride:
+    durations = (0.6, 0.3, 0.36, 0.24, 0.12, 0.0)
+    return Stride(side, 1, start, start + 18, start + 15, stop, 1.2, 0.6, 0.1, *durations, 1.2, 0.0, is_steady, 0.9)
+
+
+def test_people_who_walk_have_plots_over_their_strides() -> None:
+    rows = np.arange(120)
+    knee_deg = 30.0 - 30.0 * np.cos(2 * np.pi * rows / 30.0)
+    walker = person("person-1", {"left_knee_flexion": knee_deg, "right_knee_flexion": knee_deg}, 120)
+    strides = (stride("left", 0, 30), stride("left", 30, 60), stride("left", 60, 75, is_steady=False))
+    (part,) = angle_parts([replace(walker, strides=strides)], frame_rate_hz=30.0)
+    _, over_strides = read(part).iter("svg")
+    assert over_strides.attrib["aria-label"] == "Knee flexion over a stride: left, 2 strides"
+    (path,) = over_strides.iter("path")
+    heights = [float(y) for y in re.findall(r"[ML][\d.]+ ([\d.]+)", path.attrib["d"])]
+    assert len(heights) == 101
+    # Straight at both foot strikes, most bent half-way.
+    assert heights[0] == heights[-1] == max(heights)
+    assert min(heights) == heights[50]
+    (band,) = over_strides.iter("polygon")
+    assert len(band.attrib["points"].split()) == 202
+    (plain,) = angle_parts([walker], frame_rate_hz=30.0)
+    assert len(list(read(plain).iter("svg"))) == 1
