@@ -21,7 +21,7 @@ from pipeline.joints import SIDES
 _LONGEST_STEP_S, _FEWEST_STRIKES = 1.6, 4
 # Share of the stride's way that the hips go with it, at least and at most; height of the hips as a share of the leg.
 _CARRIED, _UPRIGHT = (0.6, 1.5), 0.7
-# Largest turn, and least share of the bout's median speed, of a stride whose figures count.
+# Largest turn of a stride whose figures count, and least share of the bout's median speed; it may last as much longer.
 _STRAIGHT_DEG, _STEADY = 20.0, 0.8
 # Share of the stance, after its start, over which a footprint is the median of the heel's positions.
 _FLAT = (0.1, 0.6)
@@ -129,12 +129,14 @@ def _strides_of(points: BodyPoints, swings: Sequence[Swing], bout: Sequence[Foot
     if not strides:
         return []
     usual_m_s = float(np.median([stride.speed_m_s for stride in strides]))
-    return [_with_steadiness(stride, usual_m_s) for stride in strides]
+    usual_s = float(np.median([stride.duration_s for stride in strides]))
+    return [_with_steadiness(stride, usual_m_s, usual_s) for stride in strides]
 
 
-def _with_steadiness(stride: Stride, usual_m_s: float) -> Stride:
+def _with_steadiness(stride: Stride, usual_m_s: float, usual_s: float) -> Stride:
 
-    is_steady = abs(stride.turn_deg) <= _STRAIGHT_DEG and stride.speed_m_s >= _STEADY * usual_m_s
+    is_slow = stride.speed_m_s < _STEADY * usual_m_s or stride.duration_s > usual_s / _STEADY
+    is_steady = abs(stride.turn_deg) <= _STRAIGHT_DEG and not is_slow
     return replace(stride, is_steady=is_steady)
 
 
