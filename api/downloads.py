@@ -92,11 +92,13 @@ def file_responses(content: dict[str, Any], redirect: str | None = None) -> dict
     return responses
 
 
-def send_file(request: Request, services: Services, file: Download, conditions: Conditions) -> Response:
+def send_file(
+    request: Request, services: Services, file: Download, conditions: Conditions, *, may_redirect: bool = True
+) -> Response:
     """Answer with a file, or with the range of it that the request asks for.
 
-    Attachments may be sent by the artifact store, at a signed address. What a page shows is not: its
-    Content-Security-Policy allows the service's own files only.
+    Attachments may be sent by the artifact store, at a signed address, unless ``may_redirect`` is false. What a page
+    shows is not: its Content-Security-Policy allows the service's own files only.
     """
     etag = f'"{file.sha256}"'
     headers = {
@@ -106,7 +108,7 @@ def send_file(request: Request, services: Services, file: Download, conditions: 
         **disposition_of(file.name, file.disposition),
     }
     # A signed address is valid for GET only, so HEAD is answered here.
-    is_signed = file.disposition == "attachment" and not request.scope["state"].get("by_head")
+    is_signed = may_redirect and file.disposition == "attachment" and not request.scope["state"].get("by_head")
     signed_s = services.settings.signed_downloads_s if is_signed else None
     if signed_s and (address := services.artifacts.signed_url(file.key, signed_s)):
         _require_size(services, file)

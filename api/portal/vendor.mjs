@@ -17,7 +17,7 @@ const FILES = {
   three: [
     ["build/three.core.js", "three/three.core.js"],
     ["build/three.module.js", "three/three.module.js"],
-    ...["controls/OrbitControls.js"].map((name) => [`examples/jsm/${name}`, `three/addons/${name}`]),
+    ...["controls/OrbitControls.js", "loaders/GLTFLoader.js", "utils/BufferGeometryUtils.js", "utils/SkeletonUtils.js"].map((name) => [`examples/jsm/${name}`, `three/addons/${name}`]),
   ],
   "tus-js-client": [["dist/tus.min.js", "tus.min.js"]],
   uplot: [["dist/uPlot.esm.js", "uPlot.esm.js"], ["dist/uPlot.min.css", "uPlot.min.css"]],

@@ -3,7 +3,7 @@
 from collections.abc import Generator, Sequence
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from api.auth import ALL_RESULTS, FileViewDep, JobViewDep
@@ -127,6 +127,13 @@ def get_result(
     services: ServicesDep,
     records: FileViewDep,
     conditions: ConditionsDep,
+    redirect: Annotated[
+        bool,
+        Query(
+            description="False: the service sends the file itself, also where its artifact store could. Pages whose "
+            "Content-Security-Policy allows the service alone need it."
+        ),
+    ] = True,
 ) -> Response:
     """Download a result file: the whole file, or a range, such as the rest of an interrupted download.
 
@@ -138,7 +145,7 @@ def get_result(
     job = records.jobs.get(job_id)
     name = result_name(job.session_name, result.name, result.revision, result.person_name)
     download = Download.of(result, name)
-    return send_file(request, services, download, conditions)
+    return send_file(request, services, download, conditions, may_redirect=redirect)
 
 
 RESOURCE = Resource(router=router, answers=examples.ANSWERS, parameters={"name": _NAME})

@@ -137,11 +137,12 @@ class Live:
         overlays: Mapping[str, bytes] = MappingProxyType({}),
         scenes: Mapping[str, bytes] = MappingProxyType({}),
         names: Mapping[str, str] = MappingProxyType({}),
+        characters: Mapping[str, bytes] = MappingProxyType({}),
     ) -> None:
-        """Finish a job as a worker would; ``motion``, ``overlays`` and ``scenes`` are other files by name.
+        """Finish a job as a worker would; ``motion``, ``overlays``, ``scenes`` and ``characters`` are files by name.
 
-        They are files for viewers, videos, and GLB or FBX files of everybody, or of a person as in ``person-1.glb``;
-        ``names`` are those of people.
+        They are files for viewers, videos, GLB or FBX files of everybody, or of a person as in ``person-1.glb``, and
+        GLB files of characters; ``names`` are those of people.
         """
         revision = self.services.store.jobs.get(job_id).revision
         result = self._put(job_id, "person-1.bvh", "bvh", content, revision)
@@ -153,6 +154,8 @@ class Live:
             replace(scene, media_type="model/gltf-binary", person_name=names.get(scene.person or ""))
             for scene in of_all
         ]
+        moved = [self._put(job_id, name, "character", one, revision) for name, one in characters.items()]
+        files += [replace(character, media_type="model/gltf-binary") for character in moved]
         while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
             results, said, found = (files, warnings, people) if claim.stage == "export" else ([], (), None)
@@ -169,7 +172,8 @@ class Live:
     def _put(self, job_id: str, name: str, kind: str, content: bytes, revision: int) -> Result:
         key, digest = result_key(job_id, name, revision), hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
-        person = name.partition(".")[0] if kind in {"bvh", "fbx", "glb"} and name.startswith("person-") else None
+        is_of_person = kind in {"bvh", "character", "fbx", "glb"} and name.startswith("person-")
+        person = name.partition(".")[0] if is_of_person else None
         return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest, revision)
 
 

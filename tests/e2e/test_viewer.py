@@ -207,10 +207,10 @@ def test_bodies_are_humans_or_capsules(shown: Shown) -> None:
     assert (humans["humans"], humans["capsules"]) == (True, False)
     shown.page.get_by_text("Show", exact=True).click()
     shown.page.get_by_label("Foot contacts").uncheck()
-    shown.page.get_by_label("Bodies as humans").uncheck()
+    shown.page.get_by_label("Bodies as").select_option("capsule")
     capsules = shown.page.evaluate(TRIANGLES)
     assert (capsules["humans"], capsules["capsules"]) == (False, True)
-    shown.page.get_by_label("Bodies as humans").check()
+    shown.page.get_by_label("Bodies as").select_option("human")
     discs = shown.page.evaluate(TRIANGLES)["triangles"] - 3 * NUM_COARSE_TRIANGLES
     assert discs == humans["triangles"] - 3 * NUM_COARSE_TRIANGLES >= 0
     shown.page.get_by_label("Bodies", exact=True).uncheck()

@@ -129,7 +129,7 @@ export class JobMotion extends EventTarget {
     return orAway(async () => {
       const [{ mount, mountPair }, { ApiSource }] = await Promise.all([import("../viewer/mount.js"), import("../viewer/source.js")]);
       const { cameras } = this.session.preflight;
-      const sourceOf = ({ id }) => new ApiSource(id, cameras, addressed);
+      const sourceOf = ({ id, spec }) => new ApiSource(id, cameras, addressed, { hasCharacter: Boolean(spec.character) });
       this.#source = sourceOf(this.job);
       return other === null
         ? mount(this.stage, this.#source)

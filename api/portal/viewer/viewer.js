@@ -8,6 +8,7 @@ import { clocksPanel } from "./panels/clocks.js";
 import { gaitPanel } from "./panels/gait.js";
 import { camerasTable, peopleTable, warningList } from "./panels/figures.js";
 import { Plots } from "./panels/plots.js";
+import { ShapeChoice } from "./panels/shape_choice.js";
 import { Strips } from "./panels/strips.js";
 import { tabs } from "./panels/tabs.js";
 import { transport } from "./panels/transport.js";
@@ -51,6 +52,7 @@ export class Viewer {
    * time line and in the figures. Videos, view and play head stay. The earlier store is not closed.
    */
   replace(store) {
+    const hasNewFiles = store.records !== this.store.records;
     const hidden = new Set(this.description.people.filter((_, person) => !this.shown[person]).map(({ id }) => id));
     const hadFocus = this.element.contains(document.activeElement) && document.activeElement;
     this.#ofStore.abort();
@@ -70,6 +72,7 @@ export class Viewer {
     this.player.setRange(rangeOf([this, this.follower].filter((viewer) => viewer !== null).map((viewer) => viewer.description)));
     this.#show(true);
     this.wall.redraw();
+    if (hasNewFiles) this.shapes.renew();
   }
 
   /** Output frame of this take at the play head; null before its start and after its end. */
@@ -139,6 +142,7 @@ export class Viewer {
     this.#figuresEnd.abort();
     this.player.pause();
     this.unlisten();
+    this.shapes.close();
     this.plots.close();
     this.wall.close();
     this.store.close();
@@ -158,18 +162,20 @@ export class Viewer {
     this.canvas = el("canvas", { class: "look-canvas", tabindex: 0, role: "img", "aria-label": this.#sceneName() });
     const layer = el("div", { class: "look-labels", "aria-hidden": "true" });
     this.status = el("p", { class: "look-status", role: "status" });
-    this.controls = viewControls(this, (options) => this.view?.apply(options));
+    this.shapes = new ShapeChoice(this, source);
+    this.controls = viewControls(this, this.shapes.element, (options) => this.view?.apply(options));
     const draws = graphics().hasWebGL;
     const drawn = draws ? [this.canvas, layer, this.controls.element]
       : [el("p", { class: "look-no-3d" }, "This browser draws no 3D (WebGL 2). The videos, the time line and the figures below work without it.")];
     this.wall = new Wall(this.store, player, source, { onthrough: (number) => this.see(this.seen === number ? null : number), isShown: (person) => this.shown[person] });
     this.#buildFigures();
     this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" },
-      el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.status), this.wall.element),
+      el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.shapes.progress, this.status), this.wall.element),
       this.hasTransport ? transport(player) : null, this.strips.element, this.figures);
     element.replaceChildren(this.element);
     this.view = draws ? new SceneView(this.canvas, layer, this.store) : null;
     this.unlisten = listenToKeys(this);
+    if (draws) this.shapes.renew();
   }
 
   /** Time line and figures of the store's people; `tab` and `kind` of plot are shown first. */

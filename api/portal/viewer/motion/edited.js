@@ -65,6 +65,12 @@ export class EditedStore extends EventTarget {
     return part !== undefined && this.#base.positions(part.source, frame + this.#shift, field, out);
   }
 
+  /** Person, by id, and frame in whose files a person's frame is; null if the person is not here. */
+  filed(person, frame) {
+    const part = this.#partOf(person, frame);
+    return part ? this.#base.filed(part.source, frame + this.#shift) : null;
+  }
+
   /** Stop listening to the other store, which stays open. */
   close() {
     for (const type of ["load", "problem"]) this.#base.removeEventListener(type, this.#forward);

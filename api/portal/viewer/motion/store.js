@@ -73,6 +73,11 @@ export class MotionStore extends EventTarget {
     return true;
   }
 
+  /** Person, by id, and frame in whose files a person's frame is. */
+  filed(person, frame) {
+    return { id: this.description.people[person].id, frame };
+  }
+
   close() {
     this.#closed.abort();
     this.#pieces.clear();

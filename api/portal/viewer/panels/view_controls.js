@@ -4,12 +4,12 @@ import { el } from "../dom.js";
 import { KEYS } from "../keys.js";
 
 const DIRECTIONS = [["Fit", null], ["Top", "top"], ["Front", "front"], ["Side", "side"]];
-const LAYERS = [["body", "Bodies", true], ["human", "Bodies as humans", true], ["skeleton", "Bones", false], ["trails", "Trails", true], ["contacts", "Foot contacts", true], ["cameras", "Cameras", true], ["names", "Names", true]];
+const LAYERS = [["body", "Bodies", true], ["skeleton", "Bones", false], ["trails", "Trails", true], ["contacts", "Foot contacts", true], ["cameras", "Cameras", true], ["names", "Names", true]];
 
-/** `onoptions` is called with what is to be shown whenever that changes. */
-export function viewControls(viewer, onoptions) {
+/** `onoptions` is called with what is to be shown whenever that changes; `shapes` is the choice of what people look like. */
+export function viewControls(viewer, shapes, onoptions) {
   const options = Object.fromEntries(LAYERS.map(([name, , isShown]) => [name, isShown]));
-  const layers = LAYERS.filter(([name]) => name !== "human" || viewer.description.body).map(([name, label]) => {
+  const layers = LAYERS.map(([name, label]) => {
     const box = el("input", { type: "checkbox", checked: options[name], onchange: () => { options[name] = box.checked; onoptions(options); } });
     return el("label", {}, box, ` ${label}`);
   });
@@ -20,7 +20,7 @@ export function viewControls(viewer, onoptions) {
     el("div", { class: "look-bar", role: "group", "aria-label": "View" },
       DIRECTIONS.map(([label, direction]) => el("button", { type: "button", class: "look-button", title: label === "Fit" ? "Fit the view (F)" : null, onclick: () => viewer.fit(direction) }, label)),
       seen),
-    el("div", { class: "look-bar" }, menu("Show", layers), menu("Keys", keys())));
+    el("div", { class: "look-bar" }, menu("Show", [layers[0], shapes, ...layers.slice(1)]), menu("Keys", keys())));
   return { element, showSeen: (number) => { seen.value = number === null ? "" : String(number); } };
 }
 

@@ -1,4 +1,4 @@
-// People in 3D: bodies of humans or capsules, skeletons of lines, trails and contacts of feet. One draw call for each.
+// People in 3D: bodies of humans, capsules or characters, skeletons of lines, trails and contacts of feet. One draw call for each.
 
 import * as THREE from "../../vendor/three/three.module.js";
 import { standing } from "../motion/kinematics.js";
@@ -30,9 +30,10 @@ export class PeopleFigures {
   #to = new THREE.Vector3();
   #scale = new THREE.Vector3();
 
-  constructor(stage, store) {
+  /** `characters` are the `CharacterFigures` of the stage. */
+  constructor(stage, store, characters) {
     const { skeleton, people, body, joint_names: marks } = store.description;
-    Object.assign(this, { stage });
+    Object.assign(this, { stage, characters });
     this.#store = store;
     this.#people = people.map((person) => ({ ...person, tint: new THREE.Color(person.color), isShown: true }));
     this.#bones = skeleton.parents
@@ -46,7 +47,7 @@ export class PeopleFigures {
     this.joints = Object.fromEntries(skeleton.names.map((name, number) => [name, number]));
     // Where the people are: names are shown there.
     this.anchors = people.map(() => new THREE.Vector3(NaN, NaN, NaN));
-    this.options = { body: true, human: true, skeleton: false, trails: true, contacts: true };
+    this.options = { body: true, shape: "human", skeleton: false, trails: true, contacts: true };
     this.#build();
   }
 
@@ -57,21 +58,24 @@ export class PeopleFigures {
 
   /** Put everybody where they are in a frame. */
   show(frame) {
-    const { body, human, skeleton, contacts } = this.options;
-    const isHuman = human && this.humans !== null;
+    const { body, shape, skeleton, contacts } = this.options;
+    const isHuman = shape === "human" && this.humans !== null;
+    const isCapsule = shape === "capsule" || (shape === "human" && !isHuman);
     let segment = 0;
+    this.characters.hide();
     this.#people.forEach((person, number) => {
       const isHere = person.isShown && this.#store.positions(number, frame, "skeleton", this.#positions);
       this.#anchor(number, isHere);
-      this.#showCapsules(number, isHere && body && !isHuman);
+      this.#showCapsules(number, isHere && body && isCapsule);
       this.#showHuman(number, isHere && body && isHuman, frame);
+      if (isHere && body && shape === "character") this.#showCharacter(number, frame);
       if (isHere && skeleton) segment = this.#addLines(segment, person.tint);
       this.#showContacts(number, person, isHere && contacts, frame);
     });
     this.lines.geometry.setDrawRange(0, 2 * segment);
     for (const name of ["position", "color"]) this.lines.geometry.getAttribute(name).needsUpdate = true;
     for (const mesh of [this.capsules, this.discs]) mesh.instanceMatrix.needsUpdate = true;
-    this.capsules.visible = body && !isHuman;
+    this.capsules.visible = body && isCapsule;
     this.humans?.update(body && isHuman);
     this.#showTrails(frame);
     this.stage.invalidate();
@@ -131,6 +135,11 @@ export class PeopleFigures {
   #showHuman(number, isShown, frame) {
     if (isShown && this.#store.positions(number, frame, "joints", this.#marks)) this.humans.show(number, this.#positions, this.#marks);
     else this.humans?.hide(number);
+  }
+
+  #showCharacter(number, frame) {
+    const filed = this.#store.filed(number, frame);
+    if (filed !== null) this.characters.show(filed.id, filed.frame / this.#store.description.frame_rate_hz);
   }
 
   #showCapsules(number, isShown) {

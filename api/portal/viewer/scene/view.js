@@ -1,6 +1,7 @@
 // The 3D view as a whole: ground, cameras, people and names.
 
 import * as THREE from "../../vendor/three/three.module.js";
+import { CharacterFigures } from "./characters.js";
 import { Labels } from "./labels.js";
 import { PeopleFigures } from "./people.js";
 import { CameraFrustums } from "./rig.js";
@@ -24,6 +25,7 @@ export class SceneView {
     this.seen = null;
     this.stage = new Canvas3D(canvas, description.floor);
     this.rig = new CameraFrustums(this.stage, description.cameras);
+    this.characters = new CharacterFigures(this.stage, description.origin_m ?? [0, 0, 0]);
     this.labels = new Labels(this.stage, layer);
     this.#add(store);
     this.cameraNames = description.cameras.map(({ name }, number) => this.labels.add(name, this.rig.centers[number], { kind: "camera" }));
@@ -39,7 +41,7 @@ export class SceneView {
   }
 
   #add(store) {
-    this.people = new PeopleFigures(this.stage, store);
+    this.people = new PeopleFigures(this.stage, store, this.characters);
     this.names = store.description.people.map(({ name, color }, number) => this.labels.add(name, this.people.anchors[number], { color, kind: "person" }));
   }
 
@@ -83,6 +85,12 @@ export class SceneView {
     this.show(this.#frame);
   }
 
+  /** Show people as `human`, `capsule` or `character`, whose files are loaded; humans are capsules where there are none. */
+  showAs(shape) {
+    this.people.options.shape = shape;
+    this.show(this.#frame);
+  }
+
   setShown(person, isShown) {
     this.names[person].isShown = isShown;
     this.people.setShown(person, isShown);
@@ -95,6 +103,7 @@ export class SceneView {
   }
 
   close() {
+    this.characters.clear();
     this.stage.close();
   }
 
