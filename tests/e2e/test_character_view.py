@@ -238,7 +238,7 @@ def test_the_mesh_is_where_its_file_says_and_vanishes_with_the_person(page: Page
     page.on("request", note)
     mount(page, walking.job_id)
     expect(page.get_by_label("Bodies as").locator("option")).to_have_text(
-        ["Humans", "Capsules", re.compile(r"My character \(up to \d+\.\d MiB\)")]
+        ["Humans", "Capsules", re.compile(r"My character \(up to \d+\.\d MB\)")]
     )
     assert not any(".character." in url or "GLTFLoader" in url for url in asked)  # nothing before it is chosen
     choose_character(page)

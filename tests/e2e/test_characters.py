@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Page, Response, expect
 
 from pipeline.character.gltf_reader import decode_character
 from pipeline.simulation.scenes import record
-from tests.e2e.browsing import axe_findings, opened
+from tests.e2e.browsing import axe_findings, opened, opened_by_a_stranger
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import files
 from tests.pipeline.character.characters import bones_of, character
@@ -46,12 +46,37 @@ def test_a_stored_character_moves_as_everybody(served: Served, take: Path) -> No
     described = served.client.get(f"/v1/jobs/{job_id}/results/character.json").json()
     assert (described["file"], described["missing"]) == ("robot.glb", ["LeftToeBase"])
     served.client.delete(made["links"]["self"]).raise_for_status()
+    link = served.client.post(f"/v1/jobs/{job_id}/links", json={"scope": "job"}).raise_for_status().json()
     edits = [{"action": "rename", "person": 1, "name": "Anna"}]
-    served.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": edits}).raise_for_status()
+    with opened(f"{served.client.base_url}#/jobs/{job_id}") as page:
+        show_character(page)
+        with opened_by_a_stranger(page, str(served.client.base_url).rstrip("/") + link["url"]) as other:
+            show_character(other)
+        # New files of the job: the character is loaded from them.
+        with page.expect_response(is_part_of_character, timeout=180_000):
+            served.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": edits}).raise_for_status()
+        expect(page.locator(".look-label-person", has_text="Anna")).to_be_visible(timeout=180_000)
+        expect(page.get_by_label("Loading the character")).to_be_hidden()
+        expect(page.get_by_label("Bodies as")).to_have_value("character")
     job = served.wait_for_end(job_id)
     assert job["state"] == "succeeded", job["error"]
     described = served.client.get(f"/v1/jobs/{job_id}/results/character.json").json()
     assert "Anna" in [person["name"] for person in described["people"]]
+
+
+def show_character(page: Page) -> None:
+    """Choose the job's character in the viewer of an opened page."""
+    expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
+    page.get_by_text("Show", exact=True).click()
+    expect(page.get_by_label("Bodies as").locator("[value=character]")).to_be_attached()
+    with page.expect_response(is_part_of_character):
+        page.get_by_label("Bodies as").select_option("character")
+    expect(page.locator(".look-status")).to_be_empty(timeout=180_000)
+    expect(page.get_by_label("Bodies as")).to_have_value("character")
+
+
+def is_part_of_character(answer: Response) -> bool:
+    return "/person-1.character.glb?redirect=false" in answer.url and answer.status == 206
 
 
 def test_the_form_takes_a_character_and_corrects_its_bones(served: Served, take: Path, tmp_path: Path) -> None:

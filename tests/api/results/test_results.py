@@ -269,6 +269,9 @@ def test_signed_downloads(make_settings: Callable[..., Settings], monkeypatch: p
             path = f"/v1/jobs/{job_id}/results/person-1.bvh"
             sent = live.client.get(path)
             assert (sent.status_code, httpx2.get(sent.headers["location"], trust_env=False).content) == (307, RESULT)
+            # A page may ask the service alone.
+            own = live.client.get(path, params={"redirect": "false"}, headers={"Range": "bytes=3-5"})
+            assert (own.status_code, own.content) == (206, RESULT[3:6])
             # The signature is valid for GET only: the store would refuse HEAD.
             headed = live.client.head(path)
             assert (headed.status_code, headed.headers["etag"]) == (200, ETAG)

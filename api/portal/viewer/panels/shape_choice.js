@@ -3,7 +3,7 @@
 import { el } from "../dom.js";
 
 const LABELS = { human: "Humans", capsule: "Capsules", character: "My character" };
-const MIB = 2 ** 20;
+const MB = 1e6;
 
 export class ShapeChoice {
   #viewer;
@@ -78,7 +78,7 @@ export class ShapeChoice {
     this.#files = files;
     this.select.querySelector("[value=character]")?.remove();
     const numBytes = files.reduce((sum, file) => sum + file.numBytes, 0);
-    const size = `${numBytes < 10 * MIB ? (numBytes / MIB).toFixed(1) : Math.round(numBytes / MIB)} MiB`;
+    const size = `${(numBytes / MB).toFixed(1)} MB`;
     // The mesh is read once, though each file has it.
     if (files.length > 0) this.select.append(el("option", { value: "character" }, `${LABELS.character} (${files.length > 1 ? "up to " : ""}${size})`));
     this.#showState(false);

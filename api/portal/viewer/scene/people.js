@@ -77,6 +77,8 @@ export class PeopleFigures {
     for (const mesh of [this.capsules, this.discs]) mesh.instanceMatrix.needsUpdate = true;
     this.capsules.visible = body && isCapsule;
     this.humans?.update(body && isHuman);
+    // Over a character, for comparison: it may be thicker, or built otherwise, than the person.
+    this.lines.material.depthTest = shape !== "character";
     this.#showTrails(frame);
     this.stage.invalidate();
   }
@@ -117,6 +119,7 @@ export class PeopleFigures {
       for (let foot = 0; foot < FEET.length; foot++) this.discs.setColorAt(number * FEET.length + foot, tint);
     });
     this.lines = colouredLines(numPeople * numBones);
+    this.lines.renderOrder = 1;
     this.trails = colouredLines(numPeople * TRAILED.length * TRAIL_STEPS);
     for (const mesh of [this.capsules, this.discs, this.lines, this.trails]) {
       mesh.frustumCulled = false; // bounds of what moves would have to be computed for each frame

@@ -199,6 +199,8 @@ test("people of edits are put together from those of the files", async () => {
   assert.deepEqual(firstJoint(store, 2, 35), firstJoint(base, 1, 35));
   assert.deepEqual(firstJoint(store, 1, 35), firstJoint(base, 0, 35));
   assert.equal(firstJoint(store, 0, 20), null);
+  // Files of a character are those of the people as they were.
+  assert.deepEqual([[2, 34], [2, 35], [1, 35], [0, 20]].map(([person, frame]) => store.filed(person, frame)), [{ id: 1, frame: 34 }, { id: 4, frame: 35 }, { id: 1, frame: 35 }, null]);
   // What is known with the new files only is not claimed; strips are those of the frames.
   assert.equal(people[2].coverage, null);
   const strips = decodeStrips(store.description, 2);
@@ -213,6 +215,7 @@ test("people of edits are put together from those of the files", async () => {
 test("a cut numbers the frames anew, and people outside of it are gone", async () => {
   const [store, base] = await edited(peopleOf([[1, "person-1", piece(1, 0, 40)], [4, "person-4", piece(4, 30, 90)]], [50, 80]));
   assert.deepEqual([store.description.num_frames, store.description.first_frame], [30, 50]);
+  assert.deepEqual(store.filed(0, 0), { id: 4, frame: 50 });
   assert.equal(store.description.start_time_s, description.start_time_s + 50 / description.frame_rate_hz);
   assert.deepEqual(store.description.people.map(({ id, start_frame: start, num_frames: count }) => [id, start, count]), [[4, 0, 30]]);
   assert.deepEqual(firstJoint(store, 0, 3), firstJoint(base, 1, 53));

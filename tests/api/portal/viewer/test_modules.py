@@ -13,6 +13,9 @@ from pipeline.angles.compute import joint_angles, observable_angles
 from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.body import installed
 from pipeline.body.shape import shape_body
+from pipeline.character.retarget import retarget
+from pipeline.character.writers import character_glb
+from pipeline.character.writers.posed import PosedCharacter
 from pipeline.data.cameras import Camera, LensModel
 from pipeline.data.people import Doubt
 from pipeline.data.rigid import Rigid3
@@ -24,6 +27,8 @@ from pipeline.quality.views import views_of
 from pipeline.skeleton.model import forward_kinematics, joint_pose, skeleton_of
 from tests.api.portal.node import run_by_node
 from tests.pipeline.body.conftest import in_pose
+from tests.pipeline.character.takes import take_of
+from tests.pipeline.character.test_retarget import figure
 from tests.pipeline.export.viewer.takes import FOOTAGE, take
 from tests.pipeline.export.writers.test_bvh import walk
 from tests.pipeline.media import add_sound, write_video
@@ -171,6 +176,36 @@ def bodies(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
     (folder / "bodies.json").write_text(json.dumps(cases), encoding="utf-8")
     return folder
+
+
+@pytest.fixture(scope="module")
+def character(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """File of a character who walks, from before the walk until after it, far from the world's origin."""
+    folder = tmp_path_factory.mktemp("character")
+    animation = take_of("walk", "feet", 2.0)
+    source = replace(animation.motions[0], start_frame=10)
+    frames = range(7, source.frames.stop + 2)
+    is_present = np.isin(frames, source.frames)
+    motion = retarget(source, figure("mixamo"), animation.floor)
+    posed = PosedCharacter(motion, "Ana", frames, is_present, np.array([100.0, -50.0, 0.0]))
+    (folder / "character.glb").write_bytes(b"".join(character_glb.encode(posed)))
+    held = posed.held()
+    expected = {
+        "start_frame": 7,
+        "rate_hz": source.frame_rate_hz,
+        "scale": motion.scale,
+        "present": [10, source.frames.stop],
+        "hips": posed.hips,
+        "places": held.hips_translations().tolist(),
+        "turning": posed.turning(),
+        "quaternions": held.quaternions(posed.turning()[-1]).tolist(),
+    }
+    (folder / "expected.json").write_text(json.dumps(expected), encoding="utf-8")
+    return folder
+
+
+def test_characters_are_read_from_their_files(character: Path) -> None:
+    run_by_node(HERE / "character.test.mjs", character)
 
 
 def test_bodies_follow_positions_as_they_follow_rotations(bodies: Path) -> None:
