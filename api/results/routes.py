@@ -116,7 +116,7 @@ def _require_whole(services: Services, results: Sequence[Result]) -> None:
     operation_id="getResult",
     summary="Download a result file",
     response_class=Response,
-    responses={**file_responses(_FILE, f"jobs/{JOB_ID}/results/{_NAME}"), **problems(404, 409, 410, 416)},
+    responses={**file_responses(_FILE, f"jobs/{JOB_ID}/results/{_NAME}"), **problems(404, 409, 410, 416, 422)},
 )
 def get_result(
     job_id: JobId,

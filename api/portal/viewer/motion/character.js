@@ -9,7 +9,7 @@ const FLOAT_BYTES = Float32Array.BYTES_PER_ELEMENT;
 const DRACO = "KHR_draco_mesh_compression";
 
 /**
- * Read what a file describes, without its meshes and its keys; returns a promise of its `CharacterMotion`.
+ * Read what a file describes, without its meshes and its keys; returns a promise of its `CharacterKeys`.
  *
  * `file` is one of a source's `characters()`. The promise is rejected if the file can't be read or is no such file.
  */
@@ -19,7 +19,7 @@ export async function readCharacter(file, signal) {
   if (end > head.byteLength) head = await file.read(0, end, { signal });
   try {
     const document = JSON.parse(new TextDecoder().decode(new Uint8Array(head, CHUNK_START, end - CHUNK_START)));
-    return new CharacterMotion(file, document, end + CHUNK_HEAD_BYTES);
+    return new CharacterKeys(file, document, end + CHUNK_HEAD_BYTES);
   } catch {
     throw damaged(file);
   }
@@ -38,7 +38,7 @@ function damaged({ name }) {
 }
 
 /** Motion of one person's character: `channels` are `{ node, path, values }`, a row of values for each frame of the file. */
-export class CharacterMotion {
+export class CharacterKeys {
   channels = [];
   #present;
   #numRows;

@@ -38,7 +38,7 @@ export class CharacterFigures {
       for (const motion of isNew ? others : motions) motion.fill(await read(motion.file, motion.range));
       const { clone } = await import("../../vendor/three/addons/utils/SkeletonUtils.js");
       signal.throwIfAborted();
-      this.#replace(model, motions.map((motion) => new CharacterFigure(clone(model.scene), motion, this.#origin)));
+      this.#replace(model, motions.map((motion) => new ShownCharacter(clone(model.scene), motion, this.#origin)));
     } catch (error) {
       if (isNew) release(model.scene);
       throw error;
@@ -77,7 +77,7 @@ export class CharacterFigures {
 }
 
 /** Character of one person. */
-class CharacterFigure {
+class ShownCharacter {
   #channels;
   #next = new THREE.Vector3();
   #turn = new THREE.Quaternion();
