@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import Page, Request, Route, expect
 
 from pipeline.body import installed
+from pipeline.character.fbx.reader import decode_fbx_character
 from pipeline.character.figure import CharacterFigure, measure
 from pipeline.character.files import write_character_files
 from pipeline.character.gltf_reader import decode_character
@@ -24,6 +25,7 @@ from tests.api.conftest import Live, running
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of
 from tests.pipeline.character.characters import bones_of, character, glb, parts, vrm
+from tests.pipeline.character.fbx.fbx_characters import fbx_of
 
 NUM_FRAMES, RATE_HZ = 60, 25.0
 PRESENT = range(10, 50)
@@ -167,10 +169,13 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
         yield service
 
 
-def moved(live: Live, folder: Path, content: bytes, rate_hz: float | None = None, *, is_far: bool = False) -> Moved:
+def moved(
+    live: Live, folder: Path, content: bytes | CharacterFigure, rate_hz: float | None = None, *, is_far: bool = False
+) -> Moved:
     installed.install()
     scene = take(FAR_M if is_far else np.zeros(3))
-    for _ in write_character_files(scene, figure_of("a.glb", content), folder, frame_rate_hz=rate_hz):
+    figure = figure_of("a.glb", content) if isinstance(content, bytes) else content
+    for _ in write_character_files(scene, figure, folder, frame_rate_hz=rate_hz):
         pass
     files = {path.name: path.read_bytes() for path in folder.glob("*.glb")}
     job_id = live.job_id()
@@ -306,6 +311,19 @@ def test_other_rigs_rates_and_places(page: Page, live: Live, is_far: bool, tmp_p
         distances = furthest_mm(page, job, frame, {1: rate * frame, 2: rate * frame})
         assert len(distances) == 4
         assert max(distance or 1e9 for distance in distances) < 1.0, (frame, distances)
+
+
+def test_a_character_from_fbx_is_shown(page: Page, live: Live, tmp_path: Path) -> None:
+    file = decode_fbx_character("a.fbx", fbx_of(figure_of("a.glb", vrm("1.0")).file, unit_cm=100.0))
+    figure = measure(file, map_bones(file, figure_of("a.glb", vrm("1.0")).mapping.bones))
+    job = moved(live, tmp_path, figure)
+    mount(page, job.job_id)
+    choose_character(page)
+    for number, person in enumerate(page.evaluate(PLACES, 30), 1):
+        names = tuple(person["bones"])
+        assert len(names) > 40
+        off_m = np.array(list(person["bones"].values())) - job.places_m(number, names)[30]
+        assert np.linalg.norm(off_m, axis=-1).max() < 1e-3
 
 
 def is_of_second(path: Path) -> bool:
