@@ -184,17 +184,23 @@ def _dips(
             down, up = start + rests[0][0], start + rests[-1][1]
             if start > 0:
                 movements.append(
-                    BodyMovement("stand_to_sit", start, down, (down - start) / rate_hz, measured, depth_m=depth_m)
+                    BodyMovement(
+                        "stand_to_sit", float(start), float(down), (down - start) / rate_hz, measured, depth_m=depth_m
+                    )
                 )
             if stop < points.num_frames:
                 movements.append(
-                    BodyMovement("sit_to_stand", up, stop, (stop - up) / rate_hz, measured, depth_m=depth_m)
+                    BodyMovement(
+                        "sit_to_stand", float(up), float(stop), (stop - up) / rate_hz, measured, depth_m=depth_m
+                    )
                 )
             continue
         is_whole = start > 0 and stop < points.num_frames
         lasts = _SQUAT_S[0] <= (stop - start) / rate_hz <= _SQUAT_S[1]
         if is_whole and lasts and not _is_of_jump(start, stop, jumps, rate_hz):
-            movements.append(BodyMovement("squat", start, stop, (stop - start) / rate_hz, measured, depth_m=depth_m))
+            movements.append(
+                BodyMovement("squat", float(start), float(stop), (stop - start) / rate_hz, measured, depth_m=depth_m)
+            )
     return movements
 
 

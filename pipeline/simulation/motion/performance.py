@@ -127,7 +127,7 @@ def segments_at(
 
 
 def _at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> SimulatedPerson:
-    """Person with pose, presence, feet and hands at given times in place of the grid's."""
+    """Person with pose, presence, feet and hands at given times in place of the grid's, without steps and hops."""
     row = np.clip(time_s * GRID_HZ, 0, len(person.present) - 1)
     lower = np.minimum(row.astype(int), len(person.present) - 2)
     share = row - lower
@@ -145,6 +145,8 @@ def _at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> Simulat
         person,
         pose=Pose(*(between(getattr(person.pose, field.name)) for field in fields(Pose))),
         present=person.present[lower] & person.present[lower + 1],
+        steps=None,
+        hop_m=None,
         feet=feet,
         hands=hands,
     )
