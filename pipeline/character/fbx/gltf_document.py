@@ -12,6 +12,8 @@ Rgb = tuple[float, float, float]
 
 _ALIGNMENT = 4
 _COMPONENTS = {"<f4": 5126, "<u2": 5123, "<u4": 5125}
+# Targets of views: attributes of vertices, and indices of triangles.
+_ATTRIBUTES, _INDICES = 34962, 34963
 _ROUGHNESS = 0.8
 
 
@@ -83,7 +85,8 @@ class GltfBuilder:
 
     def _accessor(self, kind: str, rows: Shaped[np.ndarray, "rows columns"], **bounds: list[float]) -> int:
         content = np.ascontiguousarray(rows).tobytes()
-        self._views.append({"buffer": 0, "byteOffset": self._num_bytes, "byteLength": len(content)})
+        use = {} if kind == "MAT4" else {"target": _INDICES if kind == "SCALAR" else _ATTRIBUTES}
+        self._views.append({"buffer": 0, "byteOffset": self._num_bytes, "byteLength": len(content), **use})
         padded = content + bytes(-len(content) % _ALIGNMENT)
         self._pieces.append(padded)
         self._num_bytes += len(padded)

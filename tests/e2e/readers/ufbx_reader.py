@@ -14,13 +14,14 @@ import numpy as np
 import pufbx
 
 
-def matrices(places: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
-    """Transforms (frames, 4, 4) of places and rotations."""
+def matrices(places: np.ndarray, quat_xyzw: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """Transforms (frames, 4, 4) of places, rotations and scales."""
     x, y, z, w = quat_xyzw.T
     transforms = np.tile(np.eye(4), (len(places), 1, 1))
     transforms[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1)
     transforms[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1)
     transforms[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1)
+    transforms[:, :3, :3] *= scales[:, None]
     transforms[:, :3, 3] = places
     return transforms
 
@@ -42,9 +43,10 @@ def read(path: str) -> dict[str, Any]:
         if channels is None:
             place = [still.translation.x, still.translation.y, still.translation.z]
             turn = [still.rotation.x, still.rotation.y, still.rotation.z, still.rotation.w]
-            channels = np.tile([*place, *turn, 1.0, 1.0, 1.0], (len(keys), 1))
+            scales = [still.scale.x, still.scale.y, still.scale.z]
+            channels = np.tile([*place, *turn, *scales], (len(keys), 1))
         parent = file_from_node[node.parent.name] if node.parent is not None else np.eye(4)
-        file_from_node[node.name] = parent @ matrices(channels[:, :3], channels[:, 3:7])
+        file_from_node[node.name] = parent @ matrices(channels[:, :3], channels[:, 3:7], channels[:, 7:])
         if node.bone is not None:
             found[node.name] = file_from_node[node.name][:, :3, 3]
     return {

@@ -223,7 +223,9 @@ def test_files_in_motion_are_valid(tmp_path: Path) -> None:
     path = tmp_path / "a.glb"
     path.write_bytes(b"".join(character_glb.encode(content)))
     issues = validate_with_khronos([path])[path]
-    assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
+    # Places in pictures are of no use without pictures, as the validator remarks.
+    counts = [issues[f"num{kind}"] for kind in ("Errors", "Warnings", "Hints")]
+    assert counts == [0, 0, 0], issues["messages"]
     names = tuple(file.rig.names[node] for node in content.bones())
     places_m = np.concatenate(list(character_glb.read_xyz(path, names)))
     np.testing.assert_allclose(places_m, bone_places(content, content.bones(), content.frames), atol=1e-4)
