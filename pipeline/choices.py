@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from pipeline.problem_codes.model import Code
-
 
 @dataclass(frozen=True, slots=True)
 class Value:
@@ -30,14 +28,6 @@ class Network(Value):
 
 
 @dataclass(frozen=True, slots=True)
-class FrameLimit:
-    """Largest number of frames of a file, and the code of a longer take."""
-
-    max_frames: int
-    code: Code
-
-
-@dataclass(frozen=True, slots=True)
 class OptionalPackage:
     """Package that a part of Multicap needs, and that is not always installed."""
 
@@ -53,7 +43,6 @@ class FileFormat(Value):
     media_type: str  # RFC 6838, as the service sends it
     # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles
     holds: Literal["motion", "joints", "angles"]
-    limit: FrameLimit | None = None
     has_body: bool = False  # Whether it holds a body that follows the skeleton
     has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset
     ending: str | None = None  # Ending of the names of files, without the dot; ``None``: the format's name

@@ -13,7 +13,6 @@ from typing import Annotated, Literal, cast, get_args
 from pipeline.choices import (
     About,
     FileFormat,
-    FrameLimit,
     Network,
     OptionalPackage,
     OtherNames,
@@ -23,7 +22,6 @@ from pipeline.choices import (
 )
 from pipeline.edits import PeopleEdit
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
-from pipeline.problem_codes.specs import TOO_LONG_FOR_C3D
 
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
@@ -129,9 +127,7 @@ Export = (
     | Annotated[Literal["vrma"], FileFormat("VRMA, animation for VRM characters", "model/gltf-binary", "motion")]
     | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
     # The header counts frames in 16 bits, and readers take no longer files.
-    | Annotated[
-        Literal["c3d"], FileFormat("C3D, joints", _BYTES, "joints", limit=FrameLimit(2**16 - 1, TOO_LONG_FOR_C3D))
-    ]
+    | Annotated[Literal["c3d"], FileFormat("C3D, joints and segments", _BYTES, "joints")]
     | Annotated[Literal["csv"], FileFormat("CSV, joints in a table", _CSV, "joints")]
     | Annotated[Literal["angles"], FileFormat("CSV, joint angles in a table", _CSV, "angles", ending="angles.csv")]
     | Annotated[Literal["mot"], FileFormat("MOT, joint angles for OpenSim", _TEXT, "angles")]

@@ -124,12 +124,6 @@ def file_problems(
         message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written."
         hint = "Ask for a lower rate, or for fewer frames by frame_range."
         yield Problem(TOO_MANY_FRAMES, message, field="output_rate_hz", hint=hint)
-    for export, form in FILE_FORMATS.items():
-        if export in exports and form.limit is not None and num_frames > form.limit.max_frames:
-            message = f"A {export.upper()} file holds {form.limit.max_frames} frames at most; these are {num_frames}."
-            others = [name for name, other in FILE_FORMATS.items() if other.holds == form.holds and not other.limit]
-            hint = f"Use {' or '.join(others)}, which have no such limit."
-            yield Problem(form.limit.code, message, field="exports", hint=hint)
 
 
 def format_problems(exports: Collection[Export], installed: Collection[str]) -> Iterator[Problem]:

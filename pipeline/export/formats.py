@@ -133,7 +133,13 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
         ),
         "c3d": Format(
             lambda person: c3d_file.encode(
-                person.track, person.joints, person.timebase, person.origin_m, person.frames, _events(person)
+                person.track,
+                person.joints,
+                person.timebase,
+                person.origin_m,
+                person.frames,
+                _events(person),
+                person.motion,
             ),
             lambda path, _: c3d_file.read_xyz_m(path),
             has_origin=True,

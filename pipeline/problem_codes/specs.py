@@ -10,9 +10,6 @@ FRAME_RANGE = SPECS.code(
     "frame_range", _SPEC, "The session does not have these output frames.", "Use frames of the session."
 )
 CUTOFF_RANGE = SPECS.code("cutoff_range", _SPEC, "The cutoff is not below half of the frame rate.", "Use 6 Hz.")
-TOO_LONG_FOR_C3D = SPECS.code(
-    "too_long_for_c3d", _SPEC, "A C3D file holds at most 65,535 frames.", "Use `trc` or `csv`."
-)
 FORMAT_NOT_INSTALLED = SPECS.code(
     "format_not_installed",
     _SPEC,

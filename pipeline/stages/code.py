@@ -21,7 +21,6 @@ from pipeline.stages.plan import STAGES
 
 LIBRARIES = (
     "av",
-    "ezc3d",
     "llvmlite",
     "numba",
     "numpy",

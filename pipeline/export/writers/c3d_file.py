@@ -1,35 +1,57 @@
-"""C3D files: positions of a person's joints as points, in millimetres and world axes (Z up).
+"""C3D files: positions of a person's joints as points, in millimetres and world axes (Z up), and poses of segments.
 
 A joint that is unknown in a frame is invalid there (residual -1); so are all joints in frames before and after the
-track. Numbers have single precision: if the world's origin is far away, the parameter ``WORLD:ORIGIN_M`` has the world
-position in metres that positions are relative to.
+track. The residual of a measured joint is its standard deviation; it is 0 where the position was filled in. The camera
+mask has a bit for each camera that saw the joint, up to seven: how many did, not which. Numbers have single precision:
+if the world's origin is far away, the parameter ``WORLD:ORIGIN_M`` has the world position in metres that positions are
+relative to.
+
+Poses of segments are 4 x 4 matrices in the group ``ROTATION``, as Theia3D writes and Visual3D reads them: 16 numbers by
+columns, places in millimetres, and a reliability: 1, 0 where a landmark of the segment was not seen, -1 where the
+person is not there. The format can state a place in the first 32 MiB for them; in longer files they are left out.
 
 Foot strikes and foot offs of gait, and flights of jumps, are in the group ``EVENT``, in the words of Vicon and
 Visual3D: labels ``Foot Strike`` and ``Foot Off`` with the contexts ``Left`` and ``Right``. There is no group without
 events. Times are from the file's first frame on, in minutes and seconds.
+
+Takes of more than 65,535 frames have their number of frames in ``TRIAL:ACTUAL_END_FIELD`` and ``POINT:LONG_FRAMES``.
 """
 
-import tempfile
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
-import ezc3d
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
-from pipeline.data.people import Track3D
+from pipeline.data.people import Source, Track3D
 from pipeline.export.timelines import unknown_outside
+from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.writers.c3d_parameters import (
+    BLOCK_BYTES,
+    MAX_BLOCKS,
+    C3dHeader,
+    Groups,
+    Value,
+    header_bytes,
+    parameter_bytes,
+    read_header,
+    read_numbers,
+)
+from pipeline.export.writers.c3d_segments import SEGMENT_LABELS, segment_poses, segment_reliability
 from pipeline.gait.analysis import MarkedEvent
 from pipeline.joints import JointSet
 
 _MM_PER_M = 1000.0
-_PIECE_BYTES = 2**18
-# Group and name of the parameter with the world position of the file's origin, in metres.
-_ORIGIN = ("WORLD", "ORIGIN_M")
 _SECONDS_PER_MINUTE = 60.0
 _SUBJECT = "person"
+# Millimetres that a step of the residual's byte stands for.
+_RESIDUAL_MM = 0.2
+_MAX_BYTE, _MAX_CAMERAS, _MASK_SHIFT = 255, 7, 8
+# Events that the blocks of parameters hold beside the rest.
+_MAX_EVENTS = 2000
+_POINT_BYTES, _ROTATION_NUMBERS = 16, 17
 
 
 def encode(
@@ -39,43 +61,155 @@ def encode(
     origin_m: Float[np.ndarray, " 3"],
     frames: range | None = None,
     events: Sequence[MarkedEvent] = (),
+    motion: SkeletonMotion | None = None,
 ) -> Iterator[bytes]:
     """Write a track's positions as C3D, piece by piece.
 
-    ``origin_m`` is the world position of the file's origin. ``frames`` are the output frames of the file, ``None``
-    those of the track. ``events`` are those of the person.
+    Parameters
+    ----------
+    origin_m
+        World position of the file's origin.
+    frames
+        Output frames of the file; ``None``: those of the track.
+    events
+        Events of the person; of more than 2,000 the first ones are written.
+    motion
+        Motion of the skeleton in the track's frames, for the poses of segments; ``None``: the file has none.
     """
     frames = track.frames if frames is None else frames
-    xyz_m = unknown_outside(track.xyz_m, track.frames, frames)
-    content = ezc3d.c3d()
-    point = content["parameters"]["POINT"]
-    point["RATE"]["value"] = [timebase.frame_rate_hz]
-    point["LABELS"]["value"] = list(joints.names)
-    point["UNITS"]["value"] = ["mm"]
-    position_mm = np.moveaxis(xyz_m - origin_m, 0, -1).swapaxes(0, 1) * _MM_PER_M
-    content["data"]["points"] = np.concatenate([position_mm, np.ones((1, *position_mm.shape[1:]))])
-    unknown = np.isnan(position_mm).any(0, keepdims=True)
-    content["data"]["meta_points"]["residuals"] = np.where(unknown, -1.0, 0.0)
-    if origin_m.any():
-        content.add_parameter(*_ORIGIN, origin_m.tolist())
-    if events:
-        times_s = np.array([event.frame - frames.start for event in events]) / timebase.frame_rate_hz
-        content.add_parameter("EVENT", "USED", [len(events)])
-        content.add_parameter("EVENT", "CONTEXTS", [event.context for event in events])
-        content.add_parameter("EVENT", "LABELS", [event.label for event in events])
-        content.add_parameter("EVENT", "SUBJECTS", [_SUBJECT] * len(events))
-        content.add_parameter("EVENT", "TIMES", np.stack(np.divmod(times_s, _SECONDS_PER_MINUTE)))
-    # ezc3d can only write to a path.
-    with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
-        path = Path(folder) / "person.c3d"
-        content.write(str(path))
-        with path.open("rb") as file:
-            yield from iter(partial(file.read, _PIECE_BYTES), b"")
+    num_point_blocks = _num_blocks(len(frames) * len(joints.names) * _POINT_BYTES)
+
+    def groups_at(first_block: int) -> Groups:
+        rotations = first_block + num_point_blocks if motion is not None else None
+        return _groups(joints, timebase, origin_m, frames, events[:_MAX_EVENTS], first_block, rotations)
+
+    # Numbers of blocks have a fixed length: the parameters are as long as they were without them.
+    first_block = 2 + len(parameter_bytes(groups_at(0))) // BLOCK_BYTES
+    yield header_bytes(C3dHeader(len(joints.names), len(frames), -_RESIDUAL_MM, first_block, timebase.frame_rate_hz))
+    yield parameter_bytes(groups_at(first_block))
+    yield from _padded(_point_pieces(track, origin_m, frames))
+    if motion is not None and first_block + num_point_blocks <= MAX_BLOCKS:
+        yield from _padded(_rotation_pieces(motion, track, joints, origin_m, frames))
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """Read world positions (metres) of the joints from a file of ``encode``; NaN where unknown."""
-    content = ezc3d.c3d(str(path))
-    group, name = _ORIGIN
-    origin_m = content["parameters"].get(group, {}).get(name, {"value": np.zeros(3)})["value"]
-    yield np.transpose(content["data"]["points"][:3], (2, 1, 0)) / _MM_PER_M + np.array(origin_m)
+    """Read world positions (metres) of the joints from a file of ``encode``, block by block; NaN where unknown."""
+    with path.open("rb") as file:
+        header = read_header(file.read(BLOCK_BYTES))
+        numbers = read_numbers(file.read((header.first_block - 2) * BLOCK_BYTES))
+        low, high = numbers["TRIAL", "ACTUAL_END_FIELD"]
+        origin_m = numbers.get(("WORLD", "ORIGIN_M"), np.zeros(3)).astype(float)
+        for block in frame_blocks(int(low) + (int(high) << 16)):
+            size = (block.stop - block.start) * header.num_points * _POINT_BYTES
+            values = np.frombuffer(file.read(size), "<f4").reshape(-1, header.num_points, 4).astype(float)
+            is_known = values[..., 3:] >= 0.0
+            yield np.where(is_known, values[..., :3] / _MM_PER_M + origin_m, np.nan)
+
+
+def _groups(
+    joints: JointSet,
+    timebase: Timebase,
+    origin_m: Float[np.ndarray, " 3"],
+    frames: range,
+    events: Sequence[MarkedEvent],
+    first_block: int,
+    rotation_block: int | None,
+) -> Groups:
+    """Parameters of a file; ``rotation_block`` is the first block of the poses of segments, ``None`` without them."""
+    rate_hz, num_frames = timebase.frame_rate_hz, len(frames)
+    groups: dict[str, dict[str, Value]] = {
+        "POINT": {
+            "USED": [len(joints.names)],
+            "FRAMES": [min(num_frames, MAX_BLOCKS)],
+            "LONG_FRAMES": [float(num_frames)],
+            "SCALE": [-_RESIDUAL_MM],
+            "RATE": [rate_hz],
+            "DATA_START": [first_block],
+            "LABELS": joints.names,
+            "UNITS": ["mm"],
+            "X_SCREEN": ["+X"],
+            "Y_SCREEN": ["+Z"],
+        },
+        "ANALOG": {"USED": [0], "RATE": [0.0], "GEN_SCALE": [1.0]},
+        "TRIAL": {
+            "ACTUAL_START_FIELD": [1, 0],
+            "ACTUAL_END_FIELD": [num_frames & 0xFFFF, num_frames >> 16],
+            "CAMERA_RATE": [rate_hz],
+        },
+        "MANUFACTURER": {"COMPANY": ["Multicap"], "SOFTWARE": ["Multicap"]},
+    }
+    if origin_m.any():
+        groups["WORLD"] = {"ORIGIN_M": origin_m.tolist()}
+    if rotation_block is not None and rotation_block <= MAX_BLOCKS:
+        groups["ROTATION"] = {
+            "USED": [len(SEGMENT_LABELS)],
+            "DATA_START": [rotation_block],
+            "RATE": [rate_hz],
+            "RATIO": [1],
+            "FRAMES": [min(num_frames, MAX_BLOCKS)],
+            "LABELS": list(SEGMENT_LABELS.values()),
+            "UNITS": ["mm"],
+        }
+    if events:
+        times_s = np.array([event.frame - frames.start for event in events]) / rate_hz
+        groups["EVENT"] = {
+            "USED": [len(events)],
+            "CONTEXTS": [event.context for event in events],
+            "LABELS": [event.label for event in events],
+            "SUBJECTS": [_SUBJECT] * len(events),
+            "TIMES": np.stack(np.divmod(times_s, _SECONDS_PER_MINUTE), axis=1),
+        }
+    return groups
+
+
+def _point_pieces(track: Track3D, origin_m: Float[np.ndarray, " 3"], frames: range) -> Iterator[bytes]:
+    """Points of blocks of frames: three coordinates, and mask and residual in one number."""
+    sigma_m = np.full(track.source.shape, np.nan) if track.uncertainty_m is None else track.uncertainty_m
+    for block in frame_blocks(len(frames)):
+        part = frames[block]
+        xyz_m, known_sigma_m, source, views = (
+            unknown_outside(values.astype(float), track.frames, part)
+            for values in (track.xyz_m, sigma_m, track.source, track.views)
+        )
+        is_known = np.isfinite(xyz_m).all(-1)
+        is_measured = is_known & (source == Source.MEASURED)
+        residual = np.clip(np.round(known_sigma_m * _MM_PER_M / _RESIDUAL_MM), 1.0, _MAX_BYTE)
+        mask = 2.0 ** np.minimum(views, _MAX_CAMERAS) - 1.0
+        word = np.where(is_measured, np.nan_to_num(mask) * 2**_MASK_SHIFT + np.nan_to_num(residual), 0.0)
+        values = np.empty((*is_known.shape, 4), "<f4")
+        values[..., :3] = np.where(is_known[..., None], (xyz_m - origin_m) * _MM_PER_M, 0.0)
+        values[..., 3] = np.where(is_known, word, -1.0)
+        yield values.tobytes()
+
+
+def _rotation_pieces(
+    motion: SkeletonMotion, track: Track3D, joints: JointSet, origin_m: Float[np.ndarray, " 3"], frames: range
+) -> Iterator[bytes]:
+    """Poses of segments of blocks of frames, each with its reliability."""
+    reliability = segment_reliability(track, joints)
+    for block in frame_blocks(len(frames)):
+        part = frames[block]
+        values = np.zeros((len(part), len(SEGMENT_LABELS), _ROTATION_NUMBERS), "<f4")
+        values[..., -1] = -1.0
+        inside = range(max(part.start, track.frames.start), min(part.stop, track.frames.stop))
+        if inside:
+            rows = slice(inside.start - track.start_frame, inside.stop - track.start_frame)
+            poses = segment_poses(motion, rows)
+            poses[..., :3, 3] = (poses[..., :3, 3] - origin_m) * _MM_PER_M
+            own = values[inside.start - part.start : inside.stop - part.start]
+            own[..., :-1] = np.swapaxes(poses, -1, -2).reshape(*poses.shape[:2], -1)
+            own[..., -1] = reliability[rows]
+        yield values.tobytes()
+
+
+def _padded(pieces: Iterator[bytes]) -> Iterator[bytes]:
+    """Pieces, and zeros to the end of the last block."""
+    size = 0
+    for piece in pieces:
+        size += len(piece)
+        yield piece
+    yield bytes(-size % BLOCK_BYTES)
+
+
+def _num_blocks(num_bytes: int) -> int:
+    return -(-num_bytes // BLOCK_BYTES)

@@ -114,24 +114,12 @@ def test_nobody(tmp_path: Path) -> None:
     assert check == {export: {figure[export]: None} for export in check}
 
 
-def test_a_take_too_long_for_c3d_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    long = take(num_frames=65536)
-    with pytest.raises(InputError) as refused:
-        write_results(long, tmp_path / "out", ("csv", "c3d"))
-    (problem,) = refused.value.problems
-    assert (problem.code, problem.field) == ("too_long_for_c3d", "exports")
-    assert not (tmp_path / "out").exists()
-    assert write_results(long, tmp_path / "out", CSV)
-
-
 def test_too_many_frames_at_another_rate_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     long = take(num_frames=200_000)
     with pytest.raises(InputError) as refused:
         write_results(long, tmp_path / "out", EXPORTS, frame_rate_hz=240.0)
-    assert [(problem.code, problem.field) for problem in refused.value.problems] == [
-        ("too_many_frames", "output_rate_hz"),
-        ("too_long_for_c3d", "exports"),
-    ]
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.field) == ("too_many_frames", "output_rate_hz")
     assert not (tmp_path / "out").exists()
 
 
