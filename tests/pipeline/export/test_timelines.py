@@ -163,7 +163,7 @@ def test_files_of_the_person_s_own_frames_are_those_of_the_motion_alone(
             "fbx": fbx.encode(motion, "default", np.zeros(3)),
             "vrma": vrma.encode(motion, np.zeros(3)),
             "trc": trc.encode(track, joints, clock, f"{name}.trc"),
-            "c3d": c3d_file.encode(track, joints, clock, np.zeros(3)),
+            "c3d": c3d_file.encode(track, joints, clock, np.zeros(3), motion=motion),
             "csv": csv_table.encode(track, joints, clock),
             "angles.csv": angle_tables.encode_csv(angles, clock, track.frames),
             "mot": angle_tables.encode_mot(angles, clock, f"{name}.mot", track.frames),
