@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
+from jaxtyping import Float
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
@@ -75,6 +76,14 @@ def prefetch_row(
         return context.get_dummy_value()
 
     return types.void(array, types.int64), generate
+
+
+def as_compiled(values: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Floats in the kind of array that kernels are compiled for in advance: contiguous and writable.
+
+    Of another kind it is a copy; a kernel that gets a read-only array, or a view with steps, is compiled anew.
+    """
+    return np.require(values, float, ("C", "W"))
 
 
 def round_up(num_joints: int) -> int:
