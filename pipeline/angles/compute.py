@@ -117,7 +117,7 @@ def observable_angles(joints: JointSet) -> tuple[str, ...]:
 
 
 def _has_landmarks(segment: BodySegment, joints: JointSet) -> bool:
-    """Whether the joints of a detector have all landmarks of a segment."""
+    """Return whether the joints of a detector have all landmarks of a segment."""
     return {*segment.primary, *segment.secondary} <= set(joints.names)
 
 

@@ -85,7 +85,7 @@ class AngleJoint:
 
     @property
     def is_proper(self) -> bool:
-        """Whether the first and the third axis are the same, so that the second angle is locked at 0 and 180 degrees.
+        """Sameness of the first and the third axis, so that the second angle is locked at 0 and 180 degrees.
 
         Other sequences are locked where the second angle is 90 degrees.
         """

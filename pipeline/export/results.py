@@ -330,7 +330,7 @@ def _require_equal(part: Path, path: Path, pieces: Iterable[bytes]) -> None:
 
 
 def _holds_angles(name: str) -> bool:
-    """Whether files of a format, or ``skeletons.json``, hold joint angles."""
+    """Return whether files of a format, or ``skeletons.json``, hold joint angles."""
     return any(export == name and form.holds == "angles" for export, form in FILE_FORMATS.items())
 
 

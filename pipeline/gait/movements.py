@@ -133,7 +133,7 @@ def _jumps(points: BodyPoints, standing_z_m: float) -> list[BodyMovement]:
 
 
 def _falls(height_m: Float[np.ndarray, " frames"], rate_hz: float) -> bool:
-    """Whether the hips move as in free fall: the curvature of the parabola through their heights is that of gravity."""
+    """Free fall of the hips: the curvature of the parabola through their heights is that of gravity."""
     if len(height_m) < 4:
         return False
     time_s = np.arange(len(height_m)) / rate_hz
@@ -205,7 +205,7 @@ def _dips(
 
 
 def _is_of_jump(start: int, stop: int, jumps: Sequence[BodyMovement], rate_hz: float) -> bool:
-    """Whether a dip leads to a take-off, or absorbs a landing."""
+    """Return whether a dip leads to a take-off, or absorbs a landing."""
     near = _OF_JUMP_S * rate_hz
     return any(abs(jump.start_row - stop) < near or abs(start - jump.end_row) < near for jump in jumps)
 

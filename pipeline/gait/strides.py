@@ -111,7 +111,7 @@ def _events_of(swings: Sequence[Swing], bout: Sequence[FootEvent]) -> list[FootE
 
 
 def _follows(bout: Sequence[FootEvent], off: FootEvent) -> bool:
-    """Whether a foot off, whose swing the end of the take cuts off, is the next event of a bout's foot."""
+    """Return whether a foot off, whose swing the take cuts off, is the next event of a bout's foot."""
     return off.side != bout[-1].side and off.row > bout[-2].row
 
 

@@ -66,7 +66,7 @@ PLACES = """async (frame) => {
   });
 }"""
 
-# What is in the memory of the graphics, once everything that is seen has been drawn.
+# Content of the memory of the graphics, once everything that is seen has been drawn.
 MEMORY = """() => {
   const { stage } = globalThis.viewer.view;
   stage.renderer.render(stage.scene, stage.camera);

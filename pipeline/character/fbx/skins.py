@@ -54,7 +54,7 @@ def bind(
         if len(vertices) != len(weights) or (len(vertices) and not 0 <= vertices.min() <= vertices.max() < num_points):
             raise FbxError("a skin names vertices that its mesh lacks")
         if not rows:
-            # Where the mesh was when it was bound is what the bones say, for points that none of them moves too.
+            # The bones tell the place of the mesh when it was bound, for points that none of them moves too.
             matrices[0] = tree.worlds[cluster.bone] @ bone_from_mesh @ geometric
         if cluster.bone not in place_of:
             place_of[cluster.bone] = len(bones)

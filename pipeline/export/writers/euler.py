@@ -52,7 +52,7 @@ def _nearest(
         return triples[0]
     by_axis = np.ascontiguousarray(np.moveaxis(triples, -1, 0))
     first_second = [_is_second_nearer(by_axis[:, :, :1], before.T[:, None])]
-    # Whether the second triple follows each triple of the frame before.
+    # Frames in which the second triple follows, for each triple of the frame before.
     after_first, after_second = (
         _is_second_nearer(by_axis[:, :, 1:], earlier) for earlier in (by_axis[:, 0, :-1], by_axis[:, 1, :-1])
     )

@@ -168,7 +168,7 @@ def test_hips_tilt_for_feet_that_were_located_beside_the_floor() -> None:
 
 
 def test_hips_do_not_rock_while_a_foot_stands() -> None:
-    """Where feet stand still, hips are as smooth as the person's."""
+    """Hips are as smooth as the person's where feet stand still."""
     animation = take_of("walk", "feet", 4.0)
     source = animation.motions[0]
     motion = retarget(source, figure("default"), animation.floor)
