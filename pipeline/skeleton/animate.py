@@ -87,7 +87,7 @@ def animate(
     finals: list[Track3D] = []
     for number, (track, seen) in enumerate(zip(tracks, observations, strict=True)):
         contacts = contacts_of(points[number], floor, timebase.frame_rate_hz, config.feet)
-        motions[number] = hold_feet(fits[number], motions[number], points[number], contacts, next(parts))
+        motions[number] = hold_feet(fits[number], motions[number], points[number], contacts, floor, next(parts))
         on_followed = next(parts)
         followed = fits[number].track
         if config.smoothing == "fit":

@@ -7,7 +7,8 @@ files such as ``day1/cam1/color/000000.png``, mostly 75 s apart: each instant st
 pictures are a list of COCO's results, such as the data set has in ``detections_results``.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,9 +22,10 @@ from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
 from pipeline.data.rigid import Rigid3
 from pipeline.errors import InputError, Problem
+from pipeline.evaluation.datasets.documents import check_crowd, read_document
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import COCO_17, JointSet
-from pipeline.parsing import UnreadableError, read_json, read_numbers
+from pipeline.parsing import KEYPOINT_PX, UnreadableError, read_numbers
 from pipeline.problem_codes.commands import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
 from pipeline.video.images.files import ENDINGS
 
@@ -45,9 +47,14 @@ JOINTS = (
 # Places of the annotations and of the pictures in the folder: of the repository, and of the unpacked pictures.
 _ANNOTATION_PLACES = (".", "annotations")
 _PICTURE_PLACES = (".", "camma_mvor_dataset", "dataset")
-_MAX_BYTES = 1 << 28
+_MAX_BYTES = 1 << 26
+# Instants: the data set has 732.
+_MAX_INSTANTS = 10_000
 _MAX_PROBLEMS = 10
 _MILLIMETRE_M = 1e-3
+_MAX_METRES = 1e3
+# Digits of the number of a picture, which is the number of its frame.
+_MAX_DIGITS = 9
 _HINT = "Get the file again from the data set's repository, CAMMA-public/MVOR."
 _Entry = TypeVar("_Entry")
 
@@ -156,9 +163,13 @@ def read_keypoints(
     def body_of(person: Any) -> tuple[str, int, np.ndarray, float]:
         frame, camera = place[person["image_id"]]
         points = _numbers(person.get("coco_keypoints") or person["keypoints"], (len(COCO_17.names), 3))
-        return camera, frame, points, float(person.get("score", points[:, 2].mean()))
+        _check_pixels(points[points[:, 2] > 0, :2])
+        (score,) = _numbers([person.get("score", points[:, 2].mean())], (1,)).tolist()
+        return camera, frame, points, score
 
     bodies = list(_parsed(listed, body_of, path.name, "", problems))
+    in_picture = Counter((camera, frame) for camera, frame, _, _ in bodies)
+    _check_crowds(in_picture.values(), path.name, "", problems)
     if problems:
         raise InputError(problems)
     detections, scores = {}, {}
@@ -206,13 +217,13 @@ def load_days(folder: Path, benchmark: MvorBenchmark) -> tuple[MvorDay, ...]:
 
 def at_instants(detections: Detections, joints: JointSet, day: MvorDay) -> Detections:
     """Detections in the pictures of a day, with COCO's joints and the numbers of the instants as frames."""
-    place = np.full(1 + max(int(day.frames.max()), int(detections.frame.max(initial=0))), -1)
-    place[day.frames] = day.instants
-    rows = np.flatnonzero(place[detections.frame] >= 0)
+    place = dict(zip(day.frames.tolist(), day.instants.tolist(), strict=True))
+    instants = np.array([place.get(frame, -1) for frame in detections.frame.tolist()], int)
+    rows = np.flatnonzero(instants >= 0)
     columns = joints.indices(COCO_17.names)
     return Detections(
         camera=detections.camera,
-        frame=place[detections.frame[rows]],
+        frame=instants[rows],
         keypoints_px=detections.keypoints_px[rows][:, columns],
         score=detections.score[rows][:, columns],
         box_px=detections.box_px[rows],
@@ -220,7 +231,11 @@ def at_instants(detections: Detections, joints: JointSet, day: MvorDay) -> Detec
 
 
 def _image_numbers(folder: Path) -> list[int]:
-    return [int(path.stem) for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.stem.isdecimal()]
+    return [int(path.stem) for path in folder.iterdir() if path.suffix.lower() in ENDINGS and _is_number(path.stem)]
+
+
+def _is_number(stem: str) -> bool:
+    return stem.isdecimal() and len(stem) <= _MAX_DIGITS
 
 
 def _day(picture: MvorPicture) -> str:
@@ -234,16 +249,10 @@ def _number(picture: MvorPicture) -> int:
 def _read(path: Path) -> Any:
     """Parsed JSON of a file."""
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(
-                [_unreadable(path.name, "The file is larger than 256 MiB.", "Check that it is the right one.")]
-            )
-        return read_json(path.read_bytes())
-    except OSError as error:
-        hint = "Check the name, and the file's permissions."
-        raise InputError([_unreadable(path.name, "The file can't be read.", hint)]) from error
+        return read_document(path, _MAX_BYTES)
     except UnreadableError as error:
-        raise InputError([_unreadable(path.name, "The file is not valid JSON.", "Get it again.")]) from error
+        hint = "Check that it is the right file, and its permissions."
+        raise InputError([_unreadable(path.name, f"The file can't be read ({error}).", hint)]) from error
 
 
 def _document(path: Path) -> Mapping[str, Any]:
@@ -298,18 +307,39 @@ def _numbers(value: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array.reshape(shape)
 
 
+def _check_pixels(points_px: Float[np.ndarray, "*batch 2"]) -> None:
+    """Raise ``UnreadableError`` for points that no picture can have."""
+    if not KEYPOINT_PX.holds(points_px):
+        raise UnreadableError(f"coordinates must be within {KEYPOINT_PX}")
+
+
+def _check_crowds(counts: Iterable[int], file: str, name: str, problems: list[Problem]) -> None:
+    """Note a problem if the largest number of people in a picture, or at an instant, is too large."""
+    try:
+        check_crowd(max(counts, default=0))
+    except UnreadableError as error:
+        message = f"Too many people are at one place ({error})."
+        problems.append(_unreadable(file, message, "Omit the people with low scores.", name or None))
+
+
 def _instants(
     document: Mapping[str, Any], cameras: Sequence[Camera], file: str, problems: list[Problem]
 ) -> tuple[MvorInstant, ...]:
     def box_of(person: Any) -> tuple[int, np.ndarray, np.ndarray | None]:
         x, y, width, height = _numbers(person["bbox"], (4,)).tolist()
+        box_px = np.array([x, y, x + width, y + height])
         points = None if person["only_bbox"] else _numbers(person["keypoints"], (len(JOINTS), 3))
-        return _image_id(person["image_id"]), np.array([x, y, x + width, y + height]), points
+        _check_pixels(box_px.reshape(2, 2))
+        if points is not None:
+            _check_pixels(points[:, :2])
+        return _image_id(person["image_id"]), box_px, points
 
     def person_of(person: Any) -> tuple[str, np.ndarray]:
         # Two more joints, of the hands, follow the ten.
         points = _numbers(person["keypoints3D"], (len(JOINTS) + 2, 4))[: len(JOINTS)]
         is_known = (points[:, 3:] > 0) & (points[:, 2:3] > 0)
+        if np.abs(points[:, :3]).max() * _MILLIMETRE_M > _MAX_METRES:
+            raise UnreadableError("a joint is kilometres away")
         return str(person["image_ids"]), np.where(is_known, points[:, :3] * _MILLIMETRE_M, np.nan)
 
     boxes: dict[int, list[np.ndarray]] = {}
@@ -318,13 +348,15 @@ def _instants(
         boxes.setdefault(image_id, []).append(box_px)
         if points is not None and points[:, :2].any():
             joints.setdefault(image_id, []).append(np.where(points[:, :2].any(1, keepdims=True), points[:, :2], np.nan))
+    _check_crowds(map(len, boxes.values()), file, "annotations", problems)
     people: dict[str, list[np.ndarray]] = {}
     for instant_id, xyz_m in _parsed(document["annotations3D"], person_of, file, "annotations3D", problems):
         people.setdefault(instant_id, []).append(_in_room(xyz_m, cameras))
+    _check_crowds(map(len, people.values()), file, "annotations3D", problems)
 
     def picture_of(image: Any) -> MvorPicture:
         image_id, name = _image_id(image["id"]), Path(str(image["file_name"]))
-        if name.is_absolute() or ".." in name.parts or len(name.parts) < 2 or not name.stem.isdecimal():
+        if name.is_absolute() or ".." in name.parts or len(name.parts) < 2 or not _is_number(name.stem):
             raise UnreadableError(f"{str(name)!r} is not the path of a picture")
         return MvorPicture(
             image_id,
@@ -342,6 +374,10 @@ def _instants(
         return MvorInstant(pictures, np.array(people.pop(str(images["id"]), [])).reshape(-1, len(JOINTS), 3))
 
     if not cameras:
+        return ()
+    if isinstance(document["multiview_images"], list) and len(document["multiview_images"]) > _MAX_INSTANTS:
+        message = f"The file has {len(document['multiview_images']):,} instants; at most {_MAX_INSTANTS:,} are allowed."
+        problems.append(_unreadable(file, message, _HINT, "multiview_images"))
         return ()
     instants = tuple(_parsed(document["multiview_images"], instant_of, file, "multiview_images", problems))
     if people and not problems:

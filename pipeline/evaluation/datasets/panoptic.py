@@ -24,9 +24,10 @@ from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.errors import InputError, Problem, listed_names
 from pipeline.evaluation.average_precision import InstantPoses, poses_at, score_poses
+from pipeline.evaluation.datasets.documents import check_crowd, read_document
 from pipeline.evaluation.mpjpe import accuracy, select_joints
 from pipeline.joints import JointSet
-from pipeline.parsing import UnreadableError, read_json, read_numbers
+from pipeline.parsing import UnreadableError, read_numbers
 from pipeline.problem_codes.commands import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
 from pipeline.video.images.files import ENDINGS, SEQUENCE
 
@@ -49,6 +50,8 @@ _NUMBER = re.compile(r"body3DScene_(\d{1,9})\.json")
 _MAX_BYTES = 1 << 24
 _MAX_PROBLEMS = 10
 _MAX_METRES = 1e3
+# People of a sequence; the arrays of the scores have a row for each.
+_MAX_EVERYBODY = 1000
 _HINT = "Get the file again with the toolbox, CMU-Perceptual-Computing-Lab/panoptic-toolbox."
 
 
@@ -256,6 +259,10 @@ def _poses(
     if len(unreadable) > _MAX_PROBLEMS:
         message = f"{len(unreadable) - _MAX_PROBLEMS} more files of poses can't be read."
         problems.append(_problem(message, _POSES))
+    num_everybody = len({number for _, numbers in found.values() for number in numbers})
+    if num_everybody > _MAX_EVERYBODY:
+        message = f"The poses number {num_everybody:,} people; at most {_MAX_EVERYBODY:,} are allowed."
+        problems.append(_problem(message, _POSES, "Compare with fewer of them: a larger --every."))
     if files and not found and not unreadable:
         problems.append(_problem("Nobody is in the files of poses.", _POSES, "Compare with more of them: --every 1."))
     return (
@@ -267,19 +274,11 @@ def _poses(
 
 def _people(path: Path) -> tuple[Float[np.ndarray, "people 15 3"], tuple[int, ...]]:
     """People of a file of poses, and their numbers; raises ``UnreadableError`` with the reason."""
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise UnreadableError("larger than 16 MiB")
-        content = path.read_bytes()
-    except OSError as error:
-        raise UnreadableError("no file that can be opened") from error
-    try:
-        document = read_json(content)
-    except UnreadableError as error:
-        raise UnreadableError("no valid JSON") from error
+    document = read_document(path, _MAX_BYTES)
     bodies = document.get("bodies") if isinstance(document, dict) else None
     if not isinstance(bodies, list) or not all(isinstance(body, dict) for body in bodies):
         raise UnreadableError("no list of bodies")
+    check_crowd(len(bodies))
     people: dict[int, np.ndarray] = {}
     for body in bodies:
         number, joints_m = body.get("id"), _joints_m(body)

@@ -5,26 +5,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial.transform import Rotation
 
 from pipeline.config import Feet
-from pipeline.data.animation import Floor, FootContact, Side, SkeletonMotion
+from pipeline.data.animation import Floor, FootContact, SkeletonMotion
 from pipeline.data.people import Track3D
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare
 from pipeline.skeleton.feet.contacts import find_contacts, mean_slide_m
 from pipeline.skeleton.feet.floor import SIDES
-from pipeline.skeleton.feet.holding import PARTS, held_parts_m, held_positions_m, stance_weight
+from pipeline.skeleton.feet.holding import PARTS, held_parts_m, held_positions_m
 from pipeline.skeleton.feet.support import Support, support_of
+from pipeline.skeleton.feet.unseen import foot_without_toes
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import joint_pose
-from pipeline.skeleton.rotations import from_axes
 
-_LEFT, _UP, _HORIZONTAL = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
-# Limit on the bend of an ankle from the right angle with the shin.
-_MAX_BEND_RAD = np.radians(45.0)
-# Limit of feet whose insteps lie on the floor.
-_MAX_POINTED_RAD = np.radians(80.0)
 _MARKS: Mapping[str, str] = {"heel": "heel", "toe": "big_toe"}
 # Share of the frames with a known ankle in which heel and toe must be known, so that a foot stands by its parts.
 _KNOWN_SHARE = 0.5
@@ -113,9 +107,10 @@ def hold_feet(
     motion: SkeletonMotion,
     points: FootPoints,
     contacts: tuple[FootContact, ...],
+    floor: Floor | None,
     on_share: OnShare,
 ) -> SkeletonMotion:
-    """Hold standing feet in place; level them if neither toes nor heels are known.
+    """Hold standing feet in place; turn them by ``feet.unseen`` if neither toes nor heels are known.
 
     The fit's motion is changed in place. ``points`` are those of the feet before they are held; the result has the
     contacts with their slide afterwards.
@@ -129,7 +124,7 @@ def hold_feet(
     motion = replace(motion, contacts=tuple(slid))
     if not fitted.sees_feet:
         for side in SIDES:
-            fitted.turn(f"{side.capitalize()}Foot", _foot_without_toes(motion, side))
+            fitted.turn(f"{side.capitalize()}Foot", foot_without_toes(motion, side, points.support, floor))
     return motion
 
 
@@ -148,37 +143,3 @@ def _places_m(
         if points.by_parts[foot]
         for number, part in enumerate(PARTS)
     }
-
-
-def _foot_without_toes(motion: SkeletonMotion, side: Side) -> Rotation:
-    """Rotation from foot to shin where only the ankle is known.
-
-    The foot is at a right angle to the shin in the air, and level on the floor. A standing foot points in the direction
-    that the shin faces; that of a person who kneels lies on its instep and points away from the knee. The orientations
-    in the air and on the floor are blended before and after a stance.
-    """
-    share = stance_weight(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
-    _, world_from_shin = joint_pose(motion, f"{side.capitalize()}Leg")
-    left = world_from_shin.apply(_LEFT) * _HORIZONTAL
-    on_sole, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
-    on_instep, _ = from_axes(left, np.broadcast_to(-_UP, left.shape))
-    bend, limit_rad = (world_from_shin.inv() * on_sole).as_rotvec(), np.full(len(left), _MAX_BEND_RAD)
-    # A foot does not bend up to a shin that faces the floor.
-    pointed = (world_from_shin.inv() * on_instep).as_rotvec()
-    lies = _by_contact((bend @ _LEFT < -_MAX_BEND_RAD) & (pointed @ _LEFT > 0.0), motion.contacts, side)
-    bend[lies], limit_rad[lies] = pointed[lies], _MAX_POINTED_RAD
-    angle_rad = np.linalg.norm(bend, axis=-1)
-    share = share * is_known * np.minimum(1.0, limit_rad / np.maximum(angle_rad, 1e-9))
-    return Rotation.from_rotvec(bend * share[:, None])
-
-
-def _by_contact(
-    lies: Bool[np.ndarray, " frames"], contacts: tuple[FootContact, ...], side: Side
-) -> Bool[np.ndarray, " frames"]:
-    """Majority of the frames of the nearest contact of a foot, so that the foot does not flip in a stance."""
-    stances = [contact.rows for contact in contacts if contact.side == side]
-    if not stances:
-        return lies
-    frames = np.arange(len(lies))
-    away = np.array([np.maximum(np.maximum(rows.start - frames, frames - rows.stop + 1), 0) for rows in stances])
-    return np.array([lies[rows].mean() > 0.5 for rows in stances])[away.argmin(0)]

@@ -18,8 +18,8 @@ _UPRIGHT_SHARE = 0.6
 # Least height of the knee above the ankle, as a share of the shin, of a shin that stands.
 _STEEP = 0.5
 # Smoothing of velocities, and of products of velocities. A foot rides along with hips that are faster than this, if its
-# velocity along theirs has at least this share of it.
-_SMOOTH_S, _AROUND_S, _MOVING_M_S, _RIDING = 0.06, 0.15, 0.06, 0.7
+# velocity along theirs has at least this share of it, and stays where it is with less than the last share.
+_SMOOTH_S, _AROUND_S, _MOVING_M_S, _RIDING, _STAYING = 0.06, 0.15, 0.06, 0.7, 0.5
 # Belt: least speed; height up to which feet are low; width of the velocities of standing feet, which is more at a
 # higher speed; least way of a stance; least share of the low feet that stand on the belt, also as a multiple of those
 # at rest; least way of the belt, and largest speed of the body as a share of its speed.
@@ -46,6 +46,9 @@ class Support:
     ]  # Whether the knee is above the foot: shins lie of people who kneel or crawl
     # True if the foot carries an upright body that does not hang by its hands: the floor is under these feet
     carries: Bool[np.ndarray, "frames 2"]
+    # Feet that bear nothing: legs are stretched below hands overhead, and the foot does not stay where it is while the
+    # hips move
+    hangs: Bool[np.ndarray, "frames 2"]
     ground_m: Float[np.ndarray, "frames 3"]  # Way of the ground since the first frame: that of a belt, zeros elsewhere
 
     def rides(self, rows: slice, foot: int) -> bool:
@@ -70,7 +73,8 @@ def support_of(
     ground_m = belt_m(ankles_m, known, middle_m, frame_rate_hz)
     along, squared = _shared_motion(ankles_m - ground_m[:, None], middle_m - ground_m, frame_rate_hz)
     around = _AROUND_S * frame_rate_hz
-    rides = _is_riding(*(gaussian_filter1d(values, around, axis=0, mode="nearest") for values in (along, squared)))
+    common = [gaussian_filter1d(values, around, axis=0, mode="nearest") for values in (along, squared)]
+    rides, stays = _is_riding(*common), _is_staying(*common)
     leg_m = np.linalg.norm(hips_m - knees_m, axis=-1) + np.linalg.norm(knees_m - ankles_m, axis=-1)
     usual_m = float(np.median(leg_m[np.isfinite(leg_m)])) if np.isfinite(leg_m).any() else np.inf
     # Comparisons with NaN are false.
@@ -79,7 +83,8 @@ def support_of(
     shin_m = knees_m - ankles_m
     shin_lies = shin_m[..., 2] < _STEEP * np.linalg.norm(shin_m, axis=-1)
     carries = known & ~is_low & ~hangs[:, None] & ~rides
-    return Support(along, squared, ~shin_lies, np.asarray(carries), ground_m)
+    bears_nothing = hangs[:, None] & ~is_low & ~stays
+    return Support(along, squared, ~shin_lies, np.asarray(carries), np.asarray(bears_nothing), ground_m)
 
 
 def middle_of(rows: slice) -> slice:
@@ -115,6 +120,11 @@ def _shared_motion(
 def _is_riding(along: Any, squared: Any) -> Any:
     """Feet that move as the hips do: those of people who hang, swing or are carried."""
     return (squared > _MOVING_M_S**2) & (along > _RIDING * squared)
+
+
+def _is_staying(along: Any, squared: Any) -> Any:
+    """Feet that stay where they are while the hips move: those of people who stand or climb."""
+    return (squared > _MOVING_M_S**2) & (along < _STAYING * squared)
 
 
 def belt_m(

@@ -1,6 +1,7 @@
 """MVOR: annotations, cameras and keypoints in its form, scores of known poses, and files that can't be used."""
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -261,6 +262,17 @@ def test_pictures_are_found_by_day(folder: Path) -> None:
             ["firstCamToRoomRef", "annotations[3]", "annotations3D[2]"],
         ),
         (lambda document: document["cameras_info"].update(camParams={}), ["firstCamToRoomRef"]),
+        (lambda document: document["annotations"][3].update(bbox=[1e308, 0.0, 1e308, 1.0]), ["annotations[3]"]),
+        (lambda document: document["annotations"][3].update(keypoints=[1e200] * 30), ["annotations[3]"]),
+        (lambda document: document["annotations"].extend([document["annotations"][3]] * 130), ["annotations"]),
+        (lambda document: document["annotations3D"][2].update(keypoints3D=[1e200] * 48), ["annotations3D[2]"]),
+        (lambda document: document["annotations3D"].extend([document["annotations3D"][2]] * 130), ["annotations3D"]),
+        (
+            lambda document: document["multiview_images"][1]["images"][0].update(
+                file_name=f"day1/cam1/color/{'9' * 30}.png"
+            ),
+            ["multiview_images[1]"],
+        ),
     ],
 )
 def test_what_is_wrong_is_said_at_its_place(
@@ -285,8 +297,8 @@ def test_many_faults_are_counted(document: dict[str, Any], tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("{", "not valid JSON"),
-        ("[" * 100_000, "not valid JSON"),
+        ("{", "no valid JSON"),
+        ("[" * 100_000, "no valid JSON"),
         ("[]", "lacks multiview_images, annotations, annotations3D, cameras_info"),
         ('{"annotations": [], "multiview_images": 3}', "lacks annotations, annotations3D, cameras_info"),
     ],
@@ -309,6 +321,32 @@ def test_faults_of_keypoints(simulation: Simulation, document: dict[str, Any], f
     assert "is missing or unknown" in problems[0]["message"]
     assert "51 finite numbers" in problems[1]["message"]
     (problem,) = problems_of(folder, folder / "none.json")
-    assert problem["message"] == "The file can't be read."
+    assert problem["message"] == "The file can't be read (no file that can be opened)."
     (problem,) = problems_of(folder, write_json(folder / "keypoints.json", {"people": []}))
     assert problem["message"] == "The file is not a list of people."
+
+
+def test_keypoints_of_a_stranger(simulation: Simulation, document: dict[str, Any], folder: Path) -> None:
+    people = mvor_keypoints(simulation, document, FRAMES)
+    people[1]["coco_keypoints"][:3] = [1e200, -1e200, 0.9]
+    people[2]["score"] = float("inf")
+    people[3]["score"] = "nan"
+    people += [people[5]] * 130
+    problems = problems_of(folder, write_json(folder / "keypoints.json", people))
+    assert [problem.get("field") for problem in problems] == ["[1]", "[2]", "[3]", None]
+    assert "-1,000,000 to 1,000,000 pixels" in problems[0]["message"]
+    assert "at most 128 are allowed" in problems[-1]["message"]
+
+
+def test_pipes_and_devices_are_not_waited_for(document: dict[str, Any], folder: Path) -> None:
+    os.mkfifo(folder / "pipe.json")
+    (folder / "zeros.json").symlink_to("/dev/zero")
+    for name in ("pipe.json", "zeros.json"):
+        (problem,) = problems_of(folder, folder / name)
+        assert problem["message"] == "The file can't be read (no file that can be opened)."
+
+
+def test_too_many_instants_are_refused(document: dict[str, Any], tmp_path: Path) -> None:
+    document["multiview_images"] = [{}] * 14_000
+    (problem,) = problems_of(write_mvor(tmp_path, document))
+    assert problem["message"] == "The file has 14,000 instants; at most 10,000 are allowed."

@@ -1,6 +1,7 @@
 """CMU Panoptic: sequences in the form of its toolbox, scores, and folders that can't be used."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -178,6 +179,7 @@ def test_images_begin_with_one_frame(written: Path, tmp_path: Path) -> None:
         ('{"bodies": [{"id": 0, "joints19": [1.0, 2.0]}]}', "joints19 has 76 finite numbers"),
         ('{"bodies": [{"id": 0, "joints19": [' + "1e400," * 75 + "1]}]}", "joints19 has 76 finite numbers"),
         ('{"bodies": [{"id": 0, "joints19": [' + "1e9," * 75 + "1]}]}", "kilometres"),
+        ('{"bodies": [' + '{"id": 0},' * 128 + '{"id": 0}]}', "129 people; at most 128 are allowed"),
         ('{"bodies": [{"id": "a", "joints19": [' + "1," * 75 + "1]}]}", "no number of its own"),
     ],
 )
@@ -190,3 +192,24 @@ def test_poses_that_cannot_be_read_are_named(written: Path, tmp_path: Path, cont
     assert reason in problems[0]["message"]
     assert problems[0]["file"] == "body3DScene_00000000.json"
     assert problems[10]["message"] == "2 more files of poses can't be read."
+
+
+def test_pipes_and_devices_are_not_waited_for(written: Path, tmp_path: Path) -> None:
+    folder = calibrated(written, tmp_path)
+    pipe, device = write_poses(folder, 0, []), write_poses(folder, 1, [])
+    pipe.unlink()
+    os.mkfifo(pipe)
+    device.unlink()
+    device.symlink_to("/dev/zero")
+    problems = problems_of(folder, f"--keypoints={written / 'keypoints'}", "--every=1")
+    assert [problem["file"] for problem in problems] == [pipe.name, device.name]
+    assert problems[0]["message"] == "The poses can't be read (no file that can be opened)."
+
+
+def test_people_who_are_new_in_every_frame_are_refused(written: Path, tmp_path: Path) -> None:
+    folder = calibrated(written, tmp_path)
+    body = bodies_of(written, 0)[0]
+    for frame in range(12):
+        write_poses(folder, frame, [body | {"id": 100 * frame + number} for number in range(100)])
+    (problem,) = problems_of(folder, f"--keypoints={written / 'keypoints'}", "--every=1")
+    assert problem["message"] == "The poses number 1,200 people; at most 1,000 are allowed."
