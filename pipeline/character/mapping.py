@@ -149,6 +149,9 @@ def _unknown(rig: CharacterRig, stated: Mapping[str, str | None], name: str) -> 
 def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Problem]:
     """Problems of bones by joint: missing ones, and limbs that don't hang together."""
     missing = [joint for joint in REQUIRED if joint not in joints]
+    if len(missing) == len(REQUIRED):
+        hint = "Export the mesh together with its skeleton (armature); a mesh without one has to be rigged first."
+        return [Problem(CHARACTER_BONES, "The file has no skeleton of a person.", file=name, hint=hint)]
     if missing:
         return [
             Problem(

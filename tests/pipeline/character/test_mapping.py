@@ -205,3 +205,11 @@ def test_a_chair_is_no_character() -> None:
         map_bones(read(chair))
     assert {problem.code for problem in raised.value.problems} == {"character_bones"}
     assert "LeftUpLeg" in str(raised.value)
+
+
+def test_a_mesh_alone_is_no_character() -> None:
+    with pytest.raises(InputError) as raised:
+        map_bones(decode_character("a.glb", glb({"nodes": [{"name": "mesh"}]}, b"")))
+    (problem,) = raised.value.problems
+    assert (problem.code, problem.file) == ("character_bones", "a.glb")
+    assert "has no skeleton" in problem.message and "together with its skeleton" in (problem.hint or "")
