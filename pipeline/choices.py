@@ -38,11 +38,12 @@ class OptionalPackage:
 
 @dataclass(frozen=True, slots=True)
 class FileFormat(Value):
-    """A format of a person's file; ``pipeline.export.formats`` writes and reads it."""
+    """A format of files: of each person, which ``pipeline.export.formats`` writes and reads, or of the whole take."""
 
     media_type: str  # RFC 6838, as the service sends it
-    # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles
-    holds: Literal["motion", "joints", "angles"]
+    # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles;
+    # ``recording``: one file of the take with all that was seen and found, made by a stage of its own
+    holds: Literal["motion", "joints", "angles", "recording"]
     has_body: bool = False  # Whether it holds a body that follows the skeleton
     has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset
     ending: str | None = None  # Ending of the names of files, without the dot; ``None``: the format's name

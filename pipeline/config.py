@@ -5,7 +5,7 @@ made from these declarations, in the words of ``pipeline.choices``. For type che
 a ``Literal`` of all names. Standard library only: the web API imports this module.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Annotated, Literal, cast, get_args
@@ -131,6 +131,16 @@ Export = (
     | Annotated[Literal["csv"], FileFormat("CSV, joints in a table", _CSV, "joints")]
     | Annotated[Literal["angles"], FileFormat("CSV, joint angles in a table", _CSV, "angles", ending="angles.csv")]
     | Annotated[Literal["mot"], FileFormat("MOT, joint angles for OpenSim", _TEXT, "angles")]
+    | Annotated[
+        Literal["rerun"],
+        FileFormat(
+            "Rerun recording of the take",
+            _BYTES,
+            "recording",
+            ending="rrd",
+            package=OptionalPackage("rerun-sdk", module="rerun", extra="rerun"),
+        ),
+    ]
 )
 Preset = (
     Annotated[Literal["default"], Value("Standard names")]
@@ -447,6 +457,11 @@ FILE_FORMATS = cast(Mapping[Export, FileFormat], values_of(Export, FileFormat))
 def ending_of(export: Export) -> str:
     """Ending of the names of a format's files, without the dot."""
     return FILE_FORMATS[export].ending or export
+
+
+def of_people(exports: Iterable[Export]) -> tuple[Export, ...]:
+    """Formats of files of which each person has one; the others are of the whole take."""
+    return tuple(export for export in exports if FILE_FORMATS[export].holds != "recording")
 
 
 def is_installed(export: Export) -> bool:

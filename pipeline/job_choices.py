@@ -16,8 +16,8 @@ MAX_KNOWN_POINTS, MAX_POINT_M = 200, 10_000.0
 PROXY_KIND = "proxy"
 """Kind of the result files that are proxies."""
 
-OVERLAY_KIND, REPORT_KIND = "overlay", "report"
-VISUAL_KINDS = frozenset({OVERLAY_KIND, REPORT_KIND})
+OVERLAY_KIND, REPORT_KIND, RECORDING_KIND = "overlay", "report", "rerun"
+VISUAL_KINDS = frozenset({OVERLAY_KIND, REPORT_KIND, RECORDING_KIND})
 """Kinds of the result files that are made to be looked at, and take minutes."""
 
 

@@ -54,7 +54,7 @@ def plan_job(
 def plan_visuals(
     session: PlannableSession, job: JobRecord, chunk_frames: int = DEFAULT_CHUNK_FRAMES
 ) -> tuple[StagePlan, ...]:
-    """Plan of the job that makes overlay videos and the report of an edited job anew."""
+    """Plan of the job that makes overlay videos, the report and the recording of an edited job anew."""
     return plan_job(
         session,
         job.spec,

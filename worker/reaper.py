@@ -51,7 +51,7 @@ class Reaper:
     chunk_frames
         Output frames of a chunk of a job that is planned again.
     visuals_rest_s
-        Time after the last edit of a job's people at which its overlay videos and its report are made anew; 0: never.
+        Time after the last edit of a job's people at which its visuals are made anew; 0: never.
     """
 
     def __init__(

@@ -273,7 +273,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
     responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
 )
 def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Make the overlay videos and the report of an edited job anew, by a job of their own, which is answered.
+    """Make overlay videos, report and recording of an edited job anew, by a job of their own, which is answered.
 
     It is the same job if it is at work already. A newer edit deletes it. Each file takes the place of the earlier one.
     """

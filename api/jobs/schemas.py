@@ -141,8 +141,8 @@ class JobLinks(ResponseModel):
     people: str | None = Field(description="Path of the job's people, to edit them; null until they are found.")
     cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
     visuals: str | None = Field(
-        description="Path that makes overlay videos and the report anew; null unless they are of earlier edits than "
-        "the other files, and no job makes them."
+        description="Path that makes overlay videos, report and recording anew; null unless they are of earlier edits "
+        "than the other files, and no job makes them."
     )
     retry: str | None = Field(
         description="Path that retries the job; null unless the job was canceled, or failed with a retryable error."
@@ -150,7 +150,7 @@ class JobLinks(ResponseModel):
 
 
 class VisualsJobOut(ResponseModel):
-    """Job that makes overlay videos and the report of an edited job anew."""
+    """Job that makes overlay videos, the report and the recording of an edited job anew."""
 
     id: Id
     state: JobState = Field(description="State of that job.")
@@ -159,7 +159,7 @@ class VisualsJobOut(ResponseModel):
 class JobOut(ResponseModel):
     """Job: a reconstruction of a session, or the making of a calibration, of proxies of its videos, or of visuals.
 
-    Visuals are the overlay videos and the report of an edited job.
+    Visuals are the overlay videos, the report and the recording of an edited job.
     """
 
     id: Id
@@ -178,7 +178,7 @@ class JobOut(ResponseModel):
         "first files are."
     )
     visuals_job: VisualsJobOut | None = Field(
-        description="Job that makes overlay videos and the report of these edits; null without one."
+        description="Job that makes the visuals of these edits; null without one."
     )
     stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
     progress: float = Field(

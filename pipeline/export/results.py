@@ -21,6 +21,7 @@ from pipeline.config import (
     Timeline,
     ending_of,
     installed_formats,
+    of_people,
 )
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.reconstruction import Reconstruction
@@ -97,7 +98,8 @@ def write_results(
 ) -> list[Path]:
     """Write all result files of a reconstruction into a folder, which is created if missing; return their paths.
 
-    The parameters are those of ``write_files``.
+    The parameters are those of ``write_files``. A Rerun recording has neither pictures nor detections that nobody was
+    given: a reconstruction does not hold them.
 
     Raises
     ------
@@ -109,9 +111,24 @@ def write_results(
     """
     folder = Path(folder)
     try:
-        return list(write_files(reconstruction, folder, exports, preset, frame_rate_hz, timeline, body).paths)
+        recordings = _write_recording(reconstruction, folder, exports)
+        paths = write_files(reconstruction, folder, exports, preset, frame_rate_hz, timeline, body).paths
     except OSError as error:
         raise not_written(folder, error) from error
+    return [*recordings, *paths]
+
+
+def _write_recording(take: Reconstruction, folder: Path, exports: Collection[Export]) -> list[Path]:
+    """Write the Rerun recording of a take into a folder if it is wanted; return its path."""
+    require(format_problems(exports, installed_formats()))
+    if "rerun" not in exports:
+        return []
+    from pipeline.export.recording.rerun_file import write_recording  # noqa: PLC0415 - imports an optional package
+
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{TAKE}.{ending_of('rerun')}"
+    write_recording(take, path)
+    return [path]
 
 
 def not_written(folder: Path, error: OSError) -> PipelineError:
@@ -143,7 +160,8 @@ def write_files(
     Parameters
     ----------
     exports
-        Formats of the files of each person. ``skeletons.json`` and ``metrics.json`` are always written.
+        Formats of the files of each person; others are left out. ``skeletons.json`` and ``metrics.json`` are always
+        written.
     frame_rate_hz
         Rate of the motion in all files; ``None``: the session's rate. The figures in ``metrics.json`` are always at the
         session's rate.
@@ -175,7 +193,7 @@ def write_files(
             *format_problems(exports, installed_formats()),
         )
     )
-    shown = at_rate(reconstruction, frame_rate_hz)
+    exports, shown = of_people(exports), at_rate(reconstruction, frame_rate_hz)
     folder.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
 
@@ -257,7 +275,7 @@ def keep_people(
     people = islice(people_of(shown, timeline, body), rows.start, rows.stop, rows.step)
     on_people = split(on_share, _num_frames(shown, timeline)[rows])
     for person, on_person in zip(people, on_people, strict=True):
-        paths = _paths(person, folder, folder, exports)
+        paths = _paths(person, folder, folder, of_people(exports))
         for _ in write_person(person, paths, preset, kept, on_person):
             pass
         for path in paths.values():

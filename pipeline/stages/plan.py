@@ -1,7 +1,7 @@
 """Plan of a job: stages, their tasks and the keys of the tasks' outputs. Standard library only.
 
 A job reconstructs a session, makes a calibration from the board or the people that its videos show, makes proxies of
-its videos, or makes overlay videos and the report of a reconstruction anew.
+its videos, or makes overlay videos, the report and the recording of a reconstruction anew.
 
 ``STAGES`` are the declarations of the modules of this folder; progress, labels, keys, the page and the command line
 read them. ``plan`` is pure: equal inputs give equal plans on every machine. The key of a task is a hash of the stage,
@@ -46,6 +46,7 @@ _MODULES = (
     "refit",
     "overlay",
     "report",
+    "recording",
     "character",
     "write_people",
     "export",

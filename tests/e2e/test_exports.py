@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from trc import TRCData
 
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig, ending_of, installed_formats
+from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig, ending_of, installed_formats, of_people
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
@@ -39,7 +39,7 @@ from tests.e2e.foreign import (
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.export.writers.test_bvh import encoded, orders_in, tumbling, with_fingers
 
-EXPORTS = installed_formats()
+EXPORTS = of_people(installed_formats())
 OF_PRESETS = tuple(export for export, form in FILE_FORMATS.items() if form.has_presets)
 PRESET_NAMES = tuple(PRESETS)
 # World axes of a file's x, y and z, and units a metre.

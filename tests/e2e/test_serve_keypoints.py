@@ -17,7 +17,7 @@ import pytest
 
 from api.contract.openapi import COMMITTED
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing, installed_formats
+from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing, installed_formats, of_people
 from pipeline.data.cameras import FrameTimes
 from pipeline.evaluation.camera_errors import disturb_calibration
 from pipeline.export.results import write_results
@@ -60,7 +60,7 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
     ("method", "smoothing", "exports", "preset"),
     [
         ("tracking", "none", ("bvh",), "unreal"),
-        pytest.param(*("clustering", "butterworth", installed_formats(), "default"), marks=pytest.mark.slow),
+        pytest.param(*("clustering", "butterworth", of_people(installed_formats()), "default"), marks=pytest.mark.slow),
     ],
 )
 def test_the_same_files_as_without_the_service(

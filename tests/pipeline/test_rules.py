@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import MAX_OUTPUT_FRAMES, ReconstructionConfig, installed_formats
+from pipeline.config import MAX_OUTPUT_FRAMES, Export, ReconstructionConfig, installed_formats
 from pipeline.requirements import faults
 from pipeline.rules import CONFIG_CHOICES, config_problems, num_resampled, session_problems, value_of, value_problems
 
@@ -30,14 +30,17 @@ def test_all_that_a_session_does_not_allow_is_found_at_once() -> None:
     assert codes(replace(config, clustering={}), 100_000, 25.1) == {}
 
 
-def test_a_format_whose_package_is_not_installed_is_refused_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("export", "package"), [("usd", "usd-core"), ("rerun", "rerun-sdk")])
+def test_a_format_whose_package_is_not_installed_is_refused_with_the_command(
+    export: Export, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("pipeline.config.find_spec", lambda _: None)
-    assert "usd" not in installed_formats()
-    config = replace(CONFIG, exports=("bvh", "usd", "glb"))
+    assert export not in installed_formats()
+    config = replace(CONFIG, exports=("bvh", export, "glb"))
     (problem,) = config_problems(config, 100, 25.0)
     assert (problem.code, problem.field) == ("format_not_installed", "exports")
-    assert "usd-core" in problem.message
-    assert "multicap[usd]" in str(problem.hint)
+    assert package in problem.message
+    assert f"multicap[{export}]" in str(problem.hint)
     assert codes(replace(config, exports=("bvh", "glb")), 100, 25.0) == {}
 
 

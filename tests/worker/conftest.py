@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan, without_names
-from pipeline.job_choices import OVERLAY_KIND, REPORT_KIND
+from pipeline.job_choices import OVERLAY_KIND, RECORDING_KIND, REPORT_KIND
 from pipeline.stages.stage import (
     ASSOCIATE,
     CHECK,
@@ -25,6 +25,7 @@ from pipeline.stages.stage import (
     IDENTIFY,
     LOOK,
     OVERLAY,
+    RECORD,
     REDETECT,
     REDETECT_AGAIN,
     REFIT,
@@ -113,6 +114,12 @@ def write_report(work: Work) -> Output:
     return Output(b"{}", (ResultFile(path.name, REPORT_KIND, None, "text/html", path),))
 
 
+def write_recording(work: Work) -> Output:
+    path = work.scratch / "take.rrd"
+    path.write_bytes(b"recording of " + work.outputs(REFIT if without_names(work.claim.edits) else FIT)[0])
+    return Output(b"{}", (ResultFile(path.name, RECORDING_KIND, None, "application/octet-stream", path),))
+
+
 def write(work: Work) -> Output:
     return Output(work.outputs(REFIT)[work.claim.index])
 
@@ -132,6 +139,7 @@ LIGHT_STAGES: dict[str, Callable[[Work], Output]] = {
     REFIT: refit,
     OVERLAY: draw_overlay,
     REPORT: write_report,
+    RECORD: write_recording,
     WRITE: write,
     EXPORT: export,
 }

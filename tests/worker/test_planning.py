@@ -31,6 +31,7 @@ from pipeline.stages.stage import (
     OVERLAY,
     POSES,
     PROXY,
+    RECORD,
     REDETECT,
     REDETECT_AGAIN,
     REFINE,
@@ -379,3 +380,5 @@ def test_overlays_are_drawn_of_each_camera_if_asked_for() -> None:
     assert {name: with_overlay[name] for name in without} == without
     assert OVERLAY not in keys(session)
     assert keys(session, JobSpec(report=True, overlay=True)).keys() - keys(session).keys() == {OVERLAY, REPORT}
+    recorded, plain = keys(session, JobSpec(exports=("bvh", "rerun"))), keys(session, JobSpec(exports=("bvh",)))
+    assert recorded.keys() - plain.keys() == {RECORD}

@@ -1,11 +1,11 @@
-"""Overlay videos and reports of edited jobs: made behind the edits, by a job of their own, without work done twice."""
+"""Visuals of edited jobs: made behind the edits, by a job of their own, without work done twice."""
 
 from collections.abc import Callable
 
 import pytest
 
 from pipeline.edits import PeopleEdit, Remove
-from pipeline.stages.stage import DETECT, EXPORT, OVERLAY, REPORT, WRITE, Output
+from pipeline.stages.stage import DETECT, EXPORT, OVERLAY, RECORD, REPORT, WRITE, Output
 from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench
 from worker.chunk import Work
 from worker.jobs.errors import Conflict, NotFound
@@ -142,6 +142,22 @@ def test_a_newer_edit_deletes_the_job(bench: RunnerBench, done: JobRecord, stage
     assert bench.result(done.id, VIDEO) == b"video of " + shown(SECOND)
 
 
+def test_a_recording_follows_edits_as_the_report_does(bench: RunnerBench, run: list[str]) -> None:
+    job = bench.create_job(spec=JobSpec(exports=("bvh", "rerun")))
+    bench.runner().work(60.0)
+    assert listed(bench, job.id) == {"person-1.bvh": 0, "take.rrd": 0}
+    run.clear()
+    edited(bench, job.id, FIRST)
+    assert RECORD not in run
+    assert listed(bench, job.id) == {"person-1.bvh": 1, "take.rrd": 0}
+    make_visuals(bench, job.id)
+    run.clear()
+    bench.runner().work(60.0)
+    assert run == [RECORD]
+    assert listed(bench, job.id) == {"person-1.bvh": 1, "take.rrd": 1}
+    assert bench.result(job.id, "take.rrd") == b"recording of " + shown(FIRST)
+
+
 def test_edits_go_before_visuals(bench: RunnerBench, done: JobRecord) -> None:
     other = bench.create_job(spec=SPEC)
     bench.runner().work(60.0)
@@ -189,7 +205,7 @@ def test_a_failed_job_can_be_retried_or_asked_for_again(bench: RunnerBench, done
 
 
 def test_they_are_refused_without_need(bench: RunnerBench, done: JobRecord) -> None:
-    with pytest.raises(Conflict, match="no overlay videos and no report"):
+    with pytest.raises(Conflict, match="nothing to show"):
         make_visuals(bench, done.id)
     edit(bench, done.id, FIRST)
     with pytest.raises(Conflict, match="files have to be made first"):
@@ -201,7 +217,7 @@ def test_they_are_refused_without_need(bench: RunnerBench, done: JobRecord) -> N
     plain = bench.create_job()
     bench.runner().work(60.0)
     edited(bench, plain.id, FIRST)
-    with pytest.raises(Conflict, match="no overlay videos and no report"):
+    with pytest.raises(Conflict, match="nothing to show"):
         make_visuals(bench, plain.id)
 
 

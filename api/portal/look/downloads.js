@@ -9,12 +9,16 @@ import { html, nothing } from "../shared/lit.js";
 const OF_ALL = {
   report: "Report, opens in a browser",
   overlay: "Video with the skeletons",
+  rerun: "Recording for Rerun's viewer",
   skeletons: "Joints of everybody, JSON",
   metrics: "Quality figures, JSON",
   calibration: "Refined calibration, JSON",
   character: "Bones of the character, JSON",
 };
 const ORDER = Object.keys(OF_ALL);
+
+// Files that are made anew after edits have rested.
+const VISUALS = { report: "report", overlay: "overlay videos", rerun: "recording" };
 
 // Tables of a person beside the files in a format.
 const OF_PERSON = { events: "Foot strikes, foot offs and jumps, CSV", strides: "Strides and their figures, CSV" };
@@ -24,6 +28,7 @@ function wordsOf({ kind, format, preset, person }, options) {
   const label = (name, value) => options?.choices.find((choice) => choice.name === name)?.values.find((one) => one.name === value)?.label ?? value;
   if (kind === "character" && person !== null) return "The character in motion";
   if (!format) return OF_ALL[kind] ?? OF_PERSON[kind] ?? kind;
+  if (kind in OF_ALL) return OF_ALL[kind];
   if (person === null) return `${label("exports", format)}, in one scene with cameras and floor`;
   return preset && preset !== "default" ? `${label("exports", format)} for ${label("bvh", preset)}` : label("exports", format);
 }
@@ -40,14 +45,14 @@ function group(title, results, options) {
 }
 
 /**
- * Files of the job's last revision that has some. `makeVisuals` makes the report and the overlay videos of the present edits;
+ * Files of the job's last revision that has some. `makeVisuals` makes report, overlay videos and recording of the present edits;
  * null for those who may not.
  */
 export function downloads(job, results, options, makeVisuals) {
   const people = [...new Map(results.filter(({ person }) => person !== null).map(({ person, person_name: name }) => [person, name])).entries()]
     .sort(([one], [other]) => one.localeCompare(other, "en", { numeric: true }));
   const ofAll = results.filter(({ person }) => person === null).sort((one, other) => ORDER.indexOf(one.kind) - ORDER.indexOf(other.kind));
-  const isShown = ({ kind }) => kind === "report" || kind === "overlay";
+  const isShown = ({ kind }) => kind in VISUALS;
   return html`<section class="panel downloads" aria-labelledby="files-title">
     <div class="head"><h2 id="files-title" tabindex="-1">Files</h2>
       <a class="button small primary" href=${addressed(job.links.results_zip)} download>All as ZIP</a></div>
@@ -67,11 +72,14 @@ function revisionNote({ revision, results_revision: shown, state }) {
   return html`<p class="notice">These are the files of ${of(shown)}. ${next}</p>`;
 }
 
-// Report and overlay videos follow edits by a job of their own: on request, or when edits rest.
+// Report, overlay videos and recording follow edits by a job of their own: on request, or when edits rest.
 function visualsNote(job, visuals, makeVisuals) {
   const earlier = visuals.filter(({ revision }) => revision < job.revision);
   if (earlier.length === 0) return nothing;
-  const shown = `The report and the overlay videos show ${of(Math.min(...earlier.map(({ revision }) => revision)))}.`;
+  const kinds = Object.keys(VISUALS).filter((kind) => earlier.some((one) => one.kind === kind));
+  const names = new Intl.ListFormat("en-GB").format(kinds.map((kind) => `the ${VISUALS[kind]}`));
+  const verb = kinds.length > 1 || kinds[0] === "overlay" ? "show" : "shows";
+  const shown = `${names.replace("the", "The")} ${verb} ${of(Math.min(...earlier.map(({ revision }) => revision)))}.`;
   const { state } = job.visuals_job ?? { state: null };
   if (state === "failed") return visualsBox(job, `${shown} Those of revision ${job.revision} could not be made.`, "Try again", makeVisuals);
   if (state !== null && !hasEnded({ state })) return visualsBox(job, `${shown} Those of revision ${job.revision} are being made.`);

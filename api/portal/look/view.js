@@ -128,7 +128,7 @@ class Look {
   async #makeVisuals() {
     await this.#persist(async () => {
       await call(this.job.links.visuals, { method: "POST" });
-      announce("The report and the overlay videos are being made.");
+      announce("What shows the take is being made.");
       await feed.refresh();
       this.below.querySelector("#files-title").focus(); // the button is gone
     });

@@ -12,7 +12,7 @@ const STEADY_S = 2; // before that a rate says little
 export const hasEnded = (job) => ENDED.has(job.state);
 // Whether files of a job can be read: also those of earlier edits, while newer ones are made.
 export const hasFiles = (job) => job.results_revision !== null && job.state !== "expired";
-// Whether something of a job still changes by itself: its files, or the overlay videos and the report of its edits.
+// Whether something of a job still changes by itself: its files, or the overlay videos, the report and the recording of its edits.
 export const isAtWork = (job) => !hasEnded(job) || (job.visuals_job !== null && !ENDED.has(job.visuals_job.state));
 const hasWarning = (job, wanted) => job.result_warnings.some(({ code }) => code === wanted);
 export const foundNobody = (job) => hasWarning(job, "nobody_found");

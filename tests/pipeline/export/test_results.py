@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pygltflib import GLTF2
 
-from pipeline.config import Export, ReconstructionConfig, ending_of, installed_formats
+from pipeline.config import Export, ReconstructionConfig, ending_of, installed_formats, of_people
 from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
@@ -29,7 +29,7 @@ from tests.pipeline.export.writers.test_bvh import tumbling
 from tests.pipeline.quality.test_report import CAMERAS, observe
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
-EXPORTS = installed_formats()
+EXPORTS = of_people(installed_formats())
 # Files with a whole take.
 OF_TAKE = {f"take.{ending_of(name)}" for name in EXPORTS if FORMATS[name].of_take}
 CSV: tuple[Export, ...] = ("csv",)

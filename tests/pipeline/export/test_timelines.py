@@ -11,7 +11,7 @@ import pytest
 from trc import TRCData
 
 from pipeline.angles.compute import joint_angles
-from pipeline.config import ending_of, installed_formats
+from pipeline.config import ending_of, installed_formats, of_people
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
@@ -26,7 +26,7 @@ from tests.pipeline.export.bvh_readers import read_with_bvhio
 from tests.pipeline.export.test_results import take
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
-EXPORTS = installed_formats()
+EXPORTS = of_people(installed_formats())
 NUM_FRAMES, RATE_HZ = 60, 25.0
 OF_PERSON = {"person-1": range(60), "person-2": range(10, 40)}
 # Frames of the second person in which nobody saw anything.

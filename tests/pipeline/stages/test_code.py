@@ -25,6 +25,7 @@ from pipeline.stages.stage import (
     LENGTHS,
     OVERLAY,
     POSES,
+    RECORD,
     REFINE,
     REFIT,
     REPORT,
@@ -42,6 +43,7 @@ NOT_NUMERIC = {
     "jaxtyping",
     "platformdirs",
     "pxr",
+    "rerun",
     "threadpoolctl",
     "unearth",
     "yaml",
@@ -160,7 +162,7 @@ def test_what_a_task_asks_its_context_counts(sources: Path) -> None:
     edit(context, "facts.frame_rate_hz) + 2", "facts.frame_rate_hz) + 3")  # a helper of what they ask
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES}
     edit(context, "return self.detections.offsets", "return {**self.detections.offsets}")
-    fitted = {FIT, REFIT, OVERLAY, REPORT, RETARGET, WRITE, EXPORT}
+    fitted = {FIT, REFIT, OVERLAY, REPORT, RECORD, RETARGET, WRITE, EXPORT}
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES} | fitted
     edit(context, "return range(frames.start - first, frames.stop - first)", "return frames")
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES} | fitted
@@ -174,7 +176,7 @@ def test_the_form_of_stored_people_counts_for_those_who_write_or_read_them(sourc
     )
     assert changed(sources) == {
         *(ASSOCIATE, EXPECT, EXPECT_AGAIN, IDENTIFY),
-        *(EDIT, FIT, REFIT, OVERLAY, REPORT, RETARGET, WRITE, EXPORT),
+        *(EDIT, FIT, REFIT, OVERLAY, REPORT, RECORD, RETARGET, WRITE, EXPORT),
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.config import Method, ReconstructionConfig, installed_formats
+from pipeline.config import Method, ReconstructionConfig, installed_formats, of_people
 from pipeline.data.people import Source
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_results
@@ -19,6 +19,7 @@ from pipeline.simulation.scenes import Simulation, find_scene, record
 from pipeline.stages.local import reconstruct
 from tests.pipeline.simulations import write_simulation
 
+FORMATS = of_people(installed_formats())
 METHODS = pytest.mark.parametrize("method", ["tracking", "clustering"])
 # Distance of a pose from the truth, over all joints, within which it is the person.
 NEAR_M = 0.1
@@ -70,10 +71,10 @@ def test_people_are_found_from_one_frame(simulation: Simulation, filmed: Path, t
     take = reconstruct(session, ReconstructionConfig(method=method))
     assert len(take.tracks) == 3
     assert recall(take, simulation, [40], [0.0]) == 1.0
-    paths = write_results(take, tmp_path / "out", installed_formats())
+    paths = write_results(take, tmp_path / "out", FORMATS)
     # Each person has a file of each format, and the take one of GLB, FBX and USD; then there are skeletons and metrics.
-    of_take = {"glb", "fbx", "usd"} & set(installed_formats())
-    assert len(paths) == 3 * len(installed_formats()) + len(of_take) + 2
+    of_take = {"glb", "fbx", "usd"} & set(FORMATS)
+    assert len(paths) == 3 * len(FORMATS) + len(of_take) + 2
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_bytes())
     assert "nobody_found" not in {check["code"] for check in metrics["capture_checks"]}
 
@@ -86,7 +87,7 @@ def test_people_are_found_without_neighbours_in_time(
     times_s = [float(number) for number in range(len(frames))]
     take = reconstruct(pictures(filmed, tmp_path / "in", frames, times_s), ReconstructionConfig(method=method))
     assert recall(take, simulation, frames, times_s) == 1.0
-    write_results(take, tmp_path / "out", installed_formats())
+    write_results(take, tmp_path / "out", FORMATS)
 
 
 @pytest.mark.slow

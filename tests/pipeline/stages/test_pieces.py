@@ -13,7 +13,7 @@ import pytest
 
 from pipeline.angles.compute import joint_angles
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.config import Export, ReconstructionConfig, installed_formats
+from pipeline.config import Export, ReconstructionConfig, installed_formats, of_people
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
@@ -33,7 +33,7 @@ from pipeline.stages.stage import EXPORT, PERSON_PARTS, REPORT, WRITE
 from pipeline.stages.take import viewer_files
 from tests.pipeline.simulations import write_simulation
 
-FORMATS = installed_formats()
+FORMATS = of_people(installed_formats())
 # Writers of formats whose files hold the person's name, and of the other formats.
 WITH_NAMES = (fbx, glb, vrma, *([import_module("pipeline.export.writers.usd")] if "usd" in FORMATS else []))
 WITHOUT_NAMES = (bvh, c3d_file, csv_table, trc)

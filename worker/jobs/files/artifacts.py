@@ -8,7 +8,7 @@
     sessions/<session>/stages/<output key>
     jobs/<job>/results/<name>/<name>                 of the reconstruction
     jobs/<job>/revisions/<revision>/<name>/<name>    after edits of its people
-    jobs/<job>/visuals/<revision>/<name>/<name>      overlay videos and the report
+    jobs/<job>/visuals/<revision>/<name>/<name>      overlay videos, report and recording
     jobs/<job>/interim/<attempt>/<output key>
     jobs/<job>/character/file                        copy of the character that the job moves
     characters/<character>/file
@@ -109,7 +109,7 @@ def results_prefix(job_id: str, revision: int = 0) -> str:
 
 
 def visuals_prefix(job_id: str, revision: int = 0) -> str:
-    """Prefix of the keys of overlay videos and the report of a revision of a job; they may outlast its other files."""
+    """Prefix of the keys of the visuals of a revision of a job; they may outlast its other files."""
     return f"{job_prefix(job_id)}visuals/{revision}/"
 
 

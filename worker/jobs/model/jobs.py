@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Literal
 
-from pipeline.config import ReconstructionConfig
+from pipeline.config import ReconstructionConfig, of_people
 from pipeline.edits import PeopleEdit, PersonSpan
 from pipeline.findings import Finding
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
@@ -48,7 +48,9 @@ def config_of(
     """
     digest = None if character is None else character.digest
     config = replace(spec.config, making=making, edits=edits, character=digest)
-    return replace(config, overlay=False, report=False) if making is None and revision else config
+    if making is not None or not revision:
+        return config
+    return replace(config, overlay=False, report=False, exports=of_people(config.exports))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,7 @@ class JobRecord:
     of what it makes; without it, the job reconstructs. ``edits`` are the edits of its people, ``revision`` the number
     of times that they were changed, and ``people`` those whom the reconstruction found, before any edit; ``None`` until
     its first results are written. ``results_revision`` is the revision whose files can be read, while those of a newer
-    one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos or the report are of
+    one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of
     an earlier revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character
     that it moves.
     """

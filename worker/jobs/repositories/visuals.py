@@ -1,4 +1,4 @@
-"""Jobs that make overlay videos and the report of an edited reconstruction anew."""
+"""Jobs that make overlay videos, the report and the recording of an edited reconstruction anew."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -59,10 +59,12 @@ class Visuals:
             visuals_id = str(uuid7())
             if earlier is not None and earlier.state not in RETRYABLE:
                 if earlier.state == JobState.SUCCEEDED:
-                    raise Conflict("Overlay videos and the report are those of the last edits already.")
+                    raise Conflict("Overlay videos, report and recording are those of the last edits already.")
                 visuals_id = earlier.id
             elif earlier is None and of_job.visuals_old_at is None:
-                raise Conflict("The job has no overlay videos and no report of an earlier revision.")
+                raise Conflict(
+                    "The job has nothing to show of an earlier revision: overlay videos, a report, or a recording."
+                )
             else:
                 delete_visuals_job(connection, job_id)
                 connection.execute(
