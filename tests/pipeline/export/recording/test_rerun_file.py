@@ -16,6 +16,7 @@ from rerun.chunk import RrdReader
 from pipeline.angles.compute import joint_angles
 from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.calibration.sizes import scaled
+from pipeline.config import Export
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.detections import Detections
@@ -33,6 +34,7 @@ from tests.pipeline.export.test_results import take
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 TOLERANCE = 1e-6
+RERUN: tuple[Export, ...] = ("rerun",)
 
 
 def people() -> Reconstruction:
@@ -197,7 +199,9 @@ def test_pictures_and_bodies_of_nobody_are_at_the_times_of_the_camera(tmp_path: 
     )
     for frame, (time_s, (blob,)) in pictures.items():
         assert frame == round(time_s * RATE_HZ)
-        assert cv2.imdecode(np.array(blob, np.uint8), cv2.IMREAD_COLOR).shape == (480, 640, 3)
+        picture = cv2.imdecode(np.array(blob, np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        assert picture.shape == (480, 640, 3)
     assert [value for batch in chunks(path, image) for value in batch.column("EncodedImage:media_type")[0].as_py()] == [
         "image/jpeg"
     ]
@@ -269,7 +273,7 @@ def test_a_recording_with_wrong_contents_is_an_error(
 
     monkeypatch.setattr(rerun_file._Recorder, "write", write_wrong)
     with pytest.raises(PipelineError, match=r"take\.rrd"):
-        write_results(whole, tmp_path / "out", ("rerun",))
+        write_results(whole, tmp_path / "out", RERUN)
     assert list((tmp_path / "out").iterdir()) == []
 
 
