@@ -7,14 +7,14 @@ from pipeline.stages.stage import DETECT, RECORD, TAKE, Context, Output, ResultF
 
 def write_recording(task: Task, context: Context) -> Output:
     """Write the recording: the take, with the pictures and the detections of its session."""
-    from pipeline.export.recording.rerun_file import Footage
+    from pipeline.export.recording.rerun_file import RecordedFootage
     from pipeline.export.recording.rerun_file import write_recording as write
     from pipeline.stages.take import assemble
 
     session, source = context.wanted(context.session()), context.detections
     detections = {} if source.finds_fields else source.bodies(session)
     path = context.scratch / f"take.{ending_of('rerun')}"
-    write(assemble(context), path, Footage(session, detections, context.video), context.on_share(task))
+    write(assemble(context), path, RecordedFootage(session, detections, context.video), context.on_share(task))
     return indexed([ResultFile(path.name, RECORDING_KIND, None, "application/octet-stream", path)])
 
 

@@ -61,7 +61,7 @@ _TOLERANCE_M = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class Footage:
+class RecordedFootage:
     """What cameras took of a take."""
 
     session: Session  # Session of the take, on measured clocks if they were measured
@@ -71,7 +71,7 @@ class Footage:
 
 
 def write_recording(
-    take: Reconstruction, path: Path, footage: Footage | None = None, on_share: OnShare = ignore
+    take: Reconstruction, path: Path, footage: RecordedFootage | None = None, on_share: OnShare = ignore
 ) -> None:
     """Write the recording of a take, block by block, and read it back: the memory does not grow with its length.
 
@@ -107,7 +107,7 @@ class _Recorder:
         self._take, self._origin_m, self._path = take, file_origin_m(take.cameras), path
         self._file = rr.RecordingStream("multicap", default_enabled=True)
 
-    def write(self, footage: Footage | None, on_share: OnShare) -> None:
+    def write(self, footage: RecordedFootage | None, on_share: OnShare) -> None:
         """Write all parts of the take, and close the file."""
         take = self._take
         has_pictures = {
@@ -156,7 +156,7 @@ class _Recorder:
         )
         self._file.log(f"{entity}/{_IMAGE}", pinhole, static=True)
 
-    def _add_pictures(self, footage: Footage, camera: str, max_bytes: int, on_share: OnShare) -> None:
+    def _add_pictures(self, footage: RecordedFootage, camera: str, max_bytes: int, on_share: OnShare) -> None:
         """Add the pictures of a camera at the times at which they were taken."""
         reading: AbstractContextManager[None] = footage.reading(camera)
         with reading:
@@ -168,7 +168,7 @@ class _Recorder:
                 columns = rr.EncodedImage.columns(blob=blobs, media_type=["image/jpeg"] * len(chunk))
                 self._send(f"{_camera(camera)}/{_IMAGE}", self._nearest(time_s), time_s, columns)
 
-    def _add_unmatched(self, footage: Footage, number: int, shown: Camera) -> None:
+    def _add_unmatched(self, footage: RecordedFootage, number: int, shown: Camera) -> None:
         """Add the bodies in a camera's pictures that nobody was given, at the times of the pictures."""
         take, times = self._take, footage.session.times[shown.name]
         seconds = (take.timebase.time_s(row) for row in (-0.5, take.timebase.num_frames - 0.5))

@@ -26,7 +26,7 @@ from pipeline.data.rigid import Rigid3
 from pipeline.errors import PipelineError
 from pipeline.export.colors import color_rgb
 from pipeline.export.recording import rerun_file
-from pipeline.export.recording.rerun_file import Footage, write_recording
+from pipeline.export.recording.rerun_file import RecordedFootage, write_recording
 from pipeline.export.results import write_results
 from pipeline.skeleton.model import forward_kinematics
 from tests.pipeline.export.test_overlay_video import LARGE, NUM_FRAMES, OFFSET_S, RATE_HZ, runner, session_of, take_of
@@ -185,7 +185,7 @@ def test_pictures_and_bodies_of_nobody_are_at_the_times_of_the_camera(tmp_path: 
     boxes_px = np.array([[350.0, 250.0, 450.0, 350.0]] * 3)
     detections = Detections("front left/1", np.array([4, 4, 6]), keypoints_px, np.ones((3, 17)), boxes_px)
     path = tmp_path / "take.rrd"
-    write_recording(observed, path, Footage(session, {"front left/1": detections}))
+    write_recording(observed, path, RecordedFootage(session, {"front left/1": detections}))
 
     image = "world/cameras/front\\ left\\/1/image"
     small = scaled(camera, (640, 480))
