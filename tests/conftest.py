@@ -22,6 +22,10 @@ if os.environ.get("MULTICAP_CHECK_SHAPES"):
     install_import_hook("pipeline", "beartype.beartype")
 
 
+# Longest text or bytes that name the case of a test.
+_MAX_ID_CHARACTERS = 60
+
+
 # Tests with a target of their own, `make test-slow`: folders and modules.
 SLOW = (
     "api/contract/test_schemathesis.py",
@@ -90,6 +94,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         else:
             of_groups.append(item)
     items[:] = of_groups + of_modules
+
+
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Name of a long value: its beginning and length. Else it would be the value, which all processes exchange."""
+    if isinstance(val, str | bytes) and len(val) > _MAX_ID_CHARACTERS:
+        return f"{val[:_MAX_ID_CHARACTERS]!a}, {len(val)} long"
+    return None
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -27,6 +27,7 @@ from pipeline.edits import PersonSpan
 from pipeline.findings import Finding
 from worker.jobs.files.artifacts import result_key
 from worker.jobs.model.jobs import Result
+from worker.jobs.model.work import Claim
 
 # Replaces the real preflight: the first bytes of a video choose the behaviour.
 PREFLIGHT = """
@@ -96,6 +97,18 @@ NO_BROKER = "redis://127.0.0.1:1/0"
 
 RESULT = bytes(range(256)) * 4
 
+# Outputs of the chunks of a job that wait, but for those of its last stage, and their end.
+OUTPUTS_BETWEEN = """
+INSERT OR IGNORE INTO artifacts (session_id, output_key, sha256, num_bytes)
+SELECT :session, output_key, :sha256, :num_bytes FROM chunks WHERE job_id = :job AND state = 'waiting'
+AND stage_index < (SELECT max(stage_index) FROM chunks WHERE job_id = :job)
+"""
+CHUNKS_BETWEEN = """
+UPDATE chunks SET state = 'done', done_units = unit_count,
+    (started_at, finished_at) = (SELECT started_at, started_at FROM chunks WHERE id = :chunk)
+WHERE job_id = :job AND state = 'waiting' AND stage_index < (SELECT max(stage_index) FROM chunks WHERE job_id = :job)
+"""
+
 
 @dataclass
 class Live:
@@ -138,11 +151,13 @@ class Live:
         scenes: Mapping[str, bytes] = MappingProxyType({}),
         names: Mapping[str, str] = MappingProxyType({}),
         characters: Mapping[str, bytes] = MappingProxyType({}),
+        each_chunk: bool = False,
     ) -> None:
         """Finish a job as a worker would; ``motion``, ``overlays``, ``scenes`` and ``characters`` are files by name.
 
         They are files for viewers, videos, GLB or FBX files of everybody, or of a person as in ``person-1.glb``, and
-        GLB files of characters; ``names`` are those of people.
+        GLB files of characters; ``names`` are those of people. Only chunks of the first and the last stage are claimed,
+        unless ``each_chunk``: the others end at once, which takes a sixth of the time.
         """
         revision = self.services.store.jobs.get(job_id).revision
         result = self._put(job_id, "person-1.bvh", "bvh", content, revision)
@@ -158,6 +173,8 @@ class Live:
         files += [replace(character, media_type="model/gltf-binary") for character in moved]
         while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
+            if not each_chunk:
+                self._end_stages_between(claim, result.sha256, len(content))
             results, said, found = (files, warnings, people) if claim.stage == "export" else ([], (), None)
             self.services.store.leases.finish(
                 claim.chunk_id,
@@ -168,6 +185,14 @@ class Live:
                 warnings=said,
                 people=found,
             )
+
+    def _end_stages_between(self, claim: Claim, sha256: str, num_bytes: int) -> None:
+        """End the stages between that of a claim and the last one, in one transaction: each chunk would take two."""
+        values = {"job": claim.job_id, "chunk": claim.chunk_id, "session": claim.session_id}
+        values |= {"sha256": sha256, "num_bytes": num_bytes}
+        with contextlib.closing(sqlite3.connect(self.settings.data_dir / "multicap.db", 60)) as database, database:
+            database.execute(OUTPUTS_BETWEEN, values)
+            database.execute(CHUNKS_BETWEEN, values)
 
     def _put(self, job_id: str, name: str, kind: str, content: bytes, revision: int) -> Result:
         key, digest = result_key(job_id, name, revision), hashlib.sha256(content).hexdigest()

@@ -301,7 +301,7 @@ def test_it_moves_with_the_frames_and_goes_with_the_choice(page: Page, walking: 
     assert page.evaluate("() => globalThis.viewer.view.people.capsules.visible")
 
 
-@pytest.mark.parametrize("is_far", [False, True])
+@pytest.mark.parametrize("is_far", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_other_rigs_rates_and_places(page: Page, live: Live, is_far: bool, tmp_path: Path) -> None:
     job = moved(live, tmp_path, vrm("0.x"), None if is_far else 50.0, is_far=is_far)
     mount(page, job.job_id)

@@ -385,7 +385,7 @@ def test_gait_and_movements_are_shown_where_there_are_some(shown: Shown) -> None
     assert shown.frame == min(frame, NUM_FRAMES - 1)
 
 
-@pytest.mark.parametrize("kind", ["numbered_video", "fragmented_video"])
+@pytest.mark.parametrize("kind", ["numbered_video", pytest.param("fragmented_video", marks=pytest.mark.slow)])
 def test_video_and_skeleton_are_in_step(shown: Shown, kind: str, request: pytest.FixtureRequest) -> None:
     clock = [[0, 0.0, 0.0], [NUM_FRAMES - 1, (NUM_FRAMES - 1) / RATE_HZ, (NUM_FRAMES - 1) / RATE_HZ]]
     shown.mount(clock=clock, video=request.getfixturevalue(kind))

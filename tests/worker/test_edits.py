@@ -11,6 +11,7 @@ from pipeline.errors import PipelineError
 from pipeline.findings import Finding
 from pipeline.problem_codes.warnings import NOBODY_FOUND
 from pipeline.stages.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, PERSON_PARTS, REFIT, WRITE, Output, ResultFile
+from tests.cases import slow_but
 from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, RunnerBench
 from worker.chunk import StoppedError, Work
 from worker.jobs.errors import Conflict
@@ -136,7 +137,7 @@ def test_the_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -
     assert states == [JobState.SUCCEEDED, JobState.CANCELED, JobState.SUCCEEDED]
 
 
-@pytest.mark.parametrize("stage", [EDIT, REFIT, WRITE, EXPORT])
+@pytest.mark.parametrize("stage", slow_but([EDIT, EXPORT], [EDIT, REFIT, WRITE, EXPORT]))
 def test_work_for_an_older_list_is_given_up(bench: RunnerBench, done: JobRecord, stage: str) -> None:
     """A chunk that ends after a newer edit changes nothing, and a unit of work later it stops."""
     function, stopped = bench.stages[stage], []

@@ -422,7 +422,7 @@ NEWER = "written by a newer version of Multicap (schema 0099). Upgrade Multicap,
         pytest.param(["api.cli.main", "keys", "create", "portal", "--data"], 2, marks=pytest.mark.slow),
         pytest.param(["api.cli.main", "audit", "--data"], 2, marks=pytest.mark.slow),
         pytest.param(["api.cli.main", "webhooks", "list", "--data"], 2, marks=pytest.mark.slow),
-        (["api.cli.main", "serve", "--port", "0", "--data"], 2),
+        pytest.param(["api.cli.main", "serve", "--port", "0", "--data"], 2, marks=pytest.mark.slow),
         (["api"], 1),
     ],
 )

@@ -43,7 +43,7 @@ def test_jobs_are_counted(live: Live) -> None:
     assert found["multicap_jobs", (("state", "queued"),)] == 1.0
     assert found["multicap_longest_queued_seconds", ()] >= 0.0
     ended = found.get(("multicap_jobs_ended_total", (("state", "succeeded"),)), 0.0)
-    live.finish(waiting)
+    live.finish(waiting, each_chunk=True)
     found = samples(live)
     assert found["multicap_jobs_ended_total", (("state", "succeeded"),)] == ended + 1
     assert found["multicap_chunks_done_total", (("stage", "export"),)] >= 1

@@ -18,6 +18,7 @@ from pipeline.simulation.motion.script import Role, Stay, Walk
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import INDEX, forward_kinematics
+from tests.cases import slow_but
 from tests.pipeline.body.conftest import adult_lengths_m, in_pose
 from tests.pipeline.skeleton.hands.people import gesturing
 from tests.pipeline.skeleton.observed import observe, ring_of
@@ -72,7 +73,7 @@ def assert_skin_follows(body: ShapedBody, motion: SkeletonMotion, step: int) -> 
                 assert distance_m < at_rest_m + 0.01, (name, frame, share)
 
 
-@pytest.mark.parametrize("name", ACROBATICS)
+@pytest.mark.parametrize("name", slow_but(("cartwheel", "kneel"), ACROBATICS))
 def test_skin_follows_the_joints_of_acrobats(shapes: BodyShapes, name: str) -> None:
     part = ACROBATICS[name][0]
     acrobat = perform_acrobatics(part.keys, part.center_m, 0.3, 4.0, np.random.default_rng(2))

@@ -13,6 +13,7 @@ from pipeline.character.gltf_reader import CharacterFile, decode_character
 from pipeline.character.mapping import OPTIONAL, REQUIRED, bone_table, map_bones, read_bone_table
 from pipeline.character.problems import MAX_NODES
 from pipeline.errors import InputError
+from tests.cases import slow_but
 from tests.pipeline.character.characters import Bones, bones_of, character, glb, odd_bones, parts, vrm
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -185,7 +186,7 @@ def test_all_problems_of_a_table_are_told(tmp_path: Path) -> None:
         read_bone_table(tmp_path / "bones.json")
 
 
-@pytest.mark.parametrize("num_children", [2, 40, MAX_NODES])
+@pytest.mark.parametrize("num_children", slow_but([40], [2, 40, MAX_NODES]))
 def test_large_trees_are_no_characters(num_children: int) -> None:
     """Looking for a body in them ends: the numbers of pairs of branches that are compared are bounded."""
     nodes: list[dict[str, object]] = []

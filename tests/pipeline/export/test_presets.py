@@ -1,18 +1,18 @@
 """Export presets: names, axes, unit and rest pose, read by bvhio."""
 
-from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.config import Preset
-from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
 from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, skeleton_of
+from tests.cases import slow_but
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvhio
-from tests.pipeline.export.writers.test_bvh import MOTIONS, encoded, orders_in, tumbling, walk
+from tests.pipeline.export.writers.test_bvh import encoded, orders_in, tumbling, walk, with_fingers
 
 SOME_NAMES: dict[Preset, set[str]] = {
     "default": {"Hips", "Chest", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot"},
@@ -94,12 +94,13 @@ def test_mixamo_numbers_the_ends_of_fingers() -> None:
     assert PRESETS["mixamo"].name("LeftHandIndex3End") == "mixamorig:LeftHandIndex4"
 
 
-@MOTIONS
-@pytest.mark.parametrize("preset", PRESETS)
-def test_our_own_reader_agrees_with_another(
-    preset: Preset, dressed: Callable[[SkeletonMotion], SkeletonMotion], tmp_path: Path
-) -> None:
-    motion = dressed(walk(200, frame_rate_hz=119.88))
+@pytest.mark.parametrize(
+    ("preset", "has_fingers"),
+    slow_but([("default", True), ("unreal", False), ("unity-humanoid", True)], product(PRESETS, (False, True))),
+)
+def test_our_own_reader_agrees_with_another(preset: Preset, has_fingers: bool, tmp_path: Path) -> None:
+    motion = walk(200, frame_rate_hz=119.88)
+    motion = with_fingers(motion) if has_fingers else motion
     path = tmp_path / "person.bvh"
     path.write_bytes(encoded(motion, preset))
     own_m = np.concatenate(list(bvh.read_xyz_m(path, PRESETS[preset])))

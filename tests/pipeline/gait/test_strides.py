@@ -12,6 +12,7 @@ from pipeline.simulation.acrobatics.performance import acrobat_joints_at, perfor
 from pipeline.simulation.motion.performance import joints_at
 from pipeline.simulation.motion.script import Gesture, Stay, Turn, Walk
 from pipeline.simulation.motion.truth import step_times
+from tests.cases import slow_but
 from tests.pipeline.gait.walks import Act, body_only, exact, gait_of, performed, treadmill, walk
 
 SPEEDS_M_S = (0.8, 1.2, 1.6)
@@ -153,7 +154,7 @@ def test_there_is_no_gait_in_place(gesture: Gesture) -> None:
     assert gait.figures is None
 
 
-@pytest.mark.parametrize("name", ACROBATICS)
+@pytest.mark.parametrize("name", slow_but(("squat", "kick"), ACROBATICS))
 def test_acrobats_neither_walk_nor_jump(name: str) -> None:
     for part in ACROBATICS[name]:
         duration_s = part.keys[-1].time_s

@@ -15,6 +15,7 @@ from pipeline.simulation.rigs import Clock, frame_times
 from pipeline.simulation.scenes import JOINT_SETS, SCENES, Joints, Simulation, known_joints, record, simulate
 from pipeline.simulation.views.detector import NOBODY, PERFECT
 from pipeline.skeleton.rotations import unit
+from tests.cases import slow_but
 
 NAMES = (
     "room", "store", "store-large", "outdoor", "unsynchronised", "crowd", "handshake", "noisy", "comings-and-goings",
@@ -47,7 +48,7 @@ def test_all_scenes_are_there() -> None:
     assert set(SCENES) == set(NAMES)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", slow_but(("unsynchronised", "contact", "comings-and-goings", "hands", "roll"), NAMES))
 def test_records_fit_together(name: str) -> None:
     simulation = short(name)
     num_people, num_frames = simulation.present.shape
@@ -87,7 +88,7 @@ def test_true_angles_are_those_of_the_true_joints(name: str) -> None:
     assert np.isfinite(simulation.truth_deg[..., ANGLE_NAMES.index("left_ankle_dorsiflexion")][present]).all()
 
 
-@pytest.mark.parametrize("name", ["handshake", "noisy", "unsynchronised", "roll"])
+@pytest.mark.parametrize("name", ["handshake", "noisy", "unsynchronised", pytest.param("roll", marks=pytest.mark.slow)])
 def test_a_seed_gives_the_same_bytes(name: str) -> None:
     assert everything(short(name, 7)) == everything(short(name, 7))
     assert everything(short(name, 7)) != everything(short(name, 8))

@@ -13,6 +13,7 @@ from pipeline.errors import InputError
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
+from tests.cases import slow_but
 from tests.pipeline.media import write_video
 
 NUM_FRAMES = 48
@@ -98,9 +99,10 @@ CONTAINERS: dict[str, dict[str, Any]] = {
     "mjpeg.avi": {"codec": "mjpeg", "pix_fmt": "yuvj420p"},
     "prores.mov": {"codec": "prores_ks", "pix_fmt": "yuv422p10le"},
 }
+QUICK = ("h264.ts", "hevc.mp4", "mpeg2.mpg", "mpeg4.avi", "vp9.mp4", "av1.mkv")
 
 
-@pytest.mark.parametrize("name", CONTAINERS)
+@pytest.mark.parametrize("name", slow_but(QUICK, CONTAINERS))
 def test_every_container_can_be_entered_in_the_middle(tmp_path: Path, name: str) -> None:
     found = probe(write_video(tmp_path / name, NUM_FRAMES, **CONTAINERS[name]))
     assert isinstance(found, VideoInfo)

@@ -11,6 +11,7 @@ import pytest
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
+from tests.cases import slow_but
 
 FFMPEG = shutil.which("ffmpeg")
 pytestmark = pytest.mark.skipif(FFMPEG is None, reason="ffmpeg is not installed; `make ffmpeg` installs it")
@@ -53,7 +54,7 @@ def shown(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return (np.array(stamps) - stamps[0]) / 90_000, np.frombuffer(raw, np.uint8).reshape(len(stamps), -1)
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", slow_but(("telecine.mp4", "ntsc.mov", "passthrough.mp4", "cut.mp4"), FILES))
 def test_frames_and_times_are_those_that_ffmpeg_shows(tmp_path: Path, name: str) -> None:
     video = probe(write(tmp_path, name))
     assert isinstance(video, VideoInfo), video

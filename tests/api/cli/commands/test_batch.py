@@ -25,7 +25,7 @@ from tests.waiting import wait_for
 def write_takes(folder: Path, numbers: Sequence[int]) -> Path:
     """Takes of one rig, each of another duration; the calibration is beside their folder."""
     for number in numbers:
-        simulation = record(replace(find_scene("walk"), duration_s=1.0 + 0.2 * number), seed=0)
+        simulation = record(replace(find_scene("walk"), duration_s=0.8 + 0.08 * number), seed=0)
         write_simulation(simulation, folder / f"take{number}")
         (folder / f"take{number}" / "calibration.json").replace(folder.parent / "rig.json")
     return folder

@@ -22,6 +22,7 @@ from pipeline.errors import Problem
 from pipeline.joints import COCO_17
 from pipeline.runtime.child_processes import python_command
 from pipeline.simulation.scenes import find_scene, record
+from tests.cases import slow_but
 from tests.pipeline.capture.keypoint_files import hdf5_files
 from tests.pipeline.keypoint_programs import keypoint_files
 
@@ -266,7 +267,7 @@ def test_files_that_are_no_hdf5(tmp_path: Path, content: bytes) -> None:
     assert "not a keypoint file of a known format" in problem.message
 
 
-@pytest.mark.parametrize("program", ["DeepLabCut, HDF5", "DeepLabCut, HDF5 of pictures", "SLEAP"])
+@pytest.mark.parametrize("program", slow_but(("SLEAP",), ("DeepLabCut, HDF5", "DeepLabCut, HDF5 of pictures", "SLEAP")))
 def test_damaged_files_are_read_or_refused(tmp_path: Path, program: str) -> None:
     rng = np.random.default_rng(11)
     simulation = record(replace(find_scene("room"), duration_s=1.0), seed=4, num_views=2)

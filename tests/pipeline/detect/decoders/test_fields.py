@@ -51,7 +51,7 @@ def find_blob(shift_px: tuple[float, float]) -> Detector:
 
 @pytest.mark.parametrize("size_px", SIZES)
 @pytest.mark.parametrize("shift_px", SHIFTS)
-@pytest.mark.parametrize("place", [(0.31, 0.36), (0.68, 0.55)])
+@pytest.mark.parametrize("place", [(0.31, 0.36), pytest.param((0.68, 0.55), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0, 130.0])
 def test_from_image_to_map_and_back_nothing_is_shifted(
     size_px: tuple[int, int], shift_px: tuple[float, float], place: tuple[float, float], turn_deg: float

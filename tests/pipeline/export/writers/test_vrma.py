@@ -68,7 +68,7 @@ def character(path: Path, motion: SkeletonMotion, scale: float) -> Path:
     return path
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.6])
+@pytest.mark.parametrize("scale", [1.0, pytest.param(0.6, marks=pytest.mark.slow)])
 @MOTIONS
 def test_a_character_moves_as_the_person_does(
     dressed: Callable[[SkeletonMotion], SkeletonMotion], scale: float, tmp_path: Path

@@ -54,7 +54,7 @@ def errors_m(tracks: tuple[Track3D, ...], simulation: Simulation) -> tuple[np.nd
     return error_m[known], speed_m_s[known]
 
 
-@pytest.mark.parametrize("scene", ["room", "outdoor"])
+@pytest.mark.parametrize("scene", ["room", pytest.param("outdoor", marks=pytest.mark.slow)])
 def test_noise_misses_and_swaps_are_fitted_away_in_fast_motion_too(scene: str) -> None:
     simulation = record(replace(find_scene(scene), duration_s=6.0, detector=HARD), seed=5)
     found = track_people(simulation)

@@ -20,6 +20,7 @@ from pipeline.skeleton.fitting.uncertainty import _FLOOR_M, _INERTIA, _LASTING, 
 from pipeline.skeleton.model import SKELETON
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
+from tests.cases import slow_but
 
 RATE_HZ = 25.0
 
@@ -61,7 +62,10 @@ def errors(scene: str, num_views: int | None) -> tuple[np.ndarray, np.ndarray]:
     return error_m[known], stated_m[known]
 
 
-@pytest.mark.parametrize(("scene", "num_views"), [("room", None), ("room", 3), ("store", None), ("noisy", None)])
+@pytest.mark.parametrize(
+    ("scene", "num_views"),
+    slow_but([("room", None), ("noisy", None)], [("room", None), ("room", 3), ("store", None), ("noisy", None)]),
+)
 def test_errors_are_as_large_as_stated(scene: str, num_views: int | None) -> None:
     error_m, stated_m = errors(scene, num_views)
     assert 0.7 < np.sqrt(np.mean((error_m / stated_m) ** 2)) < 1.5

@@ -18,7 +18,8 @@ from worker.jobs.files.s3_artifacts import S3Artifacts
 from worker.jobs.files.stores import open_artifacts
 
 KEY = "jobs/1/results/person-1.bvh"
-CONTENT = os.urandom(5 * 2**20)
+# More than a block. The tests' S3 server takes seconds for files of several.
+CONTENT = os.urandom(5 * 2**18)
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 
 
