@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.data.people import Source, Track3D
 from pipeline.joints import SIDES, JointSet
-from pipeline.skeleton.feet.support import belt_m
+from pipeline.skeleton.feet.support import FootMarks, belt_m
 
 _BODY = tuple(f"{side}_{kind}" for kind in ("ankle", "knee", "hip", "shoulder") for side in SIDES)
 # Share of the frames with a known ankle in which heel and toe must be known, so that events are theirs.
@@ -70,6 +70,7 @@ def body_points(track: Track3D, joints: JointSet, frame_rate_hz: float) -> BodyP
     columns = joints.indices(tuple(f"{side}_ankle" for side in SIDES))
     measured = known & (track.source[:, columns] == Source.MEASURED)
     heels_m, toes_m, is_marked = ankles_m, ankles_m, np.zeros(2, dtype=bool)
+    foot_marks = None
     marks = tuple(f"{side}_{mark}" for mark in ("heel", "big_toe") for side in SIDES)
     if set(marks) <= set(joints.names):
         found_m = positions_m("heel"), positions_m("big_toe")
@@ -78,7 +79,9 @@ def body_points(track: Track3D, joints: JointSet, frame_rate_hz: float) -> BodyP
         heels_m, toes_m = (np.where(is_marked[:, None], points_m, ankles_m) for points_m in found_m)
         sources = track.source[:, joints.indices(marks)].reshape(-1, 2, 2)
         measured &= (sources == Source.MEASURED).all(1) | ~is_marked
-    way_m = belt_m(_filled(ankles_m), known, _filled(hips_m).mean(1), frame_rate_hz)
+        marks_m = np.concatenate(found_m, axis=1)
+        foot_marks = FootMarks(_filled(marks_m), np.isfinite(marks_m).all(-1) & np.tile(is_marked, 2))
+    way_m = belt_m(_filled(ankles_m), known, _filled(hips_m).mean(1), frame_rate_hz, foot_marks)
     heels_m, toes_m, ankles_m, knees_m, hips_m, shoulders_m = (
         _filled(points_m) - way_m[:, None] for points_m in (heels_m, toes_m, ankles_m, knees_m, hips_m, shoulders_m)
     )

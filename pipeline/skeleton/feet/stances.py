@@ -14,7 +14,7 @@ from pipeline.progress import OnShare
 from pipeline.skeleton.feet.contacts import find_contacts, mean_slide_m
 from pipeline.skeleton.feet.floor import SIDES
 from pipeline.skeleton.feet.holding import PARTS, held_parts_m, held_positions_m
-from pipeline.skeleton.feet.support import Support, support_of
+from pipeline.skeleton.feet.support import FootMarks, Support, support_of
 from pipeline.skeleton.feet.unseen import foot_without_toes
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import joint_pose
@@ -61,8 +61,11 @@ def foot_points(fitted: SkeletonFit, motion: SkeletonMotion, joints: JointSet) -
         axis=1,
     )
     often = parts_known.all(-1).sum(0) >= np.maximum(_KNOWN_SHARE * ankles_known.sum(0), 1.0)
-    support = support_of(fitted.track, joints, ankles_m, ankles_known, motion.frame_rate_hz)
-    return FootPoints(ankles_m, ankles_known, parts_m, parts_known & often[:, None], support)
+    parts_known &= often[:, None]
+    num_frames = len(ankles_m)
+    marks = FootMarks(parts_m.reshape(num_frames, -1, 3), parts_known.reshape(num_frames, -1))
+    support = support_of(fitted.track, joints, ankles_m, ankles_known, marks, motion.frame_rate_hz)
+    return FootPoints(ankles_m, ankles_known, parts_m, parts_known, support)
 
 
 def _positions_m(

@@ -26,12 +26,26 @@ _SMOOTH_S, _AROUND_S, _MOVING_M_S, _RIDING, _STAYING = 0.06, 0.15, 0.06, 0.7, 0.
 _BELT_M_S, _LOW_M, _SPREAD_M_S, _SPREAD_SHARE, _STANCE_M = 0.15, 0.04, 0.1, 0.08, 0.15
 _BELT_SHARE, _BELT_RATIO, _BELT_WAY_M, _STAYS = 0.2, 2.0, 1.0, 0.3
 _ITERATIONS = 10
-# Shares of a stance between which its foot is flat.
-_FLAT_SHARES = (0.2, 0.6)
+# Shares of a stance between which the ankle goes with the ground, and of the time in which a heel or a toe stands
+# between which it does.
+_FLAT_SHARES, _STILL_SHARES = (0.2, 0.6), (0.1, 0.9)
 
 
 OVERHEAD_M = 0.1
 """Height of both hands above the shoulders from which on a body may hang."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FootMarks:
+    """Heels and toes, each of which stands still on the ground for a part of each stance."""
+
+    xyz_m: Float[np.ndarray, "frames marks 3"]  # Positions, finite wherever they are known and between
+    known: Bool[np.ndarray, "frames marks"]  # Frames in which they were located
+
+    @classmethod
+    def none(cls, num_frames: int) -> "FootMarks":
+        """No heel and no toe."""
+        return cls(np.empty((num_frames, 0, 3)), np.empty((num_frames, 0), bool))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +76,7 @@ def support_of(
     joints: JointSet,
     ankles_m: Float[np.ndarray, "frames 2 3"],
     known: Bool[np.ndarray, "frames 2"],
+    marks: FootMarks,
     frame_rate_hz: float,
 ) -> Support:
     """Find out what carries a person; ``known`` are the frames in which the ankles were located."""
@@ -70,7 +85,7 @@ def support_of(
         for name in ("hip", "shoulder", "wrist", "knee")
     )
     middle_m = hips_m.mean(1)
-    ground_m = belt_m(ankles_m, known, middle_m, frame_rate_hz)
+    ground_m = belt_m(ankles_m, known, middle_m, frame_rate_hz, marks)
     along, squared = _shared_motion(ankles_m - ground_m[:, None], middle_m - ground_m, frame_rate_hz)
     around = _AROUND_S * frame_rate_hz
     common = [gaussian_filter1d(values, around, axis=0, mode="nearest") for values in (along, squared)]
@@ -132,10 +147,13 @@ def belt_m(
     known: Bool[np.ndarray, "frames 2"],
     hips_m: Float[np.ndarray, "frames 3"],
     frame_rate_hz: float,
+    marks: FootMarks | None = None,
 ) -> Float[np.ndarray, "frames 3"]:
     """Way of a treadmill's belt since the first frame, zeros if there is none.
 
-    Feet that stand on a belt have its velocity, while the body stays where it is.
+    Feet that stand on a belt have its velocity, while the body stays where it is. The ankles tell that there is a belt;
+    its velocity is that of heels and toes while each of them stands, which is longer than the foot is flat. Without
+    ``marks`` it is that of the ankles of flat feet.
     """
     unmoved_m = np.zeros((len(ankles_m), 3))
     place_m = hips_m[np.isfinite(hips_m).all(-1)]
@@ -168,26 +186,43 @@ def belt_m(
         or goes_m > _STAYS * speed_m_s * duration_s
     ):
         return unmoved_m
-    belt_m_s = _flat_velocity_m_s([ankles_m[_flat(start, stop), foot] for foot, start, stop in runs], frame_rate_hz)
+    paths_m = [] if marks is None else _still_m(marks, belt_m_s, shortest, frame_rate_hz)
+    if len(paths_m) < len(runs):  # too little was seen of heels and toes
+        paths_m = [ankles_m[_middle(start, stop, _FLAT_SHARES), foot] for foot, start, stop in runs]
+    belt_m_s = _shared_velocity_m_s(paths_m, frame_rate_hz)
     return np.asarray(belt_m_s * (np.arange(len(ankles_m)) / frame_rate_hz)[:, None])
 
 
-def _flat(start: int, stop: int) -> slice:
-    """Frames of a stance in which the foot is flat: the ankle neither follows the landing nor the rise of the heel."""
-    first, last = (start + share * (stop - start) for share in _FLAT_SHARES)
+def _middle(start: int, stop: int, shares: tuple[float, float]) -> slice:
+    """Frames of a stance between two shares of it: the point neither follows the landing nor the rise of the heel."""
+    first, last = (start + share * (stop - start) for share in shares)
     return slice(int(np.ceil(first)), int(np.ceil(last)))
 
 
-def _flat_velocity_m_s(stances_m: Sequence[Float[np.ndarray, "_ 3"]], frame_rate_hz: float) -> Float[np.ndarray, " 3"]:
-    """Level velocity that all stances share, by least squares with a place of its own for each.
+def _still_m(
+    marks: FootMarks, belt_m_s: Float[np.ndarray, " 3"], shortest: float, frame_rate_hz: float
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Paths of heels and toes while they stand on a belt of about some velocity."""
+    off_m_s = np.linalg.norm((_velocity_m_s(marks.xyz_m, frame_rate_hz) - belt_m_s)[..., :2], axis=-1)
+    stands = marks.known & (off_m_s < _spread_m_s(belt_m_s))
+    return [
+        marks.xyz_m[_middle(start, stop, _STILL_SHARES), mark]
+        for mark in range(stands.shape[1])
+        for start, stop in runs_of(stands[:, mark])
+        if stop - start >= shortest
+    ]
 
-    Single velocities would be those of ankles that still land or already rise, which are slower than the belt.
+
+def _shared_velocity_m_s(paths_m: Sequence[Float[np.ndarray, "_ 3"]], frame_rate_hz: float) -> Float[np.ndarray, " 3"]:
+    """Level velocity that all paths share, by least squares with a place of its own for each.
+
+    Single velocities would be those of feet that still land or already rise, which are slower than the belt.
     """
     products, squares = np.zeros(3), 0.0
-    for stance_m in stances_m:
-        time_s = np.arange(len(stance_m)) / frame_rate_hz
+    for path_m in paths_m:
+        time_s = np.arange(len(path_m)) / frame_rate_hz
         since_s = time_s - time_s.mean() if len(time_s) else time_s
-        products += since_s @ stance_m
+        products += since_s @ path_m
         squares += float(since_s @ since_s)
     return np.asarray(products / max(squares, 1e-12) * [1.0, 1.0, 0.0])
 

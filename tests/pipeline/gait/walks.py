@@ -49,10 +49,10 @@ def exercise(gesture: Gesture, seed: int = 1, num_cameras: int = 0, joints: Join
     return Act((Stay(7.4, gesture),), (0.2, 0.0), 0.4, 7.8, seed, num_cameras=num_cameras, joints=joints)
 
 
-def treadmill(speed_m_s: float, seed: int = 1, num_cameras: int = 0) -> tuple[Act, float]:
+def treadmill(speed_m_s: float, seed: int = 1, num_cameras: int = 0, rate_hz: float = 60.0) -> tuple[Act, float]:
     """Steady walk on a belt of 10 s, and the belt's true speed."""
-    far_m, rate_hz = 6.0 * speed_m_s, 60.0
-    act = Act((Walk((far_m, 0.0), speed_m_s),), (-far_m, 0.0), 0.0, 12.6, seed, num_cameras=num_cameras)
+    far_m = 6.0 * speed_m_s
+    act = Act((Walk((far_m, 0.0), speed_m_s),), (-far_m, 0.0), 0.0, 12.6, seed, rate_hz, num_cameras)
     person = performed(act)
     start, stop = round(2 * rate_hz), round(10.6 * rate_hz)
     x_m = joints_at(person, np.array([start, stop]) / rate_hz)[:, BODY_FEET.index("left_hip"), 0]

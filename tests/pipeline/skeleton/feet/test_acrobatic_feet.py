@@ -13,7 +13,7 @@ from pipeline.joints import BODY_FEET, COCO_17, JointSet
 from pipeline.simulation.acrobatics.motions import ACROBATICS
 from pipeline.simulation.acrobatics.performance import acrobat_joints_at, perform_acrobatics
 from pipeline.skeleton.animate import animate
-from pipeline.skeleton.feet.support import support_of
+from pipeline.skeleton.feet.support import FootMarks, support_of
 from pipeline.skeleton.model import joint_pose
 from tests.cases import slow_but
 from tests.pipeline.skeleton.observed import observe, ring_of
@@ -87,6 +87,6 @@ def test_without_toes_feet_of_climbers_are_not_relaxed() -> None:
     shape = xyz_m.shape[:2]
     source = np.full(shape, Source.MEASURED, np.int8)
     track = Track3D(1, 0, xyz_m, np.ones(shape), source, np.ones(shape), np.full(shape, 4))
-    hangs = support_of(track, COCO_17, ankles_m, known, rate_hz).hangs[10:-10]
+    hangs = support_of(track, COCO_17, ankles_m, known, FootMarks.none(num_frames), rate_hz).hangs[10:-10]
     assert not hangs[:, 0].any()
     assert hangs[:, 1].all()

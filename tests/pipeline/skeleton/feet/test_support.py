@@ -15,7 +15,7 @@ from pipeline.simulation.scenes import simulate
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.feet.contacts import find_contacts
 from pipeline.skeleton.feet.floor import shared_floor
-from pipeline.skeleton.feet.support import Support, support_of
+from pipeline.skeleton.feet.support import FootMarks, Support, support_of
 from tests.cases import slow_but
 from tests.pipeline.likenesses.scenes import track
 from tests.pipeline.skeleton.feet.test_contacts import RATE_HZ, steps
@@ -47,7 +47,7 @@ def body(ankles_m: np.ndarray, hips_m: np.ndarray | None = None, heights_m: Mapp
 def found(person: Track3D, rate_hz: float = RATE_HZ) -> tuple[Support, Floor | None, tuple[FootContact, ...]]:
     ankles_m = person.xyz_m[:, list(ANKLES)]
     known = np.isfinite(ankles_m).all(-1)
-    support = support_of(person, COCO_17, ankles_m, known, rate_hz)
+    support = support_of(person, COCO_17, ankles_m, known, FootMarks.none(len(ankles_m)), rate_hz)
     floor = shared_floor([ankles_m], [known], [support.carries], rate_hz)
     on_ground_m = ankles_m - support.ground_m[:, None]
     return support, floor, find_contacts(on_ground_m, known, floor, rate_hz, "auto", support=support)
