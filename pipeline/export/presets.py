@@ -75,8 +75,9 @@ class Convention:
         turned = quat_xyzw.copy()
         num_joints = quat_xyzw.shape[1]
         lowered = self.lowered(num_joints)
+        is_lowered = lowered.magnitude() > 0.0
         for index, parent in enumerate(parents_of(num_joints)):
-            if (lowered[[parent, index]].magnitude() > 0.0).any():
+            if is_lowered[parent] or is_lowered[index]:
                 turn = Rotation.from_quat(quat_xyzw[:, index])
                 turned[:, index] = (lowered[parent] * turn * lowered[index].inv()).as_quat()
         return self.file_from_quat(turned)

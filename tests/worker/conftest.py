@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import structlog
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan, without_names
@@ -203,6 +204,14 @@ def open_bench(data_dir: Path) -> RunnerBench:
     )
     session = store.sessions.add("take", files, preflight, session_id)
     return RunnerBench(data_dir, store, LocalArtifacts(data_dir / "artifacts"), session)
+
+
+@pytest.fixture(autouse=True)
+def plain_log() -> Iterator[None]:
+    """Log without the pictures of local variables that structlog draws by default, for a second each."""
+    structlog.configure(processors=[structlog.processors.format_exc_info, structlog.processors.KeyValueRenderer()])
+    yield
+    structlog.reset_defaults()
 
 
 @pytest.fixture

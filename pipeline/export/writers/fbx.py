@@ -295,10 +295,13 @@ class _Angles:
         self._size = max(1, _GROUP_BYTES // (_BYTES_OF_ANGLES * len(frames)))
         self._group: list[int] = []
         self._angles_deg = np.empty((0, 3, 0), np.float32)
+        self._first_deg: Float[np.ndarray, "joints 3"] | None = None
 
     def first(self, joint: int) -> Float[np.ndarray, " 3"]:
         """Angles of a joint in the first frame."""
-        angles_deg: np.ndarray = next(self._blocks([joint], self._frames[:1]))[0, 0]
+        if self._first_deg is None:
+            self._first_deg = next(self._blocks(self._joints, self._frames[:1]))[0]
+        angles_deg: np.ndarray = self._first_deg[self._joints.index(joint)]
         return angles_deg
 
     def of(self, joint: int, axis: int) -> Float32[np.ndarray, " frames"]:
