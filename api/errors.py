@@ -40,6 +40,7 @@ from pipeline.problem_codes.requests import (
     QUOTA_EXCEEDED,
     STORAGE_FULL,
     UNSUPPORTED_MEDIA_TYPE,
+    VIDEOS_DELETED,
 )
 from worker.jobs.errors import (
     ArtifactsRefused,
@@ -52,6 +53,7 @@ from worker.jobs.errors import (
     NotFinished,
     NotFound,
     QuotaExceeded,
+    VideosDeleted,
 )
 from worker.jobs.files.disk import is_disk_full
 from worker.jobs.outages import Outage, outage_of
@@ -65,6 +67,8 @@ _QUOTA_RETRY_AFTER_S = 30
 # As many as a check of files reports, and some of the request itself.
 MAX_LISTED = 80
 _MAX_POINTER = 500
+
+VIDEOS_DELETED_HINT = "Use the results of the session's jobs; else send its videos again as a new session."
 
 _CODES: Mapping[int, Code] = {
     400: MALFORMED_REQUEST,
@@ -328,6 +332,8 @@ def _from_conflict(error: JobStoreError) -> ApiError:
         case NoResults():
             reason = f"The job's error is {error.reason} " if error.reason else ""
             return ApiError(NO_RESULTS, str(error), hint=reason + _advice_without_results(error))
+        case VideosDeleted():
+            return ApiError(VIDEOS_DELETED, str(error), hint=VIDEOS_DELETED_HINT)
         case _:
             return ApiError(CONFLICT, str(error))
 

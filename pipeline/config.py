@@ -26,7 +26,6 @@ from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
 
-
 _TEXT = "text/plain; charset=utf-8"
 _CSV = "text/csv; charset=utf-8; header=present"
 _BYTES = "application/octet-stream"
@@ -295,6 +294,10 @@ class JobChoices(MotionChoices):
         bool,
         About("Overlay videos", "Whether each camera's video is made with the skeletons drawn over it."),
     ] = False
+    blur_faces: Annotated[
+        bool,
+        About("Blurred faces", "Whether heads are unrecognisable in all pictures shown of the session's videos."),
+    ] = False
     force: Annotated[
         bool,
         About(
@@ -332,6 +335,7 @@ class ReconstructionConfig(JobChoices):
     clustering: Mapping[str, float] = field(default_factory=dict)
     making: CalibrationChoices | ProxyChoices | VisualChoices | None = None
     edits: tuple[PeopleEdit, ...] = ()
+    blurs_videos: bool = False  # Whether copies of the videos with blurred heads are made, for players
     character: str | None = None
     chunk_frames: Annotated[
         int,
@@ -385,10 +389,8 @@ CHOICES = {choice.name: choice for choice in choices_of(JobChoices)}
 NETWORKS = cast(Mapping[Detector, Network], values_of(Detector, Network))
 """Detector networks by name: those that find people in whole images."""
 
-
 JointsOfBody = Literal["body", "feet", "whole"]
-PROFILES = cast(Mapping[Profile, Value], values_of(Profile, Value))
-"""Profiles by name."""
+PROFILES = cast(Mapping[Profile, Value], values_of(Profile, Value))  # by name
 JOINTS: tuple[JointsOfBody, ...] = get_args(JointsOfBody)
 """Values of the choice ``joints`` that name joints."""
 
@@ -482,7 +484,6 @@ def _networks_of_profiles() -> tuple[str, ...]:
 
 NETWORKS_OF_PROFILES = _networks_of_profiles()
 """Names of the networks of all profiles."""
-
 
 INSTALL_BODY = "Run: multicap bodies install"
 """Sentence that tells how to install the human body."""

@@ -16,6 +16,9 @@ MAX_KNOWN_POINTS, MAX_POINT_M = 200, 10_000.0
 PROXY_KIND = "proxy"
 """Kind of the result files that are proxies."""
 
+BLURRED_KIND = "blurred"
+"""Kind of the result files that are copies of a session's videos with blurred heads. Edits of people leave them."""
+
 OVERLAY_KIND, REPORT_KIND, RECORDING_KIND = "overlay", "report", "rerun"
 VISUAL_KINDS = frozenset({OVERLAY_KIND, REPORT_KIND, RECORDING_KIND})
 """Kinds of the result files that are made to be looked at, and take minutes."""
@@ -60,6 +63,11 @@ class ProxyChoices:
 def proxy_name(number: int) -> str:
     """Name of the result file with the proxy of the camera that has a number in its session, from 0."""
     return f"proxy-{number}.mp4"
+
+
+def blurred_name(number: int) -> str:
+    """Name of the result file with the blurred video of the camera that has a number in its session, from 0."""
+    return f"blurred-{number}.mp4"
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 from pipeline.detect.profiles.detection import open_detection
 from pipeline.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.problem_codes.jobs import INPUT_DAMAGED
+from pipeline.problem_codes.requests import VIDEOS_DELETED
 from pipeline.stages.context import Context, Origin
 from pipeline.stages.plan import STAGE_BY_NAME
 from pipeline.stages.stage import Output, SessionFacts
@@ -91,6 +92,9 @@ class KeptSession:
 
         A distant store's video is fetched when it is needed, and kept for the next chunk.
         """
+        if work.session.videos_deleted_at is not None:
+            message, hint = "The videos of the session were deleted.", "Send them again as a new session."
+            raise InputError([Problem(VIDEOS_DELETED, message, camera=camera, hint=hint)])
         (described,) = (described for described in work.session.preflight.cameras if described.name == camera)
         with contextlib.ExitStack() as files:
             for name in (described.file, *described.more_files):

@@ -2,8 +2,8 @@
 
 The reaper frees the leases of workers that stopped responding, ends chunks that keep failing, and publishes a message
 while work is ready: a lost message, or a broker that lost all messages, costs a few seconds. It removes expired results
-and the remaining files of deleted sessions. It plans jobs again whose code no worker runs any more, and queues overlay
-videos and reports of jobs whose edits rest.
+and the remaining files of deleted sessions. It deletes the videos of jobs that do not keep them. It plans jobs again
+whose code no worker runs any more, and queues overlay videos and reports of jobs whose edits rest.
 """
 
 import contextlib
@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 
@@ -77,7 +78,8 @@ class Reaper:
         Raises ``DamagedDatabase`` if SQLite can't read its file.
         """
         # Each step runs even if another fails: on a full disk the last step makes space for the others.
-        for step in (self._free_leases, self._plan_again, self._queue_visuals, self._expire, self._remove):
+        steps = self._free_leases, self._plan_again, self._queue_visuals, self._expire, self._delete_videos
+        for step in (*steps, self._remove):
             try:
                 step()
             except DamagedDatabase:
@@ -134,6 +136,12 @@ class Reaper:
     def _expire(self) -> None:
         for job_id in self._disk.using_reserve(self._store.removals.expire_jobs):
             log.info("job_expired", job=job_id)
+
+    def _delete_videos(self) -> None:
+        for session_id in self._store.sessions.with_superfluous_videos():
+            with contextlib.suppress(Conflict, NotFound):  # it got a job or was deleted since
+                self._disk.using_reserve(partial(self._store.sessions.delete_videos, session_id))
+                log.info("videos_deleted", session=session_id)
 
     def _remove(self) -> None:
         self._disk.using_reserve(lambda: remove_files(self._store.removals, self._artifacts))

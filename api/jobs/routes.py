@@ -327,9 +327,15 @@ def _page(
 
 
 def _queue_proxies(work: TenantRecords, services: Services, session: Session | NewSession) -> None:
-    """Queue the job that makes a session's proxies, in an open transaction, unless there is one or none is needed."""
+    """Queue the job that makes a session's proxies, in an open transaction, unless there is one or none is needed.
+
+    Of a session with a job that blurs faces, only blurred videos are shown, and of deleted videos there are no copies.
+    """
     cameras = tuple(camera.name for camera in session.preflight.cameras if camera.media_type is None)
     if not cameras or not has_videos(session) or work.jobs.page(session_id=session.id, kind="proxies", limit=1):
+        return
+    capture = work.sessions.capture(session.id)
+    if capture.is_blurred or capture.session.videos_deleted_at is not None:
         return
     making = ProxyChoices(cameras)
     stages = plan_job(session, JobSpec(), services.settings.chunk_frames, making=making)

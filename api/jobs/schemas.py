@@ -142,7 +142,7 @@ class JobLinks(ResponseModel):
     cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
     visuals: str | None = Field(
         description="Path that makes overlay videos, report and recording anew; null unless they are of earlier edits "
-        "than the other files, and no job makes them."
+        "than the other files, and no job makes them; of overlay videos also if the session's videos were deleted."
     )
     retry: str | None = Field(
         description="Path that retries the job; null unless the job was canceled, or failed with a retryable error."
@@ -251,7 +251,8 @@ class JobOut(ResponseModel):
 def _may_make_visuals(job: JobRecord) -> bool:
     """Whether a request makes the visuals of a job anew."""
     has_failed = job.visuals_job is not None and job.visuals_job.state in RETRYABLE
-    return job.state is JobState.SUCCEEDED and (job.has_old_visuals or has_failed)
+    can_make = job.has_videos or not (job.spec.overlay or "rerun" in job.spec.exports)
+    return job.state is JobState.SUCCEEDED and can_make and (job.has_old_visuals or has_failed)
 
 
 class JobPage(ResponseModel):

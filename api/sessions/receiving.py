@@ -39,6 +39,7 @@ from pipeline.problem_codes.requests import (
     UNSUPPORTED_MEDIA_TYPE,
     UPLOAD_UNFINISHED,
     UPLOAD_UNKNOWN,
+    VIDEOS_DELETED,
 )
 from worker.jobs.errors import NotFound
 from worker.jobs.tenant_records import TenantRecords
@@ -213,7 +214,12 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
         parts.reject_field(SESSION_ID, PART_NOT_ALLOWED, message, "Omit session_id, or the files.")
         return
     try:
-        files = records.sessions.get(session_id).files
+        session = records.sessions.get(session_id)
+        if session.videos_deleted_at is not None:
+            message = "The videos of this session were deleted, and can't be copied."
+            parts.reject_field(SESSION_ID, VIDEOS_DELETED, message, "Send the videos.")
+            return
+        files = session.files
         for file in files:
             if (part := _FOOTAGE.get(file.kind)) is None:
                 continue

@@ -11,8 +11,8 @@ from pydantic_core import PydanticCustomError
 
 from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
 from api.http.bodies.form_kinds import UploadedFootage
-from pipeline.capture.preflight_record import Clock, PreflightCamera
-from pipeline.job_choices import proxy_name
+from pipeline.capture.preflight_record import Clock
+from pipeline.job_choices import blurred_name, proxy_name
 from pipeline.problem_codes.fields import JSON_VALUE
 from worker.jobs.model.jobs import NewestJob
 from worker.jobs.model.sessions import Capture
@@ -188,6 +188,9 @@ class FileOut(ResponseModel):
     kind: str = Field(description="Kind of the file: `video`, `keypoints`, `calibration` or `timestamps`.")
     num_bytes: int = Field(description="Size of the file.")
     sha256: str = Field(description="SHA-256 of the file in hexadecimal.")
+    is_deleted: bool = Field(
+        default=False, description="Whether the file was deleted, and is known by its SHA-256 alone."
+    )
 
 
 class ThumbnailOut(ResponseModel):
@@ -215,29 +218,35 @@ class CameraOut(ResponseModel):
     plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.")
     video_link: str | None = Field(
         description="Path of a video that browsers play: the one that was sent, or a proxy of it. Null until the proxy "
-        "is made, and for keypoints."
+        "is made, and for keypoints. If `shows_blurred`, a copy with blurred heads; null until it is made."
     )
     media_start_s: float = Field(description="Time of the first frame on the clock of the video at `video_link`.")
     thumbnails: tuple[ThumbnailOut, ...] = Field(
         default=(),
         description="Pictures at which the check looked, ascending in time; `pictures` of a finding's evidence has "
-        "their places in this list. None for keypoints.",
+        "their places in this list. None for keypoints, and if `shows_blurred`.",
     )
 
     @classmethod
-    def of(cls, session_id: str, camera: PreflightCamera, has_proxy: bool) -> Self:
-        """Build the response from a camera of a session."""
+    def of(cls, capture: Capture, number: int) -> Self:
+        """Build the response from a camera of a session, by its number."""
+        camera = capture.session.preflight.cameras[number]
         plays = camera.media_type is not None
-        session, name = f"/v1/sessions/{session_id}", quote(camera.name, safe="")
+        is_there = capture.session.videos_deleted_at is None
+        is_sent_shown = plays and is_there and not capture.is_blurred
+        is_copy_made = blurred_name(number) in capture.blurred or (
+            not capture.is_blurred and proxy_name(number) in capture.proxies
+        )
+        session, name = f"/v1/sessions/{capture.session.id}", quote(camera.name, safe="")
         path = f"{session}/videos/{name}"
         return cls(
             **fields_of(camera, cls, without=("plays_in_browsers", "video_link", "media_start_s", "thumbnails")),
             plays_in_browsers=plays,
-            video_link=path if plays or has_proxy else None,
-            media_start_s=camera.media_start_s if plays else 0.0,
+            video_link=path if is_sent_shown or is_copy_made else None,
+            media_start_s=camera.media_start_s if is_sent_shown else 0.0,
             thumbnails=tuple(
                 ThumbnailOut(time_s=one.time_s, link=f"{session}/thumbnails/{name}/{number}")
-                for number, one in enumerate(camera.thumbnails)
+                for number, one in enumerate(camera.thumbnails if is_there and not capture.is_blurred else ())
             ),
         )
 
@@ -263,12 +272,9 @@ class PreflightOut(ResponseModel):
     @classmethod
     def of(cls, capture: Capture) -> Self:
         """Build the response from a session and its proxies."""
-        session, preflight = capture.session, capture.session.preflight
+        preflight = capture.session.preflight
         return cls(
-            cameras=tuple(
-                CameraOut.of(session.id, camera, proxy_name(number) in capture.proxies)
-                for number, camera in enumerate(preflight.cameras)
-            ),
+            cameras=tuple(CameraOut.of(capture, number) for number in range(len(preflight.cameras))),
             timebase=TimebaseOut(**fields_of(preflight.timebase, TimebaseOut)),
             warnings=preflight.warnings,
             findings=tuple(FindingOut(**fields_of(finding, FindingOut)) for finding in preflight.findings),
@@ -309,12 +315,22 @@ class SessionOut(ResponseModel):
     name: str = Field(description="Name of the session for people.")
     created_at: AwareDatetime = Field(description="Time of the creation.")
     files: tuple[FileOut, ...] = Field(description="Files of the session.")
-    num_bytes: int = Field(description="Size of all files.")
+    num_bytes: int = Field(description="Size of all files that are not deleted.")
+    videos_deleted_at: AwareDatetime | None = Field(
+        default=None,
+        description="Time at which the session's videos were deleted, with their thumbnails and proxies; null: they "
+        "are there, or it has keypoints.",
+    )
     duration_s: float = Field(description="Duration: output frames divided by the frame rate.")
     num_jobs: int = Field(description="Number of the session's reconstructions.")
     newest_job: NewestJobOut | None = Field(description="Reconstruction that was queued last; null without any.")
     proxies_job: NewestJobOut | None = Field(
         description="Job that makes small copies of the videos that browsers can't play; null if none had to."
+    )
+    shows_blurred: bool = Field(
+        default=False,
+        description="Whether a job of the session has `blur_faces`: videos are shown with blurred heads alone, and "
+        "thumbnails not at all.",
     )
     preflight: PreflightOut = Field(description="Result of the check of the files.")
     sync: Literal["declared", "auto"] = Field(description="Synchronisation of jobs whose spec does not state `sync`.")
@@ -333,12 +349,19 @@ class SessionOut(ResponseModel):
             id=session.id,
             name=session.name,
             created_at=session.created_at,
-            files=tuple(FileOut(**fields_of(file, FileOut)) for file in session.files),
-            num_bytes=sum(file.num_bytes for file in session.files),
+            files=tuple(
+                FileOut(
+                    is_deleted=file not in session.stored_files, **fields_of(file, FileOut, without=("is_deleted",))
+                )
+                for file in session.files
+            ),
+            num_bytes=sum(file.num_bytes for file in session.stored_files),
+            videos_deleted_at=session.videos_deleted_at,
             duration_s=session.preflight.duration_s,
             num_jobs=capture.num_jobs,
             newest_job=NewestJobOut.of(capture.newest_job),
             proxies_job=NewestJobOut.of(capture.proxies_job),
+            shows_blurred=capture.is_blurred,
             preflight=PreflightOut.of(capture),
             sync=session.preflight.sync,
             timeline=session.preflight.timeline,

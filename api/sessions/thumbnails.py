@@ -9,7 +9,7 @@ from api.contract.description import file_content, problems
 from api.contract.resource import Resource
 from api.dependencies import ServicesDep, SessionId
 from api.downloads import ConditionsDep, Download, file_responses, send_file
-from api.sessions.videos import Camera
+from api.sessions.videos import Camera, deleted
 from pipeline.capture.preflight_record import thumbnail_name
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import thumbnail_key
@@ -36,8 +36,16 @@ def get_session_thumbnail(
     records: VideoViewDep,
     conditions: ConditionsDep,
 ) -> Response:
-    """Look at a small copy of a picture of a camera, at most 320 pixels wide and high, at which the check looked."""
-    cameras = records.sessions.get(session_id).preflight.cameras
+    """Look at a small copy of a picture of a camera, at most 320 pixels wide and high, at which the check looked.
+
+    Of a session with a job that has `blur_faces`, there are none.
+    """
+    capture = records.sessions.capture(session_id)
+    if capture.is_blurred:
+        raise NotFound("A job of this session blurs faces, and the pictures of its check are not blurred.")
+    if capture.session.videos_deleted_at is not None:
+        raise deleted()
+    cameras = capture.session.preflight.cameras
     place = next((place for place, one in enumerate(cameras) if one.name == camera), None)
     if place is None:
         raise NotFound("The session has no camera of this name.")

@@ -3,18 +3,19 @@
 from dataclasses import replace
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Path, Request, Response, status
 
-from api.auth import VideoViewDep
+from api.auth import RecordsDep, VideoViewDep
 from api.contract.description import file_content, problems
 from api.contract.resource import Resource
 from api.dependencies import ServicesDep, SessionId
 from api.downloads import ConditionsDep, Download, file_responses, send_file
-from api.errors import ApiError
+from api.errors import VIDEOS_DELETED_HINT, ApiError
 from pipeline.capture.preflight_record import PreflightCamera
-from pipeline.job_choices import proxy_name
-from pipeline.problem_codes.requests import NOT_FINISHED
+from pipeline.job_choices import blurred_name, proxy_name
+from pipeline.problem_codes.requests import NOT_FINISHED, VIDEOS_DELETED
 from worker.jobs.errors import NotFound
+from worker.jobs.files.removals import remove_files
 from worker.jobs.model.sessions import Session
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import has_videos
@@ -46,15 +47,59 @@ def get_session_video(
 
     The video is the file that was sent, if browsers play it. Else it is a proxy: a small copy at the true times of the
     frames, without sound, which is made behind the session's first reconstruction.
+
+    Of a session with a job that has `blur_faces`, in whatever state, it is a small copy with blurred heads that the
+    newest such job has made, and never the file that was sent. Frames that this job left out are black.
     """
-    session = records.sessions.get(session_id)
-    cameras = session.preflight.cameras
+    capture = records.sessions.capture(session_id)
+    session, cameras = capture.session, capture.session.preflight.cameras
     number = next((number for number, one in enumerate(cameras) if one.name == camera), None)
     if number is None:
         raise NotFound("The session has no camera of this name.")
     media_type = cameras[number].media_type
-    file = _proxy(records, session, number) if media_type is None else _sent(session, cameras[number], media_type)
+    if session.videos_deleted_at is not None and not capture.blurred:
+        raise deleted()
+    if capture.is_blurred:
+        file = _blurred(records, session, number)
+    else:
+        file = _proxy(records, session, number) if media_type is None else _sent(session, cameras[number], media_type)
     return send_file(request, services, file, conditions)
+
+
+@router.delete(
+    "",
+    operation_id="deleteSessionVideos",
+    summary="Delete a session's videos",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(404, 409),
+)
+def delete_session_videos(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
+    """Delete the videos of a session for good, with their thumbnails and proxies; results of its jobs stay.
+
+    Edits of people, and further jobs that detect nothing new, need no videos. All else answers `videos_deleted` from
+    then on. A job of the session has to have succeeded, and none may be at work. To delete videos twice is no error.
+    """
+    services.disk.using_reserve(lambda: records.sessions.delete_videos(session_id))
+    services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
+
+
+def deleted() -> ApiError:
+    """Error for pictures of videos that were deleted."""
+    return ApiError(VIDEOS_DELETED, "The videos of this session were deleted.", status=410, hint=VIDEOS_DELETED_HINT)
+
+
+def _blurred(records: TenantRecords, session: Session, number: int) -> Download:
+    """Blurred video of a camera, by its number in the session."""
+    camera = session.preflight.cameras[number]
+    if not has_videos(session):
+        raise NotFound("The session has keypoints, and no videos.")
+    blurred = records.results.blurred(session.id, blurred_name(number))
+    if blurred is None:
+        message = "A job of this session blurs faces, and the blurred video of this camera is not there."
+        hint = "Read the session until the camera has a video_link. If no job with blur_faces succeeds, start another."
+        raise ApiError(NOT_FINISHED, message, hint=hint)
+    name = f"{camera.file.rpartition('.')[0] or camera.file}.mp4"
+    return replace(Download.of(blurred, name), disposition="inline", remedy="Start another job with blur_faces.")
 
 
 def _proxy(records: TenantRecords, session: Session, number: int) -> Download:

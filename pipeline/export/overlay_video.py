@@ -10,8 +10,10 @@ from jaxtyping import UInt8
 
 from pipeline.calibration.sizes import scaled
 from pipeline.capture.session import Session
+from pipeline.data.heads import HeadRegions
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.overlay import draw_skeletons, given_names, people_at
+from pipeline.privacy.blur import blur_ellipses
 from pipeline.video.decode import decode
 from pipeline.video.playback.h264 import even_size_px
 from pipeline.video.playback.written import write_pictures
@@ -45,7 +47,14 @@ def overlay_names(cameras: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def draw_video(session: Session, take: Reconstruction, camera: str, path: Path, on_frame: Callable[[], object]) -> bool:
+def draw_video(
+    session: Session,
+    take: Reconstruction,
+    camera: str,
+    path: Path,
+    on_frame: Callable[[], object],
+    heads: HeadRegions | None = None,
+) -> bool:
     """Write the overlay video of a camera, frame by frame: the memory does not grow with its length.
 
     The skeletons are at the time of each frame: between output frames, and on the session's clock.
@@ -56,6 +65,8 @@ def draw_video(session: Session, take: Reconstruction, camera: str, path: Path, 
         Session of the take, on measured clocks if they were measured.
     on_frame
         Called after each frame; an exception from it ends the work.
+    heads
+        Heads that are blurred below the skeletons; ``None``: none are.
 
     Returns
     -------
@@ -81,6 +92,8 @@ def draw_video(session: Session, take: Reconstruction, camera: str, path: Path, 
         with closing(decode(video, frames.start, frames.stop)) as decoded:
             for frame, image_rgb in decoded:
                 picture = cv2.resize(np.ascontiguousarray(image_rgb), size_px, interpolation=cv2.INTER_AREA)
+                if heads is not None:
+                    picture = blur_ellipses(picture, heads.in_frame(frame, size_px))
                 people_m = people_at(take.tracks, timebase, float(times.time_s[frame]))
                 yield frame - frames.start, draw_skeletons(picture, small, people_m, take.joints, names)
                 on_frame()

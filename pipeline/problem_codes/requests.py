@@ -127,6 +127,13 @@ IDEMPOTENCY_KEY_REUSED = ANSWERS.code(
     "This `Idempotency-Key` was used for another request.",
     "Use a new key for each request.",
 )
+VIDEOS_DELETED = ANSWERS.code(
+    "videos_deleted",
+    ("409", "410", "422", "job"),
+    "The videos of the session were deleted, and what is asked for needs them: to detect people, to draw over them, to "
+    "show or to copy them.",
+    "Use the results of the session's jobs; else send the videos again as a new session.",
+)
 EXPIRED = ANSWERS.code("expired", ("410",), "The result file was removed.", "Start another job of the session.")
 CHANGED_MEANWHILE = ANSWERS.code(
     "changed_meanwhile",

@@ -13,12 +13,14 @@ from pipeline.body.installed import find as find_body
 from pipeline.capture.session import Session
 from pipeline.choices import Choice
 from pipeline.config import CHOICES, ReconstructionConfig
+from pipeline.data.heads import HeadRegions
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect.entries import entry_of
 from pipeline.edits import document_of
 from pipeline.errors import InputError
 from pipeline.export.overlay import given_names, people_at
 from pipeline.gait.analysis import analyse_gait
+from pipeline.privacy.blur import blur_ellipses
 from pipeline.progress import OnShare
 from pipeline.quality.report import all_checks, quality_report
 from pipeline.quality.views import views_of, without_fingers
@@ -31,6 +33,8 @@ from pipeline.video.info import VideoInfo
 
 ReadVideo = Callable[[str], AbstractContextManager[None]]
 """Gives the block in which the video of a camera can be read, by the camera's name."""
+HeadsOf = Callable[[str], HeadRegions | None]
+"""Gives the heads that are blurred in the pictures of a camera, by the camera's name; ``None``: none are."""
 
 
 def contents_of(
@@ -41,6 +45,7 @@ def contents_of(
     name: str,
     inputs: Mapping[str, str],
     reading: ReadVideo,
+    heads: HeadsOf,
     on_share: OnShare,
 ) -> ReportContents:
     """Gather the contents of a report.
@@ -57,7 +62,7 @@ def contents_of(
     for number, (moment, camera) in enumerate(wanted):
         on_share(0.5 + 0.5 * number / len(wanted))
         try:
-            picture = _picture(reading, session, take, camera, moment)
+            picture = _picture(reading, heads, session, take, camera, moment)
         except InputError as error:
             notes.append(f"No picture of {camera}: {error.problems[0].message}")
             continue
@@ -103,7 +108,9 @@ def _angles_of(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonA
     ]
 
 
-def _picture(reading: ReadVideo, session: Session, take: Reconstruction, camera: str, moment: Moment) -> Picture | None:
+def _picture(
+    reading: ReadVideo, heads: HeadsOf, session: Session, take: Reconstruction, camera: str, moment: Moment
+) -> Picture | None:
     """Picture of a camera at a moment; ``None`` if it took none within an interval of its own frames."""
     (shown,) = (known for known in take.cameras if known.name == camera)
     own_s = session.times[camera].time_s
@@ -119,6 +126,8 @@ def _picture(reading: ReadVideo, session: Session, take: Reconstruction, camera:
             image_rgb = _decoded(video, number)
         if image_rgb is None:
             return None
+        if (regions := heads(camera)) is not None:
+            image_rgb = blur_ellipses(image_rgb, regions.in_frame(number, shown.size_px))
     people_m = people_at(take.tracks, take.timebase, time_s)
     size_px, jpeg = draw_picture(image_rgb, shown, people_m, take.joints, given_names(take.motions))
     return Picture(moment, camera, time_s, size_px, jpeg)

@@ -36,5 +36,6 @@ STAGE = Stage(
     choices=("making",),
     is_planned=lambda facts, config: isinstance(config.making, CalibrationChoices) and config.making.board is not None,
     unit="frames",
+    reads_videos=True,
     max_frames=BOARD_FRAMES,
 )

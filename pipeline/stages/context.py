@@ -18,6 +18,7 @@ from pipeline.character.source import CharacterSource
 from pipeline.config import ReconstructionConfig, networks_of
 from pipeline.data.cameras import Synchronization
 from pipeline.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
+from pipeline.data.heads import HeadRegions
 from pipeline.detect.chunk import concatenate
 from pipeline.detect.damage import CheckedPictures, damaged_videos
 from pipeline.detect.entries import entry_of
@@ -30,7 +31,7 @@ from pipeline.runtime.npz import decode_arrays
 from pipeline.stages.codec import decode
 from pipeline.stages.people import StoredPeople
 from pipeline.stages.refinement import RefinedCalibration
-from pipeline.stages.stage import DETECT, LOOK, REFINE, SYNCHRONIZE, FrameCut, SessionFacts, Task
+from pipeline.stages.stage import DETECT, HEADS, LOOK, REFINE, SYNCHRONIZE, FrameCut, SessionFacts, Task
 from pipeline.synchronization.session import largest_shift_s, on_measured_clocks
 from pipeline.tracking.observations import Detections2D, gather
 from pipeline.video.timeline import frames_in
@@ -145,6 +146,13 @@ class Context(ABC):
     def refined(self) -> RefinedCalibration | None:
         """Refined cameras and the report; ``None`` if the calibration stays as it is given."""
         return None if self.config.refine_calibration == "off" else self.record(REFINE, RefinedCalibration)
+
+    def heads(self, camera: str) -> HeadRegions | None:
+        """Heads to be blurred in the pictures of a camera; ``None`` if none are."""
+        if not (self.config.blur_faces and self.facts.has_videos):
+            return None
+        regions = self.record(HEADS, tuple[HeadRegions, ...])
+        return next(known for known in regions if known.camera == camera)
 
     def on_clocks(self, session: Session) -> Session:
         """Wanted frames of the whole session or its outline, numbered from 0, on measured clocks if they were measured.

@@ -49,5 +49,6 @@ STAGE = Stage(
     choices=("profile", "joints", "detector", "output"),
     is_planned=is_detecting,
     unit="frames",
+    reads_videos=True,
     leaves_interim=lambda config: config.uses_colours,
 )

@@ -58,5 +58,6 @@ STAGE = Stage(
     choices=("profile", "detector", "poses"),
     is_planned=is_detecting,
     unit="frames",
+    reads_videos=True,
     max_frames=LOOKED_AT_FRAMES,
 )

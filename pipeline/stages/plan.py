@@ -42,6 +42,8 @@ _MODULES = (
     "redetect_again",
     "identify",
     "fit",
+    "heads",
+    "blur",
     "edit",
     "refit",
     "overlay",

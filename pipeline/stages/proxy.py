@@ -25,4 +25,5 @@ STAGE = Stage(
     is_planned=lambda facts, config: isinstance(config.making, ProxyChoices),
     unit="frames",
     is_reusable=False,
+    reads_videos=True,
 )

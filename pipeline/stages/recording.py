@@ -2,7 +2,7 @@
 
 from pipeline.config import ending_of
 from pipeline.job_choices import RECORDING_KIND
-from pipeline.stages.stage import DETECT, RECORD, TAKE, Context, Output, ResultFile, Stage, Task, indexed
+from pipeline.stages.stage import DETECT, HEADS, RECORD, TAKE, Context, Output, ResultFile, Stage, Task, indexed
 
 
 def write_recording(task: Task, context: Context) -> Output:
@@ -14,7 +14,12 @@ def write_recording(task: Task, context: Context) -> Output:
     session, source = context.wanted(context.session()), context.detections
     detections = {} if source.finds_fields else source.bodies(session)
     path = context.scratch / f"take.{ending_of('rerun')}"
-    write(assemble(context), path, RecordedFootage(session, detections, context.video), context.on_share(task))
+    write(
+        assemble(context),
+        path,
+        RecordedFootage(session, detections, context.video, context.heads),
+        context.on_share(task),
+    )
     return indexed([ResultFile(path.name, RECORDING_KIND, None, "application/octet-stream", path)])
 
 
@@ -23,9 +28,10 @@ STAGE = Stage(
     "Write the Rerun recording",
     write_recording,
     cut="whole",
-    follows=(DETECT, *TAKE),
-    choices=("exports", "names"),
+    follows=(DETECT, *TAKE, HEADS),
+    choices=("exports", "blur_faces", "names"),
     is_planned=lambda facts, config: config.is_of_people and "rerun" in config.exports,
     is_reusable=False,
+    reads_videos=True,
     makes_files=True,
 )

@@ -57,4 +57,5 @@ STAGE = Stage(
     choices=("profile", "joints", "detector", "output"),
     is_planned=is_redetecting,
     frames_a_unit=10,
+    reads_videos=True,
 )

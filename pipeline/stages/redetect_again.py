@@ -21,4 +21,5 @@ STAGE = Stage(
     choices=("profile", "joints", "detector", "output"),
     is_planned=is_redetecting,
     frames_a_unit=50,
+    reads_videos=True,
 )

@@ -1,7 +1,7 @@
 """Write the report of a take. The output is the index of its file."""
 
 from pipeline.job_choices import REPORT_KIND
-from pipeline.stages.stage import REPORT, TAKE, Context, Output, ResultFile, Stage, Task, indexed
+from pipeline.stages.stage import HEADS, REPORT, TAKE, Context, Output, ResultFile, Stage, Task, indexed
 
 
 def write_report(task: Task, context: Context) -> Output:
@@ -20,6 +20,7 @@ def write_report(task: Task, context: Context) -> Output:
         origin.name,
         origin.files,
         context.video,
+        context.heads,
         context.on_share(task),
     )
     path = context.scratch / "report.html"
@@ -32,8 +33,8 @@ STAGE = Stage(
     "Write the report",
     write_report,
     cut="whole",
-    follows=TAKE,
-    choices=("report", "names"),
+    follows=(*TAKE, HEADS),
+    choices=("report", "blur_faces", "names"),
     is_planned=lambda facts, config: config.is_of_people and config.report,
     is_reusable=False,
     makes_files=True,

@@ -13,9 +13,10 @@ import structlog
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan, without_names
-from pipeline.job_choices import OVERLAY_KIND, RECORDING_KIND, REPORT_KIND
+from pipeline.job_choices import BLURRED_KIND, OVERLAY_KIND, RECORDING_KIND, REPORT_KIND, blurred_name
 from pipeline.stages.stage import (
     ASSOCIATE,
+    BLUR,
     CHECK,
     DETECT,
     EDIT,
@@ -23,6 +24,7 @@ from pipeline.stages.stage import (
     EXPECT_AGAIN,
     EXPORT,
     FIT,
+    HEADS,
     IDENTIFY,
     LOOK,
     OVERLAY,
@@ -121,6 +123,16 @@ def write_recording(work: Work) -> Output:
     return Output(b"{}", (ResultFile(path.name, RECORDING_KIND, None, "application/octet-stream", path),))
 
 
+def find_heads(work: Work) -> Output:
+    return Output(b"heads in " + work.outputs(FIT)[0])
+
+
+def blur_videos(work: Work) -> Output:
+    path = work.scratch / blurred_name(work.claim.index)
+    path.write_bytes(b"blurred by " + work.outputs(HEADS)[0])
+    return Output(b"{}", (ResultFile(path.name, BLURRED_KIND, None, "video/mp4", path),))
+
+
 def write(work: Work) -> Output:
     return Output(work.outputs(REFIT)[work.claim.index])
 
@@ -136,6 +148,8 @@ LIGHT_STAGES: dict[str, Callable[[Work], Output]] = {
     REDETECT_AGAIN: redetect,
     IDENTIFY: identify,
     FIT: fit,
+    HEADS: find_heads,
+    BLUR: blur_videos,
     EDIT: edit,
     REFIT: refit,
     OVERLAY: draw_overlay,

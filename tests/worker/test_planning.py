@@ -19,12 +19,14 @@ from pipeline.stages.look import LOOKED_AT_FRAMES
 from pipeline.stages.plan import MAX_TASKS, STAGES, effective_choices, plan
 from pipeline.stages.stage import (
     ASSOCIATE,
+    BLUR,
     CHECK,
     DETECT,
     EXPECT,
     EXPECT_AGAIN,
     EXPORT,
     FIT,
+    HEADS,
     IDENTIFY,
     LENGTHS,
     LOOK,
@@ -382,3 +384,17 @@ def test_overlays_are_drawn_of_each_camera_if_asked_for() -> None:
     assert keys(session, JobSpec(report=True, overlay=True)).keys() - keys(session).keys() == {OVERLAY, REPORT}
     recorded, plain = keys(session, JobSpec(exports=("bvh", "rerun"))), keys(session, JobSpec(exports=("bvh",)))
     assert recorded.keys() - plain.keys() == {RECORD}
+
+
+def test_blurred_heads_change_no_key_but_those_of_pictures() -> None:
+    session = make_session(100, (50.0, 25.0))
+    plain = keys(session, JobSpec(report=True, overlay=True))
+    blurred = keys(session, JobSpec(report=True, overlay=True, blur_faces=True))
+    assert blurred.keys() - plain.keys() == {HEADS, BLUR}
+    assert {name for name in plain if plain[name] != blurred[name]} == {OVERLAY, REPORT}
+    recordings = [JobSpec(exports=("rerun",), blur_faces=blur_faces) for blur_faces in (False, True)]
+    assert len({keys(session, spec)[RECORD][0] for spec in recordings}) == 2
+    (stage,) = (one for one in plan_job(session, JobSpec(blur_faces=True)) if one.name == BLUR)
+    assert [(one.payload["camera"], one.unit_count) for one in stage.chunks] == [("0", 100), ("1", 50)]
+    keypoints = replace(session, files=(replace(session.files[0], kind="keypoints"), *session.files[1:]))
+    assert not {HEADS, BLUR} & {planned.name for planned in plan_job(keypoints, JobSpec(blur_faces=True))}

@@ -7,6 +7,7 @@
     ├── Conflict             not in this state
     │   ├── NotFinished      a job without results yet
     │   ├── NoResults        a job that failed or was canceled has no results
+    │   ├── VideosDeleted    the session's videos were deleted, and the work needs them
     │   └── KeyBusy          the request of an idempotency key is at work
     ├── KeyReused            an idempotency key came with another request
     ├── QuotaExceeded        the tenant would exceed a quota
@@ -50,6 +51,13 @@ class NoResults(Conflict):
     def __init__(self, state: str, reason: str | None, retryable: bool) -> None:
         self.state, self.reason, self.retryable = state, reason, retryable
         super().__init__(f"The job is {state} and has no results.")
+
+
+class VideosDeleted(Conflict):
+    """The session's videos were deleted, and the work needs them."""
+
+    def __init__(self) -> None:
+        super().__init__("The videos of this session were deleted, and this needs them.")
 
 
 class KeyBusy(Conflict):

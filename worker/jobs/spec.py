@@ -47,6 +47,12 @@ class JobSpec(_Choices, frozen=True):
         description="Stored character that moves as each person, in files of its own. The job keeps a copy of it, with "
         "the bones that it has now.",
     )
+    keep_videos: bool = Field(
+        default=True,
+        strict=True,
+        description="False: once the job has succeeded and no job of the session is at work, the session's videos are "
+        "deleted, with all pictures of them but those in result files. Results stay.",
+    )
     callback_url: str | None = Field(
         default=None,
         max_length=2000,

@@ -176,6 +176,8 @@ def command(
             session, out, config, bars.update, kept, sources=sources, on_file=paths.append, character=moved
         )
     metrics, warnings = written.metrics, method_warnings(config, keypoints is None)
+    if config.blur_faces and not (config.overlay or config.report or "rerun" in config.exports):
+        warnings = (*warnings, "Faces are blurred in --overlay, --report and --exports rerun; none was asked for.")
     if as_json:
         emit(
             {

@@ -10,6 +10,7 @@ const OF_ALL = {
   report: "Report, opens in a browser",
   overlay: "Video with the skeletons",
   rerun: "Recording for Rerun's viewer",
+  blurred: "Video with blurred heads",
   skeletons: "Joints of everybody, JSON",
   metrics: "Quality figures, JSON",
   calibration: "Refined calibration, JSON",
@@ -46,18 +47,19 @@ function group(title, results, options) {
 
 /**
  * Files of the job's last revision that has some. `makeVisuals` makes report, overlay videos and recording of the present edits;
- * null for those who may not.
+ * null for those who may not. `hasVideos`: the videos of the session were not deleted.
  */
-export function downloads(job, results, options, makeVisuals) {
+export function downloads(job, results, options, makeVisuals, { hasVideos = true } = {}) {
   const people = [...new Map(results.filter(({ person }) => person !== null).map(({ person, person_name: name }) => [person, name])).entries()]
     .sort(([one], [other]) => one.localeCompare(other, "en", { numeric: true }));
   const ofAll = results.filter(({ person }) => person === null).sort((one, other) => ORDER.indexOf(one.kind) - ORDER.indexOf(other.kind));
-  const isShown = ({ kind }) => kind in VISUALS;
+  const isVisual = ({ kind }) => kind in VISUALS;
+  const isShown = ({ kind }) => kind in VISUALS || kind === "blurred";
   return html`<section class="panel downloads" aria-labelledby="files-title">
     <div class="head"><h2 id="files-title" tabindex="-1">Files</h2>
       <a class="button small primary" href=${addressed(job.links.results_zip)} download>All as ZIP</a></div>
     ${revisionNote(job)}
-    ${visualsNote(job, ofAll.filter(isShown), makeVisuals)}
+    ${visualsNote(job, ofAll.filter(isVisual), makeVisuals, hasVideos)}
     ${group("To show", ofAll.filter(isShown), options)}
     ${people.map(([person, name]) => group(name, results.filter((result) => result.person === person), options))}
     ${group("Everybody", ofAll.filter((result) => !isShown(result)), options)}
@@ -73,7 +75,7 @@ function revisionNote({ revision, results_revision: shown, state }) {
 }
 
 // Report, overlay videos and recording follow edits by a job of their own: on request, or when edits rest.
-function visualsNote(job, visuals, makeVisuals) {
+function visualsNote(job, visuals, makeVisuals, hasVideos) {
   const earlier = visuals.filter(({ revision }) => revision < job.revision);
   if (earlier.length === 0) return nothing;
   const kinds = Object.keys(VISUALS).filter((kind) => earlier.some((one) => one.kind === kind));
@@ -83,6 +85,7 @@ function visualsNote(job, visuals, makeVisuals) {
   const { state } = job.visuals_job ?? { state: null };
   if (state === "failed") return visualsBox(job, `${shown} Those of revision ${job.revision} could not be made.`, "Try again", makeVisuals);
   if (state !== null && !hasEnded({ state })) return visualsBox(job, `${shown} Those of revision ${job.revision} are being made.`);
+  if (!hasVideos && (job.spec.overlay || job.spec.exports.includes("rerun"))) return visualsBox(job, `${shown} They can't be made anew, because the videos were deleted.`);
   return visualsBox(job, `${shown} They are made anew when you ask for it, or when nobody has edited for a while.`, "Make them now", makeVisuals);
 }
 

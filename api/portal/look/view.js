@@ -99,6 +99,8 @@ class Look {
     this.#shown = job.results_revision;
     try {
       if (this.caller.scopes.includes("write")) this.#sharing ??= new Sharing(this.links, job);
+      // Blurred videos are there since the job has succeeded.
+      if (job.spec.blur_faces) this.session = await call(job.links.session);
       await this.motion.open(job, this.session, { isGuest: this.caller.isGuest });
       this.#showPeople();
     } catch (problem) {
@@ -158,7 +160,8 @@ class Look {
 
   #files() {
     if (this.job === null || !this.results) return nothing;
-    return downloads(this.job, this.results, this.options, this.caller.scopes.includes("write") ? () => this.#makeVisuals() : null);
+    const makeVisuals = this.caller.scopes.includes("write") ? () => this.#makeVisuals() : null;
+    return downloads(this.job, this.results, this.options, makeVisuals, { hasVideos: !this.session?.videos_deleted_at });
   }
 }
 

@@ -23,6 +23,8 @@ function factsOf(session) {
     length(session.duration_s),
     `${timebase.num_frames} frames at ${Number(timebase.frame_rate_hz.toFixed(2))} Hz`,
     size(session.num_bytes),
+    ...(session.videos_deleted_at ? ["videos deleted"] : []),
+    ...(session.shows_blurred ? ["faces blurred"] : []),
   ];
 }
 
@@ -118,6 +120,25 @@ export function captureCard(view, session) {
       view.focusList();
     });
   };
+  const hasVideos = session.videos_deleted_at === null && session.files.some(({ kind }) => kind === "video");
+  const hasResults = jobs.some(({ results_revision: revision }) => revision !== null);
+  const removeVideos = async () => {
+    const bytes = session.files.reduce((sum, { kind, num_bytes: more }) => sum + (kind === "video" ? more : 0), 0);
+    const question = {
+      title: `Delete the videos of ${session.name}?`, action: "Delete the videos",
+      text: `Its videos (${size(bytes)}) and pictures of them are deleted for good. Results stay, and people can be edited. Nobody can be detected or drawn over the videos any more.`,
+    };
+    if (!await confirm(question)) return;
+    await view.act(session.id, async () => {
+      await call(`${session.links.self}/videos`, { method: "DELETE" });
+      const changed = await call(session.links.self);
+      view.sessions = view.sessions.map((other) => (other.id === session.id ? changed : other));
+      view.draw();
+      announce(`The videos of ${session.name} are deleted.`);
+      view.focusList();
+    });
+  };
+
   const recalibrate = () => view.act(session.id, async () => {
     if (view.recalibrated.has(session.id)) view.recalibrated.delete(session.id);
     else view.recalibrated.set(session.id, usable(await readCalibrations()));
@@ -146,6 +167,8 @@ export function captureCard(view, session) {
         <button type="button" class="button small" id="recalibrate-${session.id}" aria-expanded=${view.recalibrated.has(session.id) ? "true" : "false"}
           aria-label="Other calibration: ${session.name}" @click=${recalibrate}>Other calibration</button>
         <button type="button" class="button small" id="rename-${session.id}" aria-label="Rename ${session.name}" @click=${() => beginRename(view, session)}>Rename</button>
+        ${hasVideos && hasResults ? html`<button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Its job needs them." : nothing}
+          aria-label="Delete the videos of ${session.name}" @click=${removeVideos}>Delete videos</button>` : nothing}
         <button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Cancel its job first." : nothing}
           aria-label="Delete ${session.name}" @click=${remove}>Delete</button>
       </div>` : nothing}

@@ -10,6 +10,8 @@ from jaxtyping import Float, Int
 
 from pipeline.capture.session import Session
 from pipeline.data.cameras import Timebase
+from pipeline.data.heads import HeadRegions
+from pipeline.privacy.blur import blur_ellipses
 from pipeline.progress import OnShare
 from pipeline.video.decode import decode
 from pipeline.video.playback.h264 import even_size_px
@@ -39,11 +41,17 @@ def small_size_px(size_px: tuple[int, int]) -> tuple[int, int]:
 
 
 def small_pictures(
-    session: Session, timebase: Timebase, camera: str, max_bytes: int, on_share: OnShare
+    session: Session,
+    timebase: Timebase,
+    camera: str,
+    max_bytes: int,
+    on_share: OnShare,
+    heads: HeadRegions | None = None,
 ) -> Iterator[SmallPicture]:
     """Decode the pictures of a camera in the frames of a take, in order, one at a time.
 
-    A picture that would exceed its share of ``max_bytes`` is left out, so that all of them together never do.
+    A picture that would exceed its share of ``max_bytes`` is left out, so that all of them together never do. ``heads``
+    are blurred; ``None``: none are.
 
     Raises
     ------
@@ -59,6 +67,8 @@ def small_pictures(
         for number, (frame, image_rgb) in enumerate(decoded, 1):
             size_px = small_size_px((image_rgb.shape[1], image_rgb.shape[0]))
             picture = cv2.resize(np.ascontiguousarray(image_rgb), size_px, interpolation=cv2.INTER_AREA)
+            if heads is not None:
+                picture = blur_ellipses(picture, heads.in_frame(frame, size_px))
             bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
             _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
             if num_bytes + encoded.size <= max_bytes * number / len(chosen):

@@ -10,7 +10,7 @@ bytes: Rerun numbers its chunks by the clock.
 """
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -31,6 +31,7 @@ from pipeline.capture.session import Session
 from pipeline.data.animation import FootContact, SkeletonMotion
 from pipeline.data.cameras import Camera, Timebase
 from pipeline.data.detections import Detections
+from pipeline.data.heads import HeadRegions
 from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.colors import Rgb, color_rgb
@@ -60,6 +61,11 @@ _PICTURES_A_CHUNK = 32
 _TOLERANCE_M = 1e-4
 
 
+def _unblurred(_: str) -> HeadRegions | None:
+    """Nothing is blurred in the pictures of a camera."""
+    return None
+
+
 @dataclass(frozen=True, slots=True)
 class RecordedFootage:
     """What cameras took of a take."""
@@ -68,6 +74,8 @@ class RecordedFootage:
     # Bodies that were detected, by name of the camera; none of networks that leave fields
     detections: Mapping[str, Detections] = field(default_factory=dict)
     reading: Any = nullcontext  # Function that gives the block in which the video of a camera can be read
+    # Function that gives the heads to be blurred in the pictures of a camera; ``None`` of it: none are
+    heads: Callable[[str], HeadRegions | None] = _unblurred
 
 
 def write_recording(
@@ -160,7 +168,9 @@ class _Recorder:
         """Add the pictures of a camera at the times at which they were taken."""
         reading: AbstractContextManager[None] = footage.reading(camera)
         with reading:
-            pictures = small_pictures(footage.session, self._take.timebase, camera, max_bytes, on_share)
+            pictures = small_pictures(
+                footage.session, self._take.timebase, camera, max_bytes, on_share, footage.heads(camera)
+            )
             for _, group in groupby(enumerate(pictures), lambda item: item[0] // _PICTURES_A_CHUNK):
                 chunk = [picture for _, picture in group]
                 time_s = np.array([picture.time_s for picture in chunk])

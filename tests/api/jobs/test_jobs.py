@@ -75,8 +75,10 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "people": "auto",
         "report": False,
         "overlay": False,
+        "blur_faces": False,
         "force": False,
         "character": None,
+        "keep_videos": True,
         "callback_url": None,
     }
 

@@ -21,6 +21,7 @@ from pipeline.stages.stage import (
     EXPECT_AGAIN,
     EXPORT,
     FIT,
+    HEADS,
     IDENTIFY,
     LENGTHS,
     OVERLAY,
@@ -176,7 +177,7 @@ def test_the_form_of_stored_people_counts_for_those_who_write_or_read_them(sourc
     )
     assert changed(sources) == {
         *(ASSOCIATE, EXPECT, EXPECT_AGAIN, IDENTIFY),
-        *(EDIT, FIT, REFIT, OVERLAY, REPORT, RECORD, RETARGET, WRITE, EXPORT),
+        *(EDIT, FIT, HEADS, REFIT, OVERLAY, REPORT, RECORD, RETARGET, WRITE, EXPORT),
     }
 
 

@@ -48,11 +48,11 @@ class Data:
         self.store.sessions.add(name, files, PREFLIGHT, session_id)
         return session_id
 
-    def add_job(self, session_id: str) -> JobRecord:
+    def add_job(self, session_id: str, spec: JobSpec = JobSpec()) -> JobRecord:  # noqa: B008 - frozen
         chunks = tuple(ChunkPlan(k, {}, UNITS, hashlib.sha256(f"detect-{k}".encode()).hexdigest()) for k in range(2))
         last = ChunkPlan(0, {}, UNITS, hashlib.sha256(b"export").hexdigest())
         return self.store.jobs.add(
-            session_id, JobSpec(), (StagePlan("detect", chunks, ""), StagePlan("export", (last,), ""))
+            session_id, spec, (StagePlan("detect", chunks, ""), StagePlan("export", (last,), ""))
         )
 
     def run_chunk(self) -> bool:

@@ -139,13 +139,19 @@ def _uploads(connection: Connection) -> Iterator[StoredFile]:
 
 
 def _of_sessions(connection: Connection) -> Iterator[StoredFile]:
-    columns = (sessions.c.id, sessions.c.files, sessions.c.record_sha256, sessions.c.preflight)
+    columns = (
+        *(sessions.c.id, sessions.c.files, sessions.c.record_sha256, sessions.c.preflight),
+        sessions.c.videos_deleted_at,
+    )
     query = select(*columns).order_by(sessions.c.id)
     rows = connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE})
-    for session_id, files, record_sha256, preflight in rows:
+    for session_id, files, record_sha256, preflight, videos_deleted_at in rows:
         for file in files:
-            yield _artifact(file["key"], file["sha256"], needed=True)
+            if videos_deleted_at is None or file["kind"] != "video":
+                yield _artifact(file["key"], file["sha256"], needed=True)
         yield _artifact(record_key(session_id), record_sha256, needed=True)
+        if videos_deleted_at is not None:
+            continue
         for camera, number, thumbnail in Preflight.from_json(preflight).thumbnails():
             key = thumbnail_key(session_id, thumbnail_name(camera, number))
             yield _artifact(key, thumbnail.sha256, needed=False)

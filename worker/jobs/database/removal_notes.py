@@ -15,7 +15,7 @@ _AGAIN_AFTER = timedelta(hours=2)
 
 
 def remove_later(connection: Connection, prefix: str) -> None:
-    """Note files to be removed after the transaction."""
+    """Note files to be removed after the transaction: all under a prefix, or one by its key."""
     for wait_s in (0.0, _AGAIN_AFTER.total_seconds()):
         connection.execute(insert(removals).values(prefix=prefix, due_at=now() + wait_s))
 

@@ -36,6 +36,7 @@ def session_of(row: Row[Any]) -> Session:
         metadata=row.client_metadata,
         record_sha256=row.record_sha256,
         purpose=row.purpose,
+        videos_deleted_at=row.videos_deleted_at,
     )
 
 
@@ -82,6 +83,7 @@ def select_jobs() -> Select[Any]:
         jobs,
         sessions.c.name.label("session_name"),
         sessions.c.preflight,
+        sessions.c.videos_deleted_at,
         queue_position.label("queue_position"),
         elapsed_s.label("elapsed_s"),
     ).join(sessions)
@@ -140,6 +142,7 @@ def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJo
         has_old_visuals=row.visuals_old_at is not None,
         visuals_job=visuals_job,
         character=job_character_of(row.character),
+        has_videos=row.videos_deleted_at is None,
     )
 
 

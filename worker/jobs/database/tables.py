@@ -56,11 +56,12 @@ sessions = Table(
     Column("files", JSON, nullable=False),
     Column("preflight", JSON, nullable=False),
     Column("client_metadata", JSON, nullable=False, server_default="{}"),
-    Column("num_bytes", BigInteger, nullable=False, server_default="0"),  # of all files
+    Column("num_bytes", BigInteger, nullable=False, server_default="0"),  # of all files that are there
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),
     Column("record_sha256", String(64)),  # of the preflight's file for the workers; null: session of an older version
     Column("purpose", String(16), nullable=False, server_default="capture"),  # or "calibration": not listed
     Column("search_name", String, nullable=False, server_default=""),  # name as ``searchable`` makes it
+    Column("videos_deleted_at", UtcTimestamp),  # null: the videos are there
     Index(None, "tenant", "id"),
 )
 
@@ -249,7 +250,7 @@ removals = Table(
     "removals",
     metadata,
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
-    Column("prefix", String, nullable=False, index=True),
+    Column("prefix", String, nullable=False, index=True),  # of keys, with a slash at its end; or a whole key
     Column("due_at", UtcTimestamp, nullable=False, index=True),
     sqlite_autoincrement=True,
 )

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from sqlalchemy import Connection, Row, delete, insert, select, update
 
-from pipeline.job_choices import VISUAL_KINDS
+from pipeline.job_choices import BLURRED_KIND, VISUAL_KINDS
 from worker.jobs.database.connection import now
 from worker.jobs.database.listed_results import drop_results
 from worker.jobs.database.removal_notes import remove_later
@@ -63,9 +63,12 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
 
 
 def _drop_earlier_results(connection: Connection, job: Row[Any]) -> None:
-    """Drop the files that those of a job that has succeeded replace: visuals are replaced by visuals alone."""
+    """Drop the files that those of a job that has succeeded replace: visuals are replaced by visuals alone.
+
+    Blurred videos are of all revisions.
+    """
     is_visual = results.c.kind.in_(VISUAL_KINDS)
-    of_same_kind = is_visual if job.of_job is not None else ~is_visual
+    of_same_kind = is_visual if job.of_job is not None else ~is_visual & (results.c.kind != BLURRED_KIND)
     drop_results(connection, job.of_job or job.id, of_same_kind & (results.c.revision < job.revision))
 
 

@@ -9,6 +9,7 @@
     jobs/<job>/results/<name>/<name>                 of the reconstruction
     jobs/<job>/revisions/<revision>/<name>/<name>    after edits of its people
     jobs/<job>/visuals/<revision>/<name>/<name>      overlay videos, report and recording
+    jobs/<job>/blurred/<name>/<name>                 copies of the videos with blurred heads
     jobs/<job>/interim/<attempt>/<output key>
     jobs/<job>/character/file                        copy of the character that the job moves
     characters/<character>/file
@@ -31,7 +32,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol
 
-from pipeline.job_choices import VISUAL_KINDS
+from pipeline.job_choices import BLURRED_KIND, VISUAL_KINDS
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.checksums import VerifiedFile, found, no_check, require_file
 from worker.jobs.files.disk import is_disk_full, sync
@@ -83,9 +84,14 @@ def record_key(session_id: str) -> str:
     return f"{session_prefix(session_id)}record"
 
 
+def thumbnails_prefix(session_id: str) -> str:
+    """Prefix of the keys of a session's thumbnails."""
+    return f"{session_prefix(session_id)}thumbnails/"
+
+
 def thumbnail_key(session_id: str, name: str) -> str:
     """Key of a small copy of a picture of a session's video."""
-    return f"{session_prefix(session_id)}thumbnails/{name}"
+    return f"{thumbnails_prefix(session_id)}{name}"
 
 
 def stage_key(session_id: str, output_key: str) -> str:
@@ -113,9 +119,17 @@ def visuals_prefix(job_id: str, revision: int = 0) -> str:
     return f"{job_prefix(job_id)}visuals/{revision}/"
 
 
+def blurred_prefix(job_id: str) -> str:
+    """Prefix of the keys of a job's blurred videos."""
+    return f"{job_prefix(job_id)}blurred/"
+
+
 def result_key(job_id: str, name: str, revision: int = 0, kind: str = "") -> str:
     """Key of a result file of a kind."""
-    prefix = visuals_prefix(job_id, revision) if kind in VISUAL_KINDS else results_prefix(job_id, revision)
+    if kind == BLURRED_KIND:
+        prefix = blurred_prefix(job_id)
+    else:
+        prefix = visuals_prefix(job_id, revision) if kind in VISUAL_KINDS else results_prefix(job_id, revision)
     return f"{prefix}{name}/{name}"
 
 
@@ -155,6 +169,9 @@ class ArtifactStore(Protocol):
 
     def signed_url(self, key: str, lifetime_s: float) -> str | None:
         """Address at which the file can be downloaded for a while without a key; ``None`` if the store has none."""
+
+    def delete(self, key: str) -> None:
+        """Remove a file, and copies of it on this machine; it may be missing."""
 
     def delete_prefix(self, prefix: str) -> None:
         """Remove every file whose key begins with ``prefix``, which ends with a slash."""
@@ -249,6 +266,10 @@ class LocalArtifacts:
     def exists(self, key: str) -> bool:
         """Whether a file is stored."""
         return self._path(key).is_file()
+
+    def delete(self, key: str) -> None:
+        """Remove a file."""
+        self._path(key).unlink(missing_ok=True)
 
     def delete_prefix(self, prefix: str) -> None:
         """Remove a folder with its content."""

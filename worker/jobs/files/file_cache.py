@@ -47,7 +47,9 @@ class FileCache:
             path.with_suffix(_USED).touch()
 
     def drop(self, key: str) -> None:
-        """Remove a damaged copy, even if it is in use."""
+        """Remove a copy that is damaged or may not stay, even if it is in use."""
+        if not self._folder.is_dir():
+            return
         path = self._path(key)
         with FileLock(path.with_suffix(_LOCK)):
             path.unlink(missing_ok=True)

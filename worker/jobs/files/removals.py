@@ -13,7 +13,10 @@ def remove_files(removals: Removals, artifacts: ArtifactStore) -> None:
     """Remove the files of all due removals. A removal that fails stays due, and is logged; an outage ends all."""
     for removal in removals.due():
         try:
-            artifacts.delete_prefix(removal.prefix)
+            if removal.prefix.endswith("/"):
+                artifacts.delete_prefix(removal.prefix)
+            else:
+                artifacts.delete(removal.prefix)
         except OSError as error:
             if outage_of(error) is not None:
                 log.warning("removals_wait", outage=outage_of(error))

@@ -126,6 +126,13 @@ class S3Artifacts:
             return False
         return True
 
+    def delete(self, key: str) -> None:
+        """Remove an object, and its copy on this machine."""
+        require_key(key)
+        with contextlib.suppress(NotFound), _reached(self._store, key):
+            obstore.delete(self._store, key)
+        self._cache.drop(key)
+
     def delete_prefix(self, prefix: str) -> None:
         """Remove objects, some hundreds at a time."""
         require_prefix(prefix)

@@ -43,11 +43,12 @@ def config_of(
 ) -> ReconstructionConfig:
     """Configuration of a job by its spec, what else it makes, the edits of its people, and their number of changes.
 
-    Visuals of people who were edited are made by a job of their own: edits don't wait for them. ``character`` is the
-    one that the job moves.
+    Visuals of people who were edited are made by a job of their own: edits don't wait for them. Blurred videos are made
+    once, because edits leave them as they are. ``character`` is the one that the job moves.
     """
     digest = None if character is None else character.digest
-    config = replace(spec.config, making=making, edits=edits, character=digest)
+    blurs_videos = spec.blur_faces and making is None and not revision
+    config = replace(spec.config, making=making, edits=edits, character=digest, blurs_videos=blurs_videos)
     if making is not None or not revision:
         return config
     return replace(config, overlay=False, report=False, exports=of_people(config.exports))
@@ -123,7 +124,7 @@ class JobRecord:
     its first results are written. ``results_revision`` is the revision whose files can be read, while those of a newer
     one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of
     an earlier revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character
-    that it moves.
+    that it moves. ``has_videos``: the videos of its session, if it has any, were not deleted.
     """
 
     id: str
@@ -154,6 +155,7 @@ class JobRecord:
     has_old_visuals: bool = False
     visuals_job: NewestJob | None = None
     character: JobCharacter | None = None
+    has_videos: bool = True
 
 
 @dataclass(frozen=True, slots=True)

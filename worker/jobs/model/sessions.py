@@ -53,6 +53,13 @@ class Session:
     record_sha256: str | None = None
     # Videos of a ``calibration`` that is made of them have guessed cameras; they are not listed among the captures
     purpose: Purpose = "capture"
+    # Time at which its videos and their pictures were deleted; ``None``: they are there, or it has keypoints
+    videos_deleted_at: datetime | None = None
+
+    @property
+    def stored_files(self) -> tuple[InputFile, ...]:
+        """Files that are in the artifact store."""
+        return tuple(file for file in self.files if self.videos_deleted_at is None or file.kind != "video")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,3 +72,7 @@ class Capture:
     newest_job: NewestJob | None = None
     proxies: frozenset[str] = frozenset()  # Names of the proxies that are made; see ``pipeline.job_choices.proxy_name``
     proxies_job: NewestJob | None = None  # Job that makes proxies; ``None``: no job had to
+    # Whether a reconstruction blurs faces, so that no picture of the session is shown as it was sent
+    is_blurred: bool = False
+    # Names of the blurred videos that are made; see ``pipeline.job_choices.blurred_name``
+    blurred: frozenset[str] = frozenset()

@@ -19,6 +19,7 @@ class AuditAction(StrEnum):
     SESSION_CREATED = "session-created"
     SESSION_RENAMED = "session-renamed"
     SESSION_DELETED = "session-deleted"
+    VIDEOS_DELETED = "videos-deleted"
     JOB_CREATED = "job-created"
     JOB_CANCELED = "job-canceled"
     JOB_RETRIED = "job-retried"

@@ -7,25 +7,26 @@ from typing import Any
 from sqlalchemy import Connection, Row, delete, func, insert, select
 from uuid_utils import uuid7
 
+from pipeline.config import ReconstructionConfig
 from pipeline.edits import PeopleEdit, document_of
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.listed_results import has_visuals, remove_unlisted
 from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
-from worker.jobs.database.rows import jobs_of, select_jobs
+from worker.jobs.database.rows import edits_of, job_character_of, jobs_of, making_of, select_jobs
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.jobs.model.characters import JobCharacter
-from worker.jobs.model.jobs import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, kind_of
+from worker.jobs.model.jobs import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, config_of, kind_of
 from worker.jobs.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState
 from worker.jobs.model.work import Change, Precedence, StagePlan
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.calibrations import forget_unmade
-from worker.jobs.repositories.sessions import lock_session
-from worker.jobs.repositories.work.plans import insert_chunks, plan_changes
+from worker.jobs.repositories.sessions import delete_proxies, lock_session
+from worker.jobs.repositories.work.plans import insert_chunks, plan_changes, require_videos
 from worker.jobs.spec import JobSpec
 
 
@@ -57,6 +58,8 @@ class Jobs:
     ) -> JobRecord:
         """Queue a job; its first stage is ready. The caller publishes that there is work.
 
+        A job that blurs faces deletes the proxies of its session, which are not blurred.
+
         Parameters
         ----------
         retention_s
@@ -74,6 +77,8 @@ class Jobs:
             There is no such session.
         Conflict
             The copy of the character took more than a day, and was removed.
+        VideosDeleted
+            The session's videos were deleted, and the job needs them.
         QuotaExceeded
         ValueError
             There is no stage, or one without chunks: such a job would never end.
@@ -87,7 +92,10 @@ class Jobs:
                     raise Conflict("The copy of the character took too long; send the request again.")
             if kind_of(making) not in SIDE_KINDS:  # which the tenant has not asked for
                 access.require_room(connection, unfinished_jobs=1)
+            if spec.blur_faces:
+                delete_proxies(connection, access, session_id)
             tenant = lock_session(connection, access, session_id)
+            require_videos(connection, session_id, stages, config_of(spec, making, character=character))
             connection.execute(
                 insert(jobs).values(
                     id=job_id,
@@ -172,11 +180,13 @@ class Jobs:
         """Queue a failed or canceled job again, as its next attempt. The caller publishes that there is work.
 
         Workers reuse outputs that are stored already. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``,
-        or ``Conflict`` if the job has neither failed nor been canceled.
+        ``VideosDeleted``, or ``Conflict`` if the job has neither failed nor been canceled.
         """
         with self._access.writing() as connection:
             self._access.require_room(connection, unfinished_jobs=1)
             job = job_row(connection, self._access, job_id, lock=True)
+            if job.state in RETRYABLE:
+                require_videos(connection, job.session_id, stages, _config_of(job))
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
             if job.state not in RETRYABLE or not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
@@ -202,8 +212,9 @@ class Jobs:
         Chunks that are done under the same keys stay done. An attempt that has not ended is given up: its running
         chunks lose their leases. The files of the last revision that has succeeded stay until the next one does. The
         caller publishes that there is work. ``stages`` are the plan with these edits, ``revision`` is the one that they
-        were made for; ``None``: any. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``, or ``Conflict``
-        if the job is expired, has found nobody yet, or has another revision.
+        were made for; ``None``: any. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``, ``VideosDeleted``
+        if people would have to be detected again, or ``Conflict`` if the job is expired, has found nobody yet, or has
+        another revision.
         """
         with self._access.writing() as connection:
             state = job_row(connection, self._access, job_id).state
@@ -213,6 +224,7 @@ class Jobs:
                 raise Conflict(f"The job has the revision {job.revision} now, not {revision}.")
             if job.people is None:
                 raise Conflict("The job has no results yet, so its people can't be edited.")
+            require_videos(connection, job.session_id, stages, _config_of(job, tuple(edits), job.revision + 1))
             changed = {
                 "edits": [document_of(edit) for edit in edits],
                 "revision": job.revision + 1,
@@ -256,6 +268,19 @@ class Jobs:
         if not found:
             raise NotFound("There is no such job.")
         return found[0]
+
+
+def _config_of(
+    job: Row[Any], edits: tuple[PeopleEdit, ...] | None = None, revision: int | None = None
+) -> ReconstructionConfig:
+    """Configuration of a job from its row, with its own edits or with others."""
+    return config_of(
+        JobSpec.model_validate(job.spec),
+        making_of(job.kind, job.making),
+        edits_of(job.edits) if edits is None else edits,
+        job.revision if revision is None else revision,
+        job_character_of(job.character),
+    )
 
 
 def job_row(connection: Connection, access: Access, job_id: str, lock: bool = False) -> Row[Any]:

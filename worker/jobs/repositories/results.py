@@ -2,6 +2,7 @@
 
 from sqlalchemy import select
 
+from pipeline.job_choices import BLURRED_KIND
 from pipeline.stages.stage import VIEWER
 from worker.jobs.database.access import Access
 from worker.jobs.database.rows import result_of
@@ -58,6 +59,20 @@ class Results:
             .join(jobs)
             .where(jobs.c.session_id == session_id, jobs.c.kind == "proxies", results.c.name == name)
             .where(self._access.may_reach(jobs))
+            .order_by(jobs.c.id.desc())
+            .limit(1)
+        )
+        with self._access.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else result_of(row)
+
+    def blurred(self, session_id: str, name: str) -> Result | None:
+        """Blurred video of a session by its name, of the newest job that has made it; ``None`` if none has."""
+        query = (
+            select(results)
+            .join(jobs)
+            .where(jobs.c.session_id == session_id, results.c.kind == BLURRED_KIND, results.c.name == name)
+            .where(self._access.may_reach(jobs), jobs.c.state != JobState.EXPIRED)
             .order_by(jobs.c.id.desc())
             .limit(1)
         )

@@ -7,17 +7,18 @@ from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, false, func, insert, select, true, update
 from uuid_utils import uuid7
 
 from pipeline.capture.preflight_record import Preflight
+from pipeline.job_choices import BLURRED_KIND
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
 from worker.jobs.database.rows import session_of
 from worker.jobs.database.tables import jobs, results, sessions
 from worker.jobs.errors import Conflict, NotFound
-from worker.jobs.files.artifacts import job_prefix, session_prefix
+from worker.jobs.files.artifacts import job_prefix, session_prefix, thumbnails_prefix
 from worker.jobs.model.jobs import SIDE_KINDS, NewestJob
 from worker.jobs.model.sessions import Capture, InputFile, Purpose, Session
 from worker.jobs.model.states import FINISHED, JobState
@@ -163,6 +164,59 @@ class Sessions:
             record_event(connection, self._access.actor, tenant, AuditAction.SESSION_DELETED, session_id)
             connection.execute(delete(sessions).where(sessions.c.id == session_id))
 
+    def delete_videos(self, session_id: str) -> None:
+        """Delete the videos of a session with its proxies and thumbnails, and note their files for removal.
+
+        Results stay, and outputs of stages, by which edits of people and further files are made. To delete them twice
+        is no error.
+
+        Raises ``NotFound``, also for a session of keypoints, or ``Conflict`` if a job of the session is unfinished, or
+        none has succeeded.
+        """
+        with self._access.writing() as connection:
+            delete_proxies(connection, self._access, session_id)
+            tenant = lock_session(connection, self._access, session_id)
+            session = self._read(connection, session_id)
+            if not any(file.kind == "video" for file in session.files):
+                raise NotFound("The session has keypoints, and no videos.")
+            if session.videos_deleted_at is not None:
+                return
+            of_session = select(jobs.c.id).where(jobs.c.session_id == session_id)
+            unfinished = connection.scalar(of_session.where(jobs.c.state.not_in(FINISHED)).limit(1))
+            if unfinished is not None:
+                raise Conflict(f"The job {unfinished} of this session is unfinished: wait for its end, or cancel it.")
+            if connection.scalar(of_session.where(jobs.c.results_revision.is_not(None)).limit(1)) is None:
+                raise Conflict("No job of this session has succeeded: without videos none could. Delete the session.")
+            kept = [file for file in session.files if file.kind != "video"]
+            connection.execute(
+                update(sessions)
+                .where(sessions.c.id == session_id)
+                .values(videos_deleted_at=now(), num_bytes=sum(file.num_bytes for file in kept))
+            )
+            for file in session.files:
+                if file.kind == "video":
+                    remove_later(connection, file.key)
+            remove_later(connection, thumbnails_prefix(session_id))
+            record_event(connection, self._access.actor, tenant, AuditAction.VIDEOS_DELETED, session_id)
+
+    def with_superfluous_videos(self) -> list[str]:
+        """Ids of sessions of which a job that does not keep the videos has succeeded, and none is at work."""
+        wanted = (
+            (jobs.c.session_id == sessions.c.id)
+            & jobs.c.results_revision.is_not(None)
+            & jobs.c.spec["keep_videos"].as_boolean().is_(false())
+        )
+        at_work = (jobs.c.session_id == sessions.c.id) & jobs.c.state.not_in(FINISHED) & (jobs.c.kind != "proxies")
+        query = select(sessions.c.id, sessions.c.files).where(
+            sessions.c.videos_deleted_at.is_(None),
+            select(jobs.c.id).where(wanted).exists(),
+            ~select(jobs.c.id).where(at_work).exists(),
+            self._access.may_reach(sessions),
+        )
+        with self._access.reading() as connection:
+            found = connection.execute(query.order_by(sessions.c.id)).all()
+        return [row.id for row in found if any(file["kind"] == "video" for file in row.files)]
+
     def _read(self, connection: Connection, session_id: str) -> Session:
         query = select(sessions).where(sessions.c.id == session_id, self._access.may_reach(sessions))
         row = connection.execute(query).one_or_none()
@@ -210,6 +264,7 @@ def _captures_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Captu
         jobs_that_make[row.session_id] = NewestJob(row.id, JobState(row.state))
         if row.name is not None:
             made[row.session_id].add(row.name)
+    blurred = _blurred_videos(connection, [row.id for row in rows])
     return [
         Capture(
             session_of(row),
@@ -217,9 +272,41 @@ def _captures_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Captu
             None if row.job_id is None else NewestJob(row.job_id, JobState(row.job_state)),
             frozenset(made[row.id]),
             jobs_that_make.get(row.id),
+            row.id in blurred,
+            blurred.get(row.id, frozenset()),
         )
         for row in rows
     ]
+
+
+def blurs_faces() -> ColumnElement[bool]:
+    """Condition that a job is a reconstruction that blurs faces."""
+    return (jobs.c.kind == "reconstruction") & jobs.c.spec["blur_faces"].as_boolean().is_(true())
+
+
+def _blurred_videos(connection: Connection, session_ids: Sequence[str]) -> Mapping[str, frozenset[str]]:
+    """Names of the blurred videos that are made, of each session with a job that blurs faces, whatever became of it."""
+    is_there = (results.c.kind == BLURRED_KIND) & (jobs.c.state != JobState.EXPIRED)
+    query = (
+        select(jobs.c.session_id, results.c.name)
+        .select_from(jobs.outerjoin(results, (results.c.job_id == jobs.c.id) & is_there))
+        .where(jobs.c.session_id.in_(session_ids), blurs_faces())
+    )
+    names = defaultdict[str, set[str | None]](set)
+    for row in connection.execute(query):
+        names[row.session_id].add(row.name)
+    return {session_id: frozenset(name for name in found if name) for session_id, found in names.items()}
+
+
+def delete_proxies(connection: Connection, access: Access, session_id: str) -> None:
+    """Delete the job that makes proxies of a session with its files, before the session is locked.
+
+    No client waits for such a job: a worker stops when it finds its job gone.
+    """
+    of_session = (jobs.c.session_id == session_id, jobs.c.kind == "proxies", access.may_reach(jobs))
+    for job_id in connection.scalars(select(jobs.c.id).where(*of_session).with_for_update()).all():
+        remove_later(connection, job_prefix(job_id))
+        connection.execute(delete(jobs).where(jobs.c.id == job_id))
 
 
 def lock_session(connection: Connection, access: Access, session_id: str) -> str:

@@ -9,16 +9,17 @@ from uuid_utils import uuid7
 from pipeline.job_choices import VisualChoices
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
-from worker.jobs.database.rows import jobs_of, select_jobs
-from worker.jobs.database.tables import jobs
+from worker.jobs.database.rows import edits_of, jobs_of, select_jobs
+from worker.jobs.database.tables import jobs, sessions
 from worker.jobs.database.transitions import delete_visuals_job, note
 from worker.jobs.errors import Conflict
-from worker.jobs.model.jobs import JobRecord
+from worker.jobs.model.jobs import JobRecord, config_of
 from worker.jobs.model.states import RETRYABLE, JobState
 from worker.jobs.model.work import StagePlan
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.jobs import job_row
-from worker.jobs.repositories.work.plans import insert_following
+from worker.jobs.repositories.work.plans import insert_following, require_videos
+from worker.jobs.spec import JobSpec
 
 
 class Visuals:
@@ -46,6 +47,8 @@ class Visuals:
         Raises
         ------
         NotFound
+        VideosDeleted
+            The session's videos were deleted, and an overlay video or a recording is to be made.
         Conflict
             Files of the reconstruction are being made, it was edited since, or nothing is to be made anew.
         """
@@ -66,6 +69,10 @@ class Visuals:
                     "The job has nothing to show of an earlier revision: overlay videos, a report, or a recording."
                 )
             else:
+                config = config_of(
+                    JobSpec.model_validate(of_job.spec), VisualChoices(), edits_of(of_job.edits), revision
+                )
+                require_videos(connection, of_job.session_id, stages, config)
                 delete_visuals_job(connection, job_id)
                 connection.execute(
                     insert(jobs).values(
@@ -94,9 +101,15 @@ class Visuals:
             return job
 
     def due(self, rest_s: float) -> list[str]:
-        """Ids of reconstructions whose last edit is so long ago, and whose visuals are of an earlier revision."""
-        query = select(jobs.c.id).where(
-            jobs.c.visuals_old_at <= now() - rest_s, jobs.c.state == JobState.SUCCEEDED, self._access.may_reach(jobs)
+        """Ids of reconstructions whose last edit is so long ago, and whose visuals are of an earlier revision.
+
+        Without the videos of their sessions nothing is made by itself: reports would lose their pictures.
+        """
+        query = (
+            select(jobs.c.id)
+            .join(sessions)
+            .where(jobs.c.visuals_old_at <= now() - rest_s, jobs.c.state == JobState.SUCCEEDED)
+            .where(sessions.c.videos_deleted_at.is_(None), self._access.may_reach(jobs))
         )
         with self._access.reading() as connection:
             return list(connection.scalars(query.order_by(jobs.c.visuals_old_at, jobs.c.id)))

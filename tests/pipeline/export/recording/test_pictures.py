@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.capture.session import CaptureSession
 from pipeline.data.cameras import FrameTimes, Timebase
+from pipeline.data.heads import HeadRegions
 from pipeline.export.recording.pictures import MAX_RATE_HZ, small_pictures, thinned
 from pipeline.progress import ignore
 from pipeline.video.info import VideoInfo
@@ -43,6 +45,22 @@ def noisy_session(folder: Path, num_frames: int) -> CaptureSession:
     video = probe(write_pictures(folder / "front.mp4", pictures, {"crf": "1"}))
     assert isinstance(video, VideoInfo)
     return CaptureSession((CAMERA,), (video,), {"front": FrameTimes(np.arange(num_frames) / 10.0)}, ())
+
+
+def test_heads_are_blurred(tmp_path: Path) -> None:
+    session, timebase = noisy_session(tmp_path, 3), Timebase(0.0, 10.0, 3)
+    ellipse_px = np.array([[320.0, 240.0, 60.0, 60.0]])
+    heads = HeadRegions("front", CAMERA.size_px, 0, 3, np.array([1]), ellipse_px)
+    plain, blurred = (
+        [cv2.imdecode(np.frombuffer(one.jpeg, np.uint8), cv2.IMREAD_COLOR) for one in pictures]
+        for pictures in (
+            small_pictures(session, timebase, "front", 2**30, ignore),
+            small_pictures(session, timebase, "front", 2**30, ignore, heads),
+        )
+    )
+    inner = slice(210, 271), slice(290, 351)
+    assert blurred[1][inner].std() < 0.3 * plain[1][inner].std()
+    np.testing.assert_array_equal(blurred[0], plain[0])
 
 
 def test_pictures_that_compress_badly_are_fewer(tmp_path: Path) -> None:

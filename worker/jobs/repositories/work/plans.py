@@ -6,10 +6,12 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, insert, literal, or_, select, true
 
-from pipeline.stages.plan import STAGE_BY_NAME
-from worker.jobs.database.tables import chunks, jobs
+from pipeline.config import ReconstructionConfig
+from pipeline.stages.plan import STAGE_BY_NAME, followers
+from worker.jobs.database.tables import artifacts, chunks, jobs, sessions
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job
+from worker.jobs.errors import VideosDeleted
 from worker.jobs.model.states import AT_WORK, ChunkState
 from worker.jobs.model.work import ChunkPlan, StagePlan
 from worker.jobs.repositories.work.workers import codes_at_work
@@ -51,6 +53,33 @@ class Plans:
             connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
             insert_chunks(connection, job_id, stages)
             return True
+
+
+def require_videos(
+    connection: Connection, session_id: str, stages: Sequence[StagePlan], config: ReconstructionConfig
+) -> None:
+    """Raise ``VideosDeleted`` if a plan needs the videos of a session, and they were deleted.
+
+    The session can't lose its videos until the transaction ends. A plan does without them if all outputs of stages that
+    read them are stored, and the interim outputs of these stages are not asked for.
+    """
+    query = select(sessions.c.videos_deleted_at).where(sessions.c.id == session_id)
+    if connection.scalar(query.with_for_update(read=True, key_share=True)) is None:
+        return
+    is_missing = {stage.name: _is_missing(connection, session_id, stage) for stage in stages}
+    for stage in (STAGE_BY_NAME[name] for name in is_missing):
+        interim_for = followers(stage.name) if stage.leaves_interim(config) else ()
+        if stage.reads_videos and any(is_missing.get(name, False) for name in (stage.name, *interim_for)):
+            raise VideosDeleted
+
+
+def _is_missing(connection: Connection, session_id: str, stage: StagePlan) -> bool:
+    """Whether an output of a stage of a plan is not stored."""
+    if not STAGE_BY_NAME[stage.name].is_reusable:
+        return True
+    keys = {chunk.output_key for chunk in stage.chunks}
+    stored = connection.scalars(select(artifacts.c.output_key).where(artifacts.c.session_id == session_id))
+    return not keys.issubset(stored)
 
 
 def insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePlan], num_done: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""Removals: files of the artifact store that are not needed any more, by their keys' prefix.
+"""Removals: files of the artifact store that are not needed any more, by a prefix of their keys or one key.
 
 A removal is noted in the transaction that makes the files superfluous, and carried out after it. A process that is
 killed in between loses nothing: the reaper looks for removals that are due.
