@@ -1,8 +1,8 @@
 """Sessions whose videos are deleted: what goes, what stays, and what goes on without them."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import pytest
 
@@ -130,10 +130,15 @@ def test_edits_and_further_files_need_no_videos(filled: RunnerBench) -> None:
     job = done(filled)
     reaper(filled).reap()
     ran: list[str] = []
-    filled.stages |= {
-        name: (lambda work, function=function: ran.append(work.claim.stage) or function(work))
-        for name, function in filled.stages.items()
-    }
+
+    def noted(function: Callable[[Work], Output]) -> Callable[[Work], Output]:
+        def run_noted(work: Work) -> Output:
+            ran.append(work.claim.stage)
+            return function(work)
+
+        return run_noted
+
+    filled.stages |= {name: noted(function) for name, function in filled.stages.items()}
     edit(filled, job)
     filled.runner().work(60.0)
     edited = filled.store.jobs.get(job.id)
@@ -252,7 +257,7 @@ def test_workers_say_that_videos_were_deleted(filled: RunnerBench, tmp_path: Pat
 
     filled.stages["export"] = noted
     done(filled, JobSpec(exports=("csv",)))
-    with pytest.raises(InputError) as raised, KeptSession().video(cast(Work, seen[0]), "left"):
+    with pytest.raises(InputError) as raised, KeptSession().video(seen[0], "left"):
         pass
     assert [problem.code for problem in raised.value.problems] == ["videos_deleted"]
 

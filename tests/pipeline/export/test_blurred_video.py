@@ -22,7 +22,7 @@ from tests.pipeline.privacy.test_blur import detail, patterned
 # A head that moves by 20 pixels a frame.
 FRAMES = np.arange(NUM_FRAMES)
 ELLIPSE_PX = np.stack(
-    [160 + 20.0 * FRAMES, np.full(NUM_FRAMES, 200.0), np.full(NUM_FRAMES, 40.0), np.full(NUM_FRAMES, 50.0)], axis=1
+    [160 + 20.0 * FRAMES, np.full(NUM_FRAMES, 100.0), np.full(NUM_FRAMES, 40.0), np.full(NUM_FRAMES, 50.0)], axis=1
 )
 HEADS = HeadRegions("front", CAMERA.size_px, 0, NUM_FRAMES, FRAMES, ELLIPSE_PX)
 
@@ -45,17 +45,18 @@ def pictures(path: Path) -> dict[int, np.ndarray]:
 def inner(image: np.ndarray, frame: int) -> np.ndarray:
     """Square in the middle of the head of a frame."""
     x_px = round(ELLIPSE_PX[frame, 0])
-    return image[180:221, x_px - 20 : x_px + 21]
+    return image[80:121, x_px - 20 : x_px + 21]
 
 
 def test_heads_are_gone_from_the_encoded_video(video: VideoInfo, tmp_path: Path) -> None:
-    path, frames = tmp_path / "blurred.mp4", []
+    path = tmp_path / "blurred.mp4"
+    frames: list[None] = []
     write_blurred(video, video.time_s, range(NUM_FRAMES), HEADS, path, lambda: frames.append(None))
     before = {number: image.copy() for number, image in decode(video, 0, NUM_FRAMES)}
     after = pictures(path)
     assert len(after) == len(frames) == NUM_FRAMES
     for frame, image in after.items():
-        assert detail(inner(image, frame)) < 0.05 * detail(inner(before[frame], frame))
+        assert detail(inner(image, frame)) < 0.1 * detail(inner(before[frame], frame))
         # Beside the head all is there, but for another coding.
         rest, shown = before[frame][300:460, 20:620], image[300:460, 20:620]
         assert detail(shown) > 0.5 * detail(rest)
@@ -87,7 +88,7 @@ def test_overlays_are_drawn_over_blurred_heads(video: VideoInfo, tmp_path: Path)
     assert plain.read_bytes() == again.read_bytes()
     before, after = pictures(plain), pictures(blurred)
     for frame in (0, 5, 11):
-        assert detail(inner(after[frame], frame)) < 0.05 * detail(inner(before[frame], frame))
+        assert detail(inner(after[frame], frame)) < 0.1 * detail(inner(before[frame], frame))
     unknown = HeadRegions("front", CAMERA.size_px, 2, NUM_FRAMES, FRAMES, ELLIPSE_PX)
     draw_video(session, take, "front", blurred, lambda: None, unknown)
     assert detail(pictures(blurred)[0]) < 0.1 * detail(before[0])
