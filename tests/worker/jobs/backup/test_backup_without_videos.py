@@ -25,7 +25,8 @@ def test_a_backup_after_the_deletion_lacks_nothing(tmp_path: Path) -> None:
         session = again.store.sessions.get(session_id)
         assert (session.videos_deleted_at is None, videos(again.folder)) == (False, [])
         (job,) = again.store.jobs.page()
-        assert again.artifacts.open(again.store.results.get(job.id, "person-1.bvh").key).read() == b"HIERARCHY"
+        with again.artifacts.open(again.store.results.get(job.id, "person-1.bvh").key) as file:
+            assert file.read() == b"HIERARCHY"
         again.store.sessions.delete_videos(session_id)
 
 
