@@ -213,4 +213,5 @@ def test_a_mesh_alone_is_no_character() -> None:
         map_bones(decode_character("a.glb", glb({"nodes": [{"name": "mesh"}]}, b"")))
     (problem,) = raised.value.problems
     assert (problem.code, problem.file) == ("character_bones", "a.glb")
-    assert "has no skeleton" in problem.message and "together with its skeleton" in (problem.hint or "")
+    assert "has no skeleton" in problem.message
+    assert "together with its skeleton" in (problem.hint or "")
