@@ -155,6 +155,7 @@ def _fit_plane(
 
 
 def _moved_m(person_m: Float[np.ndarray, "frames joints 3"]) -> float:
-    """Movement of the liveliest quarter of a person's joints: distance from their usual places."""
+    """Movement of the liveliest quarter of a person's located joints: distance from their usual places."""
+    person_m = person_m[:, np.isfinite(person_m[..., 0]).any(0)]
     away_m = np.linalg.norm(person_m - np.nanmedian(person_m, axis=0), axis=-1)
     return float(np.nanquantile(np.nanquantile(away_m, 0.9, axis=0), 0.75))

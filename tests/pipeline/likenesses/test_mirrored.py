@@ -47,6 +47,14 @@ def test_an_image_is_found_with_its_plane(normal: tuple[float, ...], offset_m: f
     assert found.others(2) == [0]
 
 
+def test_an_image_is_found_of_a_person_whose_feet_nobody_saw() -> None:
+    """Joints that were never located neither count nor warn."""
+    person_m = moving(3)
+    person_m[:, COCO_17.indices(("left_ankle", "right_ankle"))] = np.nan
+    person, image = track(person_m, 3), track(mirrored(moving(3), ALONG_X, 2.2), 12)
+    assert [found.number for found in likenesses([person, image], behind(ALONG_X, 2.2)).images] == [1]
+
+
 def test_the_image_may_come_first() -> None:
     person, image = track(moving(3)), track(mirrored(moving(3), ALONG_X, 2.2), 1)
     sees = [np.tile(~behind(ALONG_X, 2.2), (240, 1)), np.ones((240, 6), bool)]
