@@ -50,6 +50,7 @@ serve: setup  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
 	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap bodies install
+	$(BIN)/multicap opensim install
 	$(BIN)/multicap serve
 
 browser:  ## Install Chromium for the tests of the page (as root, on Debian)
@@ -103,6 +104,7 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed  ## Open 
 	$(BIN)/multicap models install
 	$(BIN)/multicap samples install
 	$(BIN)/multicap bodies install
+	$(BIN)/multicap opensim install
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/e2e/test_blender_extension.py \
 		tests/pipeline/export tests/pipeline/character tests/api/blender
 	@echo "Blender's pictures are in build/exports/."
@@ -134,6 +136,7 @@ test-data: setup
 	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap bodies install
+	$(BIN)/multicap opensim install
 	$(BIN)/multicap samples install
 
 # More processes than processors: many tests wait. Threads of linear algebra would only wait for each other there. A test
@@ -182,7 +185,7 @@ LOCK := uv pip compile --quiet --universal --python-version 3.11 --generate-hash
 	--no-emit-index-url --no-emit-find-links
 
 lock:  ## Pin the dependencies again (needs uv)
-	$(LOCK) --extra dev --extra evaluation --extra rerun --extra usd --output-file requirements.lock pyproject.toml
+	$(LOCK) --extra dev --extra evaluation --extra opensim --extra rerun --extra usd --output-file requirements.lock pyproject.toml
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pipeline.detect.models import install_networks
     from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
     from pipeline.export.results import WrittenResults, write_results
+    from pipeline.opensim.installed import install as install_opensim_model
     from pipeline.progress import Progress
     from pipeline.runtime.packages.samples import install as install_sample
     from pipeline.stages.local import reconstruct, reconstruct_to_files
@@ -59,6 +60,7 @@ __all__ = [
     "install_body",
     "install_network",
     "install_networks",
+    "install_opensim_model",
     "install_sample",
     "open_keypoints",
     "open_session",
@@ -89,6 +91,7 @@ _REFERENCES = {
     "install_body": "pipeline.body.installed:install",
     "install_network": "pipeline.detect.models:install",
     "install_networks": "pipeline.detect.models:install_networks",
+    "install_opensim_model": "pipeline.opensim.installed:install",
     "install_sample": "pipeline.runtime.packages.samples:install",
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",

@@ -37,19 +37,30 @@ class OptionalPackage:
 
 
 @dataclass(frozen=True, slots=True)
+class OptionalFile:
+    """File that a part of Multicap needs, and that is not always installed."""
+
+    name: str  # What messages call it
+    path: str  # Path below the storage folder, see ``pipeline.runtime.packages.storage``
+    install: str  # Command that installs it
+
+
+@dataclass(frozen=True, slots=True)
 class FileFormat(Value):
     """A format of files: of each person, which ``pipeline.export.formats`` writes and reads, or of the whole take."""
 
     media_type: str  # RFC 6838, as the service sends it
     # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles;
-    # ``recording``: one file of the take with all that was seen and found, made by a stage of its own
-    holds: Literal["motion", "joints", "angles", "recording"]
+    # ``recording``: one file of the take with all that was seen and found; ``model``: a model of the body. The last two
+    # are made by stages of their own.
+    holds: Literal["motion", "joints", "angles", "recording", "model"]
     has_body: bool = False  # Whether it holds a body that follows the skeleton
     has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset
     ending: str | None = None  # Ending of the names of files, without the dot; ``None``: the format's name
     package: OptionalPackage | None = (
         None  # Package that writes and reads the files, beside those that all formats need
     )
+    file: OptionalFile | None = None  # File that is needed too
 
 
 @dataclass(frozen=True, slots=True)

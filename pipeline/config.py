@@ -2,7 +2,8 @@
 
 The job's spec, the options of the command line, ``GET /v1/options``, the form of the page and ``docs/options.md`` are
 made from these declarations, in the words of ``pipeline.choices``. For type checkers the union of a choice's values is
-a ``Literal`` of all names. Standard library only: the web API imports this module.
+a ``Literal`` of all names. Beside the standard library it knows where files are installed: the web API imports this
+module.
 """
 
 from collections.abc import Iterable, Mapping
@@ -14,21 +15,19 @@ from pipeline.choices import (
     About,
     FileFormat,
     Network,
-    OptionalPackage,
     OtherNames,
     Value,
     choices_of,
     values_of,
 )
 from pipeline.edits import PeopleEdit
+from pipeline.file_formats import Export as Export  # noqa: PLC0414 - it is one of the choices
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
+from pipeline.runtime.packages.storage import home
 
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
 
-_TEXT = "text/plain; charset=utf-8"
-_CSV = "text/csv; charset=utf-8; header=present"
-_BYTES = "application/octet-stream"
 
 Method = (
     Annotated[Literal["tracking"], Value("Tracking of whole bodies")]
@@ -105,41 +104,6 @@ RefineCalibration = (
 Sync = (
     Annotated[Literal["declared"], Value("Times of the files, with the offsets of the session")]
     | Annotated[Literal["auto"], Value("Times measured from the motion of the people")]
-)
-Export = (
-    Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion", has_presets=True)]
-    | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion", has_body=True)]
-    | Annotated[
-        Literal["fbx"], FileFormat("FBX, body and animation", _BYTES, "motion", has_body=True, has_presets=True)
-    ]
-    | Annotated[
-        Literal["usd"],
-        FileFormat(
-            "USD, body and animation",
-            _BYTES,
-            "motion",
-            has_body=True,
-            ending="usdc",
-            package=OptionalPackage("usd-core", module="pxr", extra="usd"),
-        ),
-    ]
-    | Annotated[Literal["vrma"], FileFormat("VRMA, animation for VRM characters", "model/gltf-binary", "motion")]
-    | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
-    # The header counts frames in 16 bits, and readers take no longer files.
-    | Annotated[Literal["c3d"], FileFormat("C3D, joints and segments", _BYTES, "joints")]
-    | Annotated[Literal["csv"], FileFormat("CSV, joints in a table", _CSV, "joints")]
-    | Annotated[Literal["angles"], FileFormat("CSV, joint angles in a table", _CSV, "angles", ending="angles.csv")]
-    | Annotated[Literal["mot"], FileFormat("MOT, joint angles for OpenSim", _TEXT, "angles")]
-    | Annotated[
-        Literal["rerun"],
-        FileFormat(
-            "Rerun recording of the take",
-            _BYTES,
-            "recording",
-            ending="rrd",
-            package=OptionalPackage("rerun-sdk", module="rerun", extra="rerun"),
-        ),
-    ]
 )
 Preset = (
     Annotated[Literal["default"], Value("Standard names")]
@@ -462,14 +426,20 @@ def ending_of(export: Export) -> str:
 
 
 def of_people(exports: Iterable[Export]) -> tuple[Export, ...]:
-    """Formats of files of which each person has one; the others are of the whole take."""
+    """Formats of people's files that ``pipeline.export`` writes; stages of their own make the others."""
+    return tuple(export for export in exports if FILE_FORMATS[export].holds not in {"recording", "model"})
+
+
+def without_recordings(exports: Iterable[Export]) -> tuple[Export, ...]:
+    """Formats of files of which each person has one; recordings are of the whole take."""
     return tuple(export for export in exports if FILE_FORMATS[export].holds != "recording")
 
 
 def is_installed(export: Export) -> bool:
-    """True if the package that a format needs is installed here, or it needs none."""
-    package = FILE_FORMATS[export].package
-    return package is None or find_spec(package.module) is not None
+    """True if the package and the file that a format needs are installed here, or it needs none."""
+    package, file = FILE_FORMATS[export].package, FILE_FORMATS[export].file
+    has_package = package is None or find_spec(package.module) is not None
+    return has_package and (file is None or (home() / file.path).is_file())
 
 
 def installed_formats() -> tuple[Export, ...]:

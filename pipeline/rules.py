@@ -127,7 +127,7 @@ def file_problems(
 
 
 def format_problems(exports: Collection[Export], installed: Collection[str]) -> Iterator[Problem]:
-    """Find formats whose package is missing.
+    """Find formats whose package, or whose file, is missing.
 
     Parameters
     ----------
@@ -135,10 +135,17 @@ def format_problems(exports: Collection[Export], installed: Collection[str]) -> 
         Formats that can be written.
     """
     for export, form in FILE_FORMATS.items():
-        if form.package is not None and export in exports and export not in installed:
+        if form.package is None or export not in exports or export in installed:
+            continue
+        command = f"pip install multicap[{form.package.extra}]"
+        if form.file is None:
             message = f"{export.upper()} files need the package {form.package.name}, which is not installed."
-            hint = f"Install it by Multicap's extra: pip install multicap[{form.package.extra}]. Or use another format."
-            yield Problem(FORMAT_NOT_INSTALLED, message, field="exports", hint=hint)
+            hint = f"Install it by Multicap's extra: {command}. Or use another format."
+        else:
+            needed = f"the package {form.package.name} and {form.file.name}"
+            message = f"{export.upper()} files need {needed}, of which one or both are not installed."
+            hint = f"Install them: {command}, then {form.file.install}. Or use another format."
+        yield Problem(FORMAT_NOT_INSTALLED, message, field="exports", hint=hint)
 
 
 def num_resampled(num_frames: int, frame_rate_hz: float, new_rate_hz: float) -> int:

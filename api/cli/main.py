@@ -28,6 +28,7 @@ COMMANDS: Mapping[str, str] = {
     "models": "Detector networks: list, install, add from a file, verify.",
     "samples": "Sample capture of two people with four cameras: install.",
     "bodies": "Human body of exports: install.",
+    "opensim": "Generic model of OpenSim for exports: install.",
     "keys": "API keys of the service: create, list, revoke.",
     "webhooks": "Webhooks of the service: secrets and undelivered messages.",
     "audit": "Audit trail: creations, changes and deletions in the service.",

@@ -1,7 +1,7 @@
 """Write the result files of a reconstruction; the service's results have the same names."""
 
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -25,7 +25,7 @@ from pipeline.config import (
 )
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.reconstruction import Reconstruction
-from pipeline.errors import PipelineError
+from pipeline.errors import PipelineError, Problem
 from pipeline.export.formats import FORMATS
 from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import (
@@ -46,6 +46,7 @@ from pipeline.export.writers import skeletons_json
 from pipeline.export.writers.gait_tables import gait_tables
 from pipeline.gait.analysis import analyse_gait
 from pipeline.paths import StrPath
+from pipeline.problem_codes.fields import VALUE_NOT_ALLOWED
 from pipeline.problem_codes.warnings import TAKE_TOO_LARGE
 from pipeline.progress import OnShare, ignore, part_of, split
 from pipeline.quality.report import encode as encode_metrics
@@ -104,12 +105,13 @@ def write_results(
     Raises
     ------
     InputError
-        If there are more frames than result files, or one of the formats, may have, or the package of a format is not
-        installed.
+        If there are more frames than result files, or one of the formats, may have, the package of a format is not
+        installed, or a stage of its own writes it (``osim``).
     PipelineError
         If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
     folder = Path(folder)
+    require((*format_problems(exports, installed_formats()), *_model_problems(exports)))
     try:
         recordings = _write_recording(reconstruction, folder, exports)
         paths = write_files(reconstruction, folder, exports, preset, frame_rate_hz, timeline, body).paths
@@ -120,7 +122,6 @@ def write_results(
 
 def _write_recording(take: Reconstruction, folder: Path, exports: Collection[Export]) -> list[Path]:
     """Write the Rerun recording of a take into a folder if it is wanted; return its path."""
-    require(format_problems(exports, installed_formats()))
     if "rerun" not in exports:
         return []
     from pipeline.export.recording.rerun_file import write_recording  # noqa: PLC0415 - imports an optional package
@@ -285,6 +286,15 @@ def keep_people(
 def _num_frames(take: Reconstruction, timeline: Timeline) -> list[int]:
     """Number of frames of the files of each person."""
     return [take.timebase.num_frames if timeline == "take" else track.num_frames for track in take.tracks]
+
+
+def _model_problems(exports: Collection[Export]) -> Iterator[Problem]:
+    """Find formats that a stage of their own writes."""
+    for export in exports:
+        if FILE_FORMATS[export].holds == "model":
+            message = f"exports must not name {export} here: a stage of its own writes it."
+            hint = "Use `reconstruct_to_files`, or `multicap reconstruct`."
+            yield Problem(VALUE_NOT_ALLOWED, message, field="exports", hint=hint)
 
 
 class _TakeFiles:

@@ -31,6 +31,12 @@ TAKE_TOO_LARGE = WARNINGS.code(
     "A file with the whole take would be larger than its format allows; the files of the people are there.",
     "Ask for fewer frames by `frame_range`, or for a lower `output_rate_hz`.",
 )
+OPENSIM_FAILED = WARNINGS.code(
+    "opensim_failed",
+    _WARNING,
+    "OpenSim could not scale its model to a person, or not follow the person's markers; the message says why.",
+    "See [OpenSim](biomechanics.md#opensim). The person's archive has the setups to run it by hand.",
+)
 TOO_FEW_CAMERAS = WARNINGS.code(
     "too_few_cameras", ("422", *_ERROR), "The session has fewer than three cameras.", "Add a camera."
 )

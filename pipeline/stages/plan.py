@@ -50,6 +50,7 @@ _MODULES = (
     "report",
     "recording",
     "character",
+    "opensim",
     "write_people",
     "export",
 )

@@ -29,6 +29,7 @@ WRITE, EXPORT = "write_people", "export"
 HEADS, BLUR = "find_heads", "blur_videos"
 OVERLAY, REPORT, RECORD = "draw_overlay", "write_report", "write_recording"
 RETARGET = "retarget_character"
+OPENSIM = "run_opensim"
 FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
 CHECK = "check_session"
 TAKE = CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -42,6 +43,18 @@ def test_a_format_whose_package_is_not_installed_is_refused_with_the_command(
     assert package in problem.message
     assert f"multicap[{export}]" in str(problem.hint)
     assert codes(replace(config, exports=("bvh", "glb")), 100, 25.0) == {}
+
+
+def test_opensim_needs_its_package_and_its_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("pipeline.config.find_spec", lambda _: object())
+    monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
+    assert "osim" not in installed_formats()
+    (problem,) = config_problems(replace(CONFIG, exports=("bvh", "osim")), 100, 25.0)
+    assert (problem.code, problem.field) == ("format_not_installed", "exports")
+    assert "pip install multicap[opensim], then multicap opensim install" in str(problem.hint)
+    (tmp_path / "opensim").mkdir()
+    (tmp_path / "opensim" / "generic.osim").touch()
+    assert "osim" in installed_formats()
 
 
 def test_frames_at_another_rate_are_bounded() -> None:

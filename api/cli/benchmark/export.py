@@ -14,7 +14,7 @@ from api.cli.benchmark.takes import longer_motion, longer_observations, longer_t
 from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.character.files import write_character_files
 from pipeline.character.source import CharacterSource
-from pipeline.config import Export, ReconstructionConfig, installed_formats
+from pipeline.config import Export, ReconstructionConfig, installed_formats, of_people
 from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
@@ -119,7 +119,7 @@ def export(
     """Time formats of a long take, from memory to verified files; simulated people, four cameras."""
     with reporting(as_json):
         warm_up()
-        chosen = installed_formats() if exports is None else tuple(exports.split(","))
+        chosen = of_people(installed_formats()) if exports is None else tuple(exports.split(","))
         require(value_problems({"exports": chosen}))
         source = None if character is None else CharacterSource(character)
         result = measure(people, frames, cast(Collection[Export], chosen), source)

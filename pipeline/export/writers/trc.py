@@ -5,7 +5,7 @@ empty cells; so are all joints in frames before and after the track. Times are o
 rounded to 0.01 mm and 1 us.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,17 +29,8 @@ def encode(
     ``file_name`` is part of the header. ``frames`` are the output frames of the file, ``None`` those of the track.
     """
     frames = track.frames if frames is None else frames
-    rate = np.format_float_positional(timebase.frame_rate_hz)
     num_frames, num_joints = len(frames), track.xyz_m.shape[1]
-    head = (
-        f"PathFileType\t4\t(X/Y/Z)\t{file_name}",
-        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        f"{rate}\t{rate}\t{num_frames}\t{num_joints}\tm\t{rate}\t1\t{num_frames}",
-        "Frame#\tTime\t" + "\t".join(f"{name}\t\t" for name in joints.names),
-        "\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, num_joints + 1)),
-        "",
-    )
-    yield "".join(f"{line}\n" for line in head).encode("utf-8")
+    yield head(file_name, joints.names, timebase.frame_rate_hz, num_frames)
     for rows in frame_blocks(num_frames):
         xyz_m = unknown_outside(track.xyz_m, track.frames, frames[rows])
         places = fixed((xyz_m @ Y_UP_FROM_WORLD.T).reshape(-1, 3 * num_joints), 5, "\t")
@@ -48,6 +39,20 @@ def encode(
             for number, place in enumerate(places, rows.start)
         )
         yield "".join(lines).encode("ascii")
+
+
+def head(file_name: str, names: Sequence[str], frame_rate_hz: float, num_frames: int) -> bytes:
+    """Write the head of a file with the names of its markers."""
+    rate = np.format_float_positional(frame_rate_hz)
+    lines = (
+        f"PathFileType\t4\t(X/Y/Z)\t{file_name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{num_frames}\t{len(names)}\tm\t{rate}\t1\t{num_frames}",
+        "Frame#\tTime\t" + "\t".join(f"{name}\t\t" for name in names),
+        "\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, len(names) + 1)),
+        "",
+    )
+    return "".join(f"{line}\n" for line in lines).encode("utf-8")
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:

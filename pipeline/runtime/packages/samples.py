@@ -21,7 +21,7 @@ ATTRIBUTION = (
     f"{LICENCE}. https://github.com/perfanalytics/pose2sim"
 )
 
-_PACKAGE = PinnedFile(
+PACKAGE = PinnedFile(
     name="pose2sim",
     version="0.10.49",
     filename="pose2sim-0.10.49-py3-none-any.whl",
@@ -98,7 +98,7 @@ def install(on_bytes: OnBytes = silent) -> Sample:
     with exclusive(_folder()):
         installed = locate()
         if installed is None:
-            _unpack(fetch_package(_PACKAGE, on_bytes))
+            _unpack(fetch_package(PACKAGE, on_bytes))
             installed = locate()
     if installed is None:
         raise ModelError("The sample capture was changed while it was installed. Try again.")

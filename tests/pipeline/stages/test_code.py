@@ -24,6 +24,7 @@ from pipeline.stages.stage import (
     HEADS,
     IDENTIFY,
     LENGTHS,
+    OPENSIM,
     OVERLAY,
     POSES,
     RECORD,
@@ -42,6 +43,7 @@ NOT_NUMERIC = {
     "google",
     "httpx2",
     "jaxtyping",
+    "opensim",  # its numbers belong to no reusable output
     "platformdirs",
     "pxr",
     "rerun",
@@ -163,7 +165,7 @@ def test_what_a_task_asks_its_context_counts(sources: Path) -> None:
     edit(context, "facts.frame_rate_hz) + 2", "facts.frame_rate_hz) + 3")  # a helper of what they ask
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES}
     edit(context, "return self.detections.offsets", "return {**self.detections.offsets}")
-    fitted = {FIT, REFIT, OVERLAY, REPORT, RECORD, RETARGET, WRITE, EXPORT}
+    fitted = {FIT, REFIT, OVERLAY, REPORT, RECORD, RETARGET, OPENSIM, WRITE, EXPORT}
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES} | fitted
     edit(context, "return range(frames.start - first, frames.stop - first)", "return frames")
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES} | fitted
@@ -177,7 +179,7 @@ def test_the_form_of_stored_people_counts_for_those_who_write_or_read_them(sourc
     )
     assert changed(sources) == {
         *(ASSOCIATE, EXPECT, EXPECT_AGAIN, IDENTIFY),
-        *(EDIT, FIT, HEADS, REFIT, OVERLAY, REPORT, RECORD, RETARGET, WRITE, EXPORT),
+        *(EDIT, FIT, HEADS, REFIT, OVERLAY, REPORT, RECORD, RETARGET, OPENSIM, WRITE, EXPORT),
     }
 
 

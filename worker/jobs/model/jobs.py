@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Literal
 
-from pipeline.config import ReconstructionConfig, of_people
+from pipeline.config import ReconstructionConfig, without_recordings
 from pipeline.edits import PeopleEdit, PersonSpan
 from pipeline.findings import Finding
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
@@ -51,7 +51,7 @@ def config_of(
     config = replace(spec.config, making=making, edits=edits, character=digest, blurs_videos=blurs_videos)
     if making is not None or not revision:
         return config
-    return replace(config, overlay=False, report=False, exports=of_people(config.exports))
+    return replace(config, overlay=False, report=False, exports=without_recordings(config.exports))
 
 
 @dataclass(frozen=True, slots=True)
