@@ -54,9 +54,9 @@ def noses(served: Served, job_id: str) -> dict[str, list[tuple[float, float]]]:
         rotation = np.array(camera["cam_from_world"]["rotation"])
         translation_m = np.array(camera["cam_from_world"]["translation_m"])
         for person in document["tracks"]:
-            if person["start_frame"] > 0 or person["xyz_m"][0][nose] is None:
+            if person["start_frame"] > 0 or person["positions_m"][0][nose] is None:
                 continue
-            in_cam = rotation @ np.array(person["xyz_m"][0][nose], float) + translation_m
+            in_cam = rotation @ np.array(person["positions_m"][0][nose], float) + translation_m
             x, y, _ = np.array(camera["matrix"]) @ (in_cam / in_cam[2])
             width, height = camera["size_px"]
             if 0.05 < x / width < 0.95 and 0.05 < y / height < 0.95:

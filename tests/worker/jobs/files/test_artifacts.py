@@ -120,6 +120,19 @@ def test_what_is_not_there_is_not_found(artifacts: ArtifactStore, key: str) -> N
     assert not artifacts.exists(key)
 
 
+def test_delete_takes_one_file_and_its_copies(artifacts: ArtifactStore) -> None:
+    beside = ["sessions/1/inputs/0-a.mp4.toml", "sessions/1/inputs/1-a.mp4"]
+    for key in ("sessions/1/inputs/0-a.mp4", *beside):
+        artifacts.put_bytes(key, b"pose")
+    with artifacts.local_path("sessions/1/inputs/0-a.mp4", sha256(b"pose")) as path:
+        copy = path
+    for _ in range(2):
+        artifacts.delete("sessions/1/inputs/0-a.mp4")
+    assert not artifacts.exists("sessions/1/inputs/0-a.mp4")
+    assert not copy.exists()
+    assert all(artifacts.exists(key) for key in beside)
+
+
 def test_delete_prefix_takes_all_below_and_nothing_beside(artifacts: ArtifactStore) -> None:
     below = ["sessions/1/inputs/0-a.mp4", "sessions/1/stages/k"]
     beside = ["sessions/10/inputs/0-a.mp4", "sessions/2/stages/k", "jobs/1/results/a.bvh"]
@@ -163,6 +176,7 @@ def test_other_keys_are_refused(artifacts: ArtifactStore, key: str, tmp_path: Pa
         lambda: artifacts.open(key),
         lambda: artifacts.size(key),
         lambda: artifacts.exists(key),
+        lambda: artifacts.delete(key),
         lambda: artifacts.delete_prefix(f"{key}/"),
     ]
     for act in acts:
