@@ -47,10 +47,14 @@ def test_the_api_starts_on_a_full_disk_where_nobody_else_has_the_database_open(
         settings = make_settings(data_dir=disk / "data")
         with running(settings) as live:
             session = live.session_id()
+            job = live.client.post(f"/v1/sessions/{session}/jobs", json={}).json()
+            live.finish(job["id"])
         assert (settings.data_dir / "reserve").exists()
         fill(disk / "filler")
         with running(settings) as live:
             assert live.client.get("/healthz").is_success
+            assert live.client.delete(f"/v1/sessions/{session}/videos").status_code == 204
+            assert live.client.get(f"/v1/jobs/{job['id']}/results/person-1.bvh").is_success
             assert live.client.delete(f"/v1/sessions/{session}").status_code == 204
 
 

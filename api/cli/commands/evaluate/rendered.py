@@ -13,6 +13,7 @@ from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.evaluation.camera_errors import without_extrinsics
+from pipeline.evaluation.covered_heads import score_covered_heads
 from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
 from pipeline.evaluation.extremities.feet import score_foot_directions
 from pipeline.stages.local import detect_people, reconstruct
@@ -43,6 +44,7 @@ def command(
         if truth.feet_m is not None:
             motions, timebase = reconstruction.animation.motions, reconstruction.timebase
             scores |= score_foot_directions(motions, timebase, truth.time_s, truth.feet_m)
+        scores |= score_covered_heads(reconstruction, session.times, truth)
         scores |= refinement_scores(reconstruction.refinement) | errors
     if as_json:
         emit(scores)
