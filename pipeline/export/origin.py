@@ -12,13 +12,14 @@ from pipeline.geometry.camera import center_in_world
 _NEAR_M = 1000.0
 
 
-def file_origin_m(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"]:
+def file_origin_m(cameras: Sequence[Camera], near_m: float = _NEAR_M) -> Float[np.ndarray, " 3"]:
     """World position that is the origin of files of single precision, in whole metres.
 
-    The world's origin, unless a camera is farther than a kilometre from it, as in survey coordinates: then the median
-    of the cameras' positions. Numbers of single precision at 5,000 km would be off by up to 25 cm.
+    The world's origin, unless a camera is farther than ``near_m`` from it, by default a kilometre, as in survey
+    coordinates: then the median of the cameras' positions. Numbers of single precision at 5,000 km would be off by up
+    to 25 cm.
     """
     centers_m = np.array([center_in_world(camera) for camera in cameras])
-    if np.abs(centers_m).max(initial=0.0) <= _NEAR_M:
+    if np.abs(centers_m).max(initial=0.0) <= near_m:
         return np.zeros(3)
     return np.round(np.median(centers_m, axis=0))

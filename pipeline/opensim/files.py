@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.config import ending_of
 from pipeline.data.animation import SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Track3D
 from pipeline.data.reconstruction import Reconstruction
+from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import replacing, spoilt, without_resting_fingers
 from pipeline.export.results import at_rate
 from pipeline.joints import JointSet
@@ -49,6 +51,10 @@ _MM_PER_M = 1000.0
 # Time of all members of an archive, the first that zips know: equal results are equal bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
 _LEAST_FREE_BYTES = 2**20
+# OpenSim begins at its model's own place, and may not find people who are hundreds of metres away.
+_NEAR_M = 20.0
+# Errors of markers of a model that did not find the person.
+_LOST_MM = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +123,14 @@ def write_opensim_files(
     model, licence = load()
     shown = at_rate(take, frame_rate_hz)
     people = list(zip(shown.tracks, shown.motions, strict=True))[rows]
+    origin_m = file_origin_m(shown.cameras, _NEAR_M)
     for (track, motion), on_person in zip(
         people, split(on_share, [track.num_frames for track, _ in people]), strict=True
     ):
         with tempfile.TemporaryDirectory(prefix=".opensim-", dir=folder) as scratch:
-            work = _Work(Path(scratch), f"person-{track.track_id}", track, motion, shown.joints, shown.timebase)
+            work = _Work(
+                Path(scratch), f"person-{track.track_id}", track, motion, shown.joints, shown.timebase, origin_m
+            )
             yield work.write(folder, model, licence, on_person)
     on_share(1.0)
 
@@ -137,15 +146,16 @@ class _Work:
         motion: SkeletonMotion,
         joints: JointSet,
         timebase: Timebase,
+        origin_m: Float[np.ndarray, " 3"],
     ) -> None:
         self.scratch, self.name, self.timebase, self.motion, self.joints = scratch, name, timebase, motion, joints
-        self.track = without_resting_fingers(track, joints)
+        self.track, self.origin_m = without_resting_fingers(track, joints), origin_m
 
     def write(self, folder: Path, model: bytes, licence: bytes, on_share: OnShare) -> WrittenPerson:
         """Write a person's archive."""
         number = self.track.track_id
         size = size_of(self.motion, self.track, self.joints)
-        paths = marker_paths(self.motion, self.track, self.joints, size)
+        paths = marker_paths(self.motion, self.track, self.joints, size, self.origin_m)
         if len(paths.frames) < _MIN_FRAMES:
             problem = "Hips and shoulders are known together in fewer than two frames: OpenSim's model has no place."
             return WrittenPerson(None, OpenSimPerson(number, len(paths.frames), problem=problem))
@@ -157,6 +167,7 @@ class _Work:
         report = person.document() | {
             "factors": {body: [round(factor, 4) for factor in factors] for body, factors in size.factors.items()},
             "markers": list(paths.names),
+            "origin_m": self.origin_m.tolist(),
         }
         (self.scratch / REPORT).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
         target = folder / f"{self.name}.{ending_of('osim')}"
@@ -183,6 +194,10 @@ class _Work:
             return OpenSimPerson(number, num_frames, size.stature_m, size.mass_kg, problem=sentence)
         log, problem = run_opensim(self.scratch, num_frames, on_share)
         rms_mm = self._read_back(num_frames) if problem is None else None
+        if rms_mm is not None and rms_mm > _LOST_MM:
+            problem = (
+                f"The model is {rms_mm:.0f} mm from the markers, {log.farthest} farthest at {log.farthest_time_s:g} s."
+            )
         self._require_space()
         return OpenSimPerson(number, num_frames, size.stature_m, size.mass_kg, rms_mm, *_farthest(log), problem)
 

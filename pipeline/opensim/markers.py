@@ -23,14 +23,17 @@ class MarkerPaths:
 
     names: tuple[str, ...]  # Markers that are ever known
     frames: Int[np.ndarray, " frames"]  # Output frame of each row, ascending, with gaps
-    xyz_m: Float[np.ndarray, "frames markers 3"]  # World positions, NaN where a marker is unknown
+    # Positions from an origin in world axes, NaN where a marker is unknown
+    xyz_m: Float[np.ndarray, "frames markers 3"]
 
 
-def marker_paths(motion: SkeletonMotion, track: Track3D, joints: JointSet, size: ModelSize) -> MarkerPaths:
+def marker_paths(
+    motion: SkeletonMotion, track: Track3D, joints: JointSet, size: ModelSize, origin_m: Float[np.ndarray, " 3"]
+) -> MarkerPaths:
     """Paths of all markers of ``MARKERS`` that a person shows.
 
     Frames without a known pelvis are left out: OpenSim stops at a frame without any marker, and the model hangs on its
-    pelvis.
+    pelvis. ``origin_m`` is the world position that is their origin.
     """
     blocks, of_pelvis = [], []
     for start in range(0, track.num_frames, _BLOCK_FRAMES):
@@ -44,7 +47,7 @@ def marker_paths(motion: SkeletonMotion, track: Track3D, joints: JointSet, size:
     is_shown = np.isfinite(xyz_m).all(-1).any(0)
     names = tuple(name for name, shown in zip(MARKERS, is_shown, strict=True) if shown)
     frames = track.start_frame + np.flatnonzero(np.concatenate(of_pelvis))
-    return MarkerPaths(names, frames, xyz_m[:, is_shown])
+    return MarkerPaths(names, frames, xyz_m[:, is_shown] - origin_m)
 
 
 def _markers_m(

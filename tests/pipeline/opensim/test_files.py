@@ -13,6 +13,7 @@ import pytest
 from pipeline.angles.compute import JointAngles, joint_angles
 from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.data.reconstruction import Reconstruction
+from pipeline.data.rigid import Rigid3
 from pipeline.opensim.anatomy import MARKERS
 from pipeline.opensim.files import OpenSimPerson, write_opensim_files
 from pipeline.opensim.setup_files import columns_of
@@ -135,6 +136,29 @@ def test_a_person_without_hips_has_no_archive_and_a_reason(walk: Reconstruction,
     assert written.path is None
     assert "Hips and shoulders" in str(written.person.problem)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_people_in_survey_coordinates_are_found(
+    walk: Reconstruction, walk_archive: tuple[OpenSimPerson, Path], tmp_path: Path
+) -> None:
+    """OpenSim does not find a person at 300 km from its origin."""
+    away_m = np.array([300_000.0, -40_000.0, 120.0])
+    (track,), (motion,) = walk.tracks, walk.motions
+    animation = replace(
+        walk.animation,
+        tracks=(replace(track, xyz_m=track.xyz_m + away_m),),
+        motions=(replace(motion, root_m=motion.root_m + away_m),),
+    )
+    cameras = tuple(
+        replace(camera, cam_from_world=Rigid3(pose.rotation, pose.translation_m - pose.rotation @ away_m))
+        for camera in walk.cameras
+        for pose in [camera.cam_from_world]
+    )
+    person, folder = archived(replace(walk, cameras=cameras, animation=animation), tmp_path)
+    assert person.problem is None
+    assert person.marker_rms_mm == pytest.approx(walk_archive[0].marker_rms_mm, abs=0.1)
+    origin_m = json.loads((folder / "report.json").read_text())["origin_m"]
+    np.testing.assert_allclose(np.subtract(origin_m, away_m), [0.0, 0.0, 2.0], atol=1.0)
 
 
 def test_bones_of_an_impossible_size_are_named(walk: Reconstruction, tmp_path: Path) -> None:
