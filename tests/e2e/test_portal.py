@@ -155,6 +155,33 @@ def test_captures_are_searched_renamed_and_deleted(page: Page, served: Served, k
     assert names == ["Walk <i>C</i>"]
 
 
+def test_videos_are_deleted_and_the_results_stay(page: Page, served: Served, tmp_path: Path) -> None:
+    video_capture(tmp_path, 5)
+    files = [("videos", (path.name, path.read_bytes())) for path in sorted((tmp_path / "videos").iterdir())]
+    files += [("calibration", ("calibration.json", (tmp_path / "calibration.json").read_bytes()))]
+    documents = [("manifest", (None, b'{"name": "Private room"}')), ("spec", (None, b'{"blur_faces": true}'))]
+    job = served.client.post("/v1/jobs", files=[*files, *documents]).raise_for_status().json()
+    assert served.wait_for_end(job["id"])["state"] == "succeeded"
+    page.get_by_role("link", name="Captures", exact=True).click()
+    shown = card(page, "Private room")
+    expect(shown).to_contain_text("faces blurred")
+    shown.get_by_role("button", name="Delete the videos of Private room").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("Results stay")
+    dialog.get_by_role("button", name="Delete the videos").click()
+    expect(page.get_by_role("status").first).to_contain_text("The videos of Private room are deleted.")
+    expect(shown).to_contain_text("videos deleted")
+    expect(shown.get_by_role("button", name="Delete the videos of Private room")).to_have_count(0)
+    session = served.client.get(f"/v1/sessions/{job['session_id']}").raise_for_status().json()
+    assert (session["videos_deleted_at"] is not None, session["shows_blurred"]) == (True, True)
+    # The viewer shows the blurred copies.
+    camera = session["preflight"]["cameras"][0]
+    assert served.client.get(camera["video_link"]).raise_for_status().headers["content-type"] == "video/mp4"
+    page.goto(f"{served.client.base_url}#/jobs/{job['id']}")
+    files_shown = page.get_by_role("region", name="Files")
+    expect(files_shown.get_by_text("Video with blurred heads").first).to_be_visible()
+
+
 def test_nobody_found_is_no_plain_success(page: Page, served: Served, tmp_path: Path) -> None:
     video_capture(tmp_path, 5)
     files = [("videos", (path.name, path.read_bytes())) for path in sorted((tmp_path / "videos").iterdir())]
