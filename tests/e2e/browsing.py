@@ -14,7 +14,7 @@ AXE = READERS / "node_modules/axe-core/axe.min.js"
 VENDOR = Path(__file__).parents[2] / "api" / "portal" / "vendor"
 # The browser makes no requests of its own, root may start it, and it draws 3D in software.
 FLAGS = [
-    *("--no-sandbox", "--disable-background-networking", "--disable-component-update"),
+    *("--no-sandbox", "--no-zygote", "--disable-background-networking", "--disable-component-update"),
     *("--disable-gpu", "--enable-unsafe-swiftshader"),
 ]
 # What Chromium tells about its own drawing in software.

@@ -43,7 +43,10 @@ def test_every_code_has_a_use() -> None:
     assert len(dead) == len(CODES)
     for package in ("api", "multicap", "pipeline", "worker"):
         for path in {*(ROOT / package).rglob("*.py")} - {ROOT / "api" / "contract" / "examples.py"}:
-            nodes = [*ast.walk(ast.parse(path.read_bytes()))]
+            source = path.read_bytes()
+            if b"pipeline.problem_codes" not in source:
+                continue
+            nodes = [*ast.walk(ast.parse(source))]
             named = {node.id for node in nodes if isinstance(node, ast.Name)}
             for node in nodes:
                 if isinstance(node, ast.ImportFrom):
