@@ -50,7 +50,7 @@ def test_angles_are_as_precise_as_documented(motion: str, num_cameras: int) -> N
         assert rmse_deg(errors[name]) < 3.0 * few, name
     for name in BALLS:
         # How a squatting trunk shares its bend is not seen: docs/biomechanics.md.
-        unseen = 2.5 if motion == "squat" and name in {"hip_flexion", "shoulder_flexion", "shoulder_elevation"} else 1.0
+        unseen = 1.6 if motion == "squat" and name == "hip_flexion" else 1.0
         assert rmse_deg(errors[name]) < 4.0 * few * unseen, name
     for name in TWISTS:
         assert rmse_deg(errors[name]) < 8.0 * few, name
