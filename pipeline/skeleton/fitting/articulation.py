@@ -69,9 +69,9 @@ def _side(side: str) -> tuple[Freedom, ...]:
 FREEDOMS = (
     *_ball("Hips"),
     # The trunk bends evenly along the spine. The lines through hips and shoulders show how it bends aside and twists,
-    # but not how it bends to the front: there the largest extension, 20 to 30 degrees (American Academy of
-    # Orthopaedic Surgeons), is two standard deviations of both joints together. More would let people who lean and look ahead
-    # bend their backs as they bend their necks.
+    # but not how it bends to the front: there the largest extension, 20 to 30 degrees (American Academy of Orthopaedic
+    # Surgeons), is two standard deviations of both joints together. More would let people who lean and look ahead bend
+    # their backs as they bend their necks.
     *(Freedom(("Spine", "Chest"), axis, usual_rad) for axis, usual_rad in zip(_AXES, (0.12, 0.25, 0.25), strict=True)),
     *_ball("Neck", usual_rad=0.35),
     *_ball("Head", usual_rad=0.5),
