@@ -28,6 +28,8 @@ _LOWEST_SHARE = 0.2
 _SLOPE_SIGMA, _HEIGHT_SIGMA_M = 0.02, 0.02
 # Shortest time for which a foot carries somebody, and share of the feet that may be below the floor by mistake.
 _CARRIES_S, _BELOW_SHARE = 0.3, 0.02
+# Share of the feet from which on a plane above them is no floor.
+_UNDER_SHARE = 0.05
 
 
 def estimate_floor(
@@ -62,17 +64,21 @@ def shared_floor(
 ) -> Floor | None:
     """Floor under the feet that carry upright people, as of ``estimate_floor``.
 
-    If nobody stands, it is the world's level at z = 0, unless feet were below it. ``carries`` are the frames in which a
-    foot may carry its person, ``known`` those in which it was located.
+    If nobody stands, it is the world's level at z = 0, unless feet were below it. A plane with feet below it is a bar
+    or a box on which somebody stood; then only the lowest feet count. ``carries`` are the frames in which a foot
+    may carry its person, ``known`` those in which it was located.
     """
-    shortest = _CARRIES_S * frame_rate_hz
-    stands = [feet if feet.sum() >= shortest else np.zeros_like(feet) for feet in carries]
-    if any(feet.any() for feet in stands):
-        return estimate_floor(ankles_m, stands, frame_rate_hz)
-    heights_m = np.concatenate([np.zeros(0), *(ankles[seen, 2] for ankles, seen in zip(ankles_m, known, strict=True))])
-    if not len(heights_m) or np.quantile(heights_m, _BELOW_SHARE) < -MAX_HEIGHT_M:
-        return None
-    return Floor(0.0, 0.0, 0.0)
+    located_m = np.concatenate(
+        [np.zeros((0, 3)), *(points[seen] for points, seen in zip(ankles_m, known, strict=True))]
+    )
+    lowest_m = float(np.quantile(located_m[:, 2], _BELOW_SHARE)) if len(located_m) else np.inf
+    low = [feet & (points[..., 2] < lowest_m + MAX_HEIGHT_M) for points, feet in zip(ankles_m, carries, strict=True)]
+    for feet_on_floor in (carries, low):
+        stands = [feet if feet.sum() >= _CARRIES_S * frame_rate_hz else np.zeros_like(feet) for feet in feet_on_floor]
+        floor = estimate_floor(ankles_m, stands, frame_rate_hz) if any(feet.any() for feet in stands) else None
+        if floor is not None and (floor.height_m(located_m) < -MAX_HEIGHT_M).mean() <= _UNDER_SHARE:
+            return floor
+    return Floor(0.0, 0.0, 0.0) if -MAX_HEIGHT_M <= lowest_m < np.inf else None
 
 
 def fit_floor(points_m: Float[np.ndarray, "points 3"]) -> Floor:

@@ -14,7 +14,7 @@ from pipeline.simulation.acrobatics.performance import feet_on_floor
 from pipeline.simulation.scenes import simulate
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.feet.contacts import find_contacts
-from pipeline.skeleton.feet.floor import shared_floor
+from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M, shared_floor
 from pipeline.skeleton.feet.support import FootMarks, Support, support_of
 from tests.cases import slow_but
 from tests.pipeline.likenesses.scenes import track
@@ -63,6 +63,23 @@ def walking(num_steps: int = 6) -> tuple[np.ndarray, np.ndarray]:
     hips_m[:, 0] = 1.2 * np.arange(len(ankles_m)) / RATE_HZ + 0.3
     hips_m[:, 2] = 0.88 + 0.02 * np.sin(4 * np.pi * np.arange(len(ankles_m)) / RATE_HZ)
     return ankles_m, hips_m
+
+
+@pytest.mark.parametrize("hanging_m", [0.3, 0.05])
+def test_a_bar_with_feet_below_it_is_no_floor(hanging_m: float) -> None:
+    """Somebody stands on a bar, and then hangs from another one with the feet below the first."""
+    ankles_m = np.zeros((180, 2, 3))
+    ankles_m[..., 1] = [0.1, -0.1]
+    ankles_m[:, :, 2] = 0.6 + ANKLE_HEIGHT_M
+    stands = body(ankles_m)
+    ankles_m[90:, :, 2] = hanging_m + ANKLE_HEIGHT_M
+    hangs = body(ankles_m, heights_m={**HEIGHTS_M, "elbow": 1.6, "wrist": 1.9})
+    xyz_m = np.concatenate([stands.xyz_m[:90], hangs.xyz_m[90:]])
+    support, floor, contacts = found(track(xyz_m, noise_m=0.0))
+    assert support.carries[10:25].all()
+    assert floor is not None
+    assert floor.z_m == 0.0
+    assert not any(contact.start_frame < 90 for contact in contacts)
 
 
 @pytest.mark.parametrize("height_m", [0.0, 0.6, -0.4])
