@@ -26,7 +26,13 @@ def test_session_says_what_was_found(live: Live) -> None:
     assert uuid.UUID(session["id"]).version == 7
     assert session["name"] == "Take é 3"
     assert session["files"] == [
-        {"name": name, "kind": kind, "num_bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+        {
+            "name": name,
+            "kind": kind,
+            "num_bytes": len(content),
+            "sha256": hashlib.sha256(content).hexdigest(),
+            "is_deleted": False,
+        }
         for name, kind, content in (
             ("cam_0.mp4", "video", b"video"),
             ("cam_1.mp4", "video", b"video"),
