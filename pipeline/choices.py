@@ -40,7 +40,7 @@ class OptionalPackage:
 class OptionalFile:
     """File that a part of Multicap needs, and that is not always installed."""
 
-    name: str  # What messages call it
+    name: str  # Name in messages
     path: str  # Path below the storage folder, see ``pipeline.runtime.packages.storage``
     install: str  # Command that installs it
 

@@ -299,7 +299,7 @@ class ReconstructionConfig(JobChoices):
     clustering: Mapping[str, float] = field(default_factory=dict)
     making: CalibrationChoices | ProxyChoices | VisualChoices | None = None
     edits: tuple[PeopleEdit, ...] = ()
-    blurs_videos: bool = False  # Whether copies of the videos with blurred heads are made, for players
+    blurs_videos: bool = False  # Copies of the videos with blurred heads are made, for players
     character: str | None = None
     chunk_frames: Annotated[
         int,

@@ -59,7 +59,7 @@ _LOST_MM = 100.0
 
 @dataclass(frozen=True, slots=True)
 class OpenSimPerson:
-    """What OpenSim found of a person."""
+    """Results of OpenSim for a person."""
 
     id: int
     num_frames: int  # Frames that the motion has: those in which the pelvis is known

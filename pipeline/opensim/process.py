@@ -31,7 +31,7 @@ _FRAME = re.compile(
 
 @dataclass(slots=True)
 class OpenSimLog:
-    """What the log of a run says."""
+    """Content of the log of a run."""
 
     # Marker that was farthest off in any frame, by how much, and when
     farthest: str | None = None

@@ -109,6 +109,6 @@ def _sized(
 
 
 def _is_covered(points_px: Float[np.ndarray, "n 2"], ellipse_px: Float[np.ndarray, "here 4"]) -> np.ndarray:
-    """Whether each point is in the inner half of one of the ellipses."""
+    """Points that are in the inner half of one of the ellipses."""
     from_center = (points_px[:, None] - ellipse_px[None, :, :2]) / ellipse_px[None, :, 2:]
     return np.asarray((np.linalg.norm(from_center, axis=2) < 0.5).any(axis=1))

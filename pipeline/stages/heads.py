@@ -45,7 +45,7 @@ def find_heads(task: Task, context: Context) -> Output:
 
 
 def blurs_heads(facts: SessionFacts, config: ReconstructionConfig) -> bool:
-    """Whether heads are blurred in the pictures of a job."""
+    """Return whether heads are blurred in the pictures of a job."""
     return config.is_of_people and config.blur_faces and facts.has_videos
 
 

@@ -189,7 +189,7 @@ class Stage:
     # removed when the job ends. An interim output belongs to no key. A task whose output is reused runs all the same if
     # its interim output is missing and an output of a stage that follows is missing too.
     leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
-    reads_videos: bool = False  # Whether it fails without the session's videos
+    reads_videos: bool = False  # It fails without the session's videos
     makes_files: bool = False  # Whether its output are result files, and their index
     is_of_edits: bool = False  # Whether it works for edits of people alone
     # Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are no

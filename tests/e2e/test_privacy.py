@@ -75,7 +75,7 @@ def test_heads_are_gone_and_then_the_videos(served: Served, sample: Sample) -> N
     assert ended["state"] == "succeeded", ended["error"]
 
     listed = served.client.get(f"/v1/jobs/{job_id}/results").raise_for_status().json()["results"]
-    assert sum(one["kind"] == "blurred" for one in listed) == len(sample.videos)
+    assert sum(file["kind"] == "blurred" for file in listed) == len(sample.videos)
     found = noses(served, job_id)
     assert sum(map(len, found.values())) >= 3
     for name, path in sample.videos.items():

@@ -394,7 +394,7 @@ def test_blurred_heads_change_no_key_but_those_of_pictures() -> None:
     assert {name for name in plain if plain[name] != blurred[name]} == {OVERLAY, REPORT}
     recordings = [JobSpec(exports=("rerun",), blur_faces=blur_faces) for blur_faces in (False, True)]
     assert len({keys(session, spec)[RECORD][0] for spec in recordings}) == 2
-    (stage,) = (one for one in plan_job(session, JobSpec(blur_faces=True)) if one.name == BLUR)
-    assert [(one.payload["camera"], one.unit_count) for one in stage.chunks] == [("0", 100), ("1", 50)]
+    (stage,) = (stage for stage in plan_job(session, JobSpec(blur_faces=True)) if stage.name == BLUR)
+    assert [(chunk.payload["camera"], chunk.unit_count) for chunk in stage.chunks] == [("0", 100), ("1", 50)]
     keypoints = replace(session, files=(replace(session.files[0], kind="keypoints"), *session.files[1:]))
     assert not {HEADS, BLUR} & {planned.name for planned in plan_job(keypoints, JobSpec(blur_faces=True))}

@@ -68,7 +68,7 @@ def _unblurred(_: str) -> HeadRegions | None:
 
 @dataclass(frozen=True, slots=True)
 class RecordedFootage:
-    """What cameras took of a take."""
+    """Pictures and detections of the cameras of a take."""
 
     session: Session  # Session of the take, on measured clocks if they were measured
     # Bodies that were detected, by name of the camera; none of networks that leave fields

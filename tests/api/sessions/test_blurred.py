@@ -48,7 +48,10 @@ def test_before_the_job_has_succeeded_nothing_is_shown(live: Live) -> None:
     address = send(live)
     assert live.client.get(f"{address}/videos/cam_0").content == SENT
     job = start(live, address, **BLUR)
-    assert [(one["video_link"], one["thumbnails"]) for one in cameras(live, address)] == [(None, []), (None, [])]
+    assert [(camera["video_link"], camera["thumbnails"]) for camera in cameras(live, address)] == [
+        (None, []),
+        (None, []),
+    ]
     for camera in ("cam_0", "cam_1"):
         problem_of(live.client.get(f"{address}/videos/{camera}"), 409, "not_finished")
         problem_of(live.client.get(f"{address}/thumbnails/{camera}/0"), 404, "not_found")

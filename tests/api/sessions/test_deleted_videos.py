@@ -40,7 +40,9 @@ def test_videos_are_deleted_and_results_stay(live: Live) -> None:
         ("calibration", False),
     ]
     assert session["num_bytes"] == before["num_bytes"] - 2 * len(VIDEO)
-    assert [(one["video_link"], one["thumbnails"]) for one in session["preflight"]["cameras"]] == [(None, [])] * 2
+    assert [(camera["video_link"], camera["thumbnails"]) for camera in session["preflight"]["cameras"]] == [
+        (None, [])
+    ] * 2
     assert live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").status_code == 200
     assert live.client.get(f"/v1/jobs/{job_id}/results.zip").status_code == 200
     for path in ("videos/cam_0", "thumbnails/cam_1/0"):

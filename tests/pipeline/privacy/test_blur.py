@@ -39,7 +39,7 @@ def test_faces_that_differ_in_detail_alone_become_equal() -> None:
     # Each cell of 20 pixels has the same mean of two columns side by side.
     part = other[80:160, 120:200].reshape(80, 40, 2, 3)
     other[80:160, 120:200] = part[:, :, ::-1].reshape(80, 80, 3)
-    shown, shown_other = (blur_ellipses(one, ellipse_px)[95:145, 135:185].astype(int) for one in (image, other))
+    shown, shown_other = (blur_ellipses(picture, ellipse_px)[95:145, 135:185].astype(int) for picture in (image, other))
     assert np.abs(image[80:160, 120:200].astype(int) - other[80:160, 120:200]).mean() > 10
     assert np.abs(shown - shown_other).max() <= 2
 

@@ -44,7 +44,7 @@ def regions_of(xyz_m: np.ndarray, seen: SeenHeads = NOBODY, start_frame: int = 0
 
 
 def covered(regions: HeadRegions, xyz_m: np.ndarray) -> np.ndarray:
-    """Whether all true joints of the head are inside a region, by frame."""
+    """Frames in which all true joints of the head are inside a region."""
     return np.array(
         [
             is_inside(project(CAMERA, xyz_m[frame, HEAD]), regions.in_frame(frame, CAMERA.size_px)).all()

@@ -32,7 +32,7 @@ def remove_unlisted(connection: Connection, job_id: str, prefix: str) -> None:
 
 
 def has_visuals(connection: Connection, job_id: str) -> bool:
-    """Whether overlay videos, a report or a recording of a job are listed."""
+    """Return whether overlay videos, a report or a recording of a job are listed."""
     listed = select(results.c.name).where(results.c.job_id == job_id, results.c.kind.in_(VISUAL_KINDS))
     return connection.execute(listed.limit(1)).first() is not None
 

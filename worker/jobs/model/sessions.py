@@ -72,7 +72,7 @@ class Capture:
     newest_job: NewestJob | None = None
     proxies: frozenset[str] = frozenset()  # Names of the proxies that are made; see ``pipeline.job_choices.proxy_name``
     proxies_job: NewestJob | None = None  # Job that makes proxies; ``None``: no job had to
-    # Whether a reconstruction blurs faces, so that no picture of the session is shown as it was sent
+    # A reconstruction blurs faces, so that no picture of the session is shown as it was sent
     is_blurred: bool = False
     # Names of the blurred videos that are made; see ``pipeline.job_choices.blurred_name``
     blurred: frozenset[str] = frozenset()

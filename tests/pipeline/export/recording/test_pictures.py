@@ -52,7 +52,7 @@ def test_heads_are_blurred(tmp_path: Path) -> None:
     ellipse_px = np.array([[320.0, 240.0, 60.0, 60.0]])
     heads = HeadRegions("front", CAMERA.size_px, 0, 3, np.array([1]), ellipse_px)
     plain, blurred = (
-        [np.asarray(cv2.imdecode(np.frombuffer(one.jpeg, np.uint8), cv2.IMREAD_COLOR)) for one in pictures]
+        [np.asarray(cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_COLOR)) for picture in pictures]
         for pictures in (
             small_pictures(session, timebase, "front", 2**30, ignore),
             small_pictures(session, timebase, "front", 2**30, ignore, heads),

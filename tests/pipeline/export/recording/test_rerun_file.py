@@ -136,10 +136,10 @@ def test_people_are_where_they_are(path: Path, whole: Reconstruction) -> None:
             for frame, (time_s, _) in rows(path, entity, f"{kind}:positions").items():
                 assert time_s == pytest.approx(whole.timebase.time_s(frame), abs=1e-8)
         context = fixed(path, f"{body}/located", "AnnotationContext:context")[0]
-        (described,) = [one["class_description"] for one in context]
+        (described,) = [entry["class_description"] for entry in context]
         assert described["info"]["label"] == motion.name
         assert described["info"]["color"] >> 8 == int.from_bytes(bytes(color_rgb(track.track_id)))
-        assert [one["label"] for one in described["keypoint_annotations"]] == list(whole.joints.names)
+        assert [keypoint["label"] for keypoint in described["keypoint_annotations"]] == list(whole.joints.names)
         assert len(described["keypoint_connections"]) == len(whole.joints.bones)
         assert num_joints == len(described["keypoint_annotations"])
 
@@ -220,7 +220,7 @@ def test_pictures_and_bodies_of_nobody_are_at_the_times_of_the_camera(tmp_path: 
 def test_far_worlds_have_an_origin_near_the_cameras(whole: Reconstruction, tmp_path: Path) -> None:
     away_m = np.array([500_123.0, 5_412_345.0, 312.0])
     cameras = tuple(
-        replace(one, cam_from_world=one.cam_from_world @ Rigid3(np.eye(3), -away_m)) for one in whole.cameras
+        replace(camera, cam_from_world=camera.cam_from_world @ Rigid3(np.eye(3), -away_m)) for camera in whole.cameras
     )
     motions = tuple(replace(motion, root_m=motion.root_m + away_m) for motion in whole.motions)
     far = replace(whole, cameras=cameras, animation=replace(whole.animation, motions=motions))
