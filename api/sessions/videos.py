@@ -16,6 +16,7 @@ from pipeline.job_choices import blurred_name, proxy_name
 from pipeline.problem_codes.requests import NOT_FINISHED, VIDEOS_DELETED
 from worker.jobs.errors import NotFound
 from worker.jobs.files.removals import remove_files
+from worker.jobs.model.jobs import Result
 from worker.jobs.model.sessions import Session
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import has_videos
@@ -90,31 +91,36 @@ def deleted() -> ApiError:
 
 def _blurred(records: TenantRecords, session: Session, number: int) -> Download:
     """Blurred video of a camera, by its number in the session."""
-    camera = session.preflight.cameras[number]
-    if not has_videos(session):
-        raise NotFound("The session has keypoints, and no videos.")
-    blurred = records.results.blurred(session.id, blurred_name(number))
-    if blurred is None:
-        message = "A job of this session blurs faces, and the blurred video of this camera is not there."
-        hint = "Read the session until the camera has a video_link. If no job with blur_faces succeeds, start another."
-        raise ApiError(NOT_FINISHED, message, hint=hint)
-    name = f"{camera.file.rpartition('.')[0] or camera.file}.mp4"
-    return replace(Download.of(blurred, name), disposition="inline", remedy="Start another job with blur_faces.")
+    return _copy(
+        session,
+        number,
+        records.results.blurred(session.id, blurred_name(number)),
+        "A job of this session blurs faces, and the blurred video of this camera is not there.",
+        hint="Read the session until the camera has a video_link. If no job with blur_faces succeeds, start another.",
+        remedy="Start another job with blur_faces.",
+    )
 
 
 def _proxy(records: TenantRecords, session: Session, number: int) -> Download:
     """Proxy of the video of a camera, by its number in the session."""
-    camera = session.preflight.cameras[number]
+    return _copy(
+        session,
+        number,
+        records.results.proxy(session.id, proxy_name(number)),
+        "Browsers can't play the video of this camera, and a copy that they play is not made yet.",
+        hint="Read the session until the camera has a video_link; its proxies_job says how far it is.",
+        remedy="Retry the session's proxies_job, or send the session again.",
+    )
+
+
+def _copy(session: Session, number: int, copy: Result | None, message: str, *, hint: str, remedy: str) -> Download:
+    """Copy of the video of a camera for players; raises ``ApiError`` with the message and the hint without one."""
     if not has_videos(session):
         raise NotFound("The session has keypoints, and no videos.")
-    proxy = records.results.proxy(session.id, proxy_name(number))
-    if proxy is None:
-        message = "Browsers can't play the video of this camera, and a copy that they play is not made yet."
-        hint = "Read the session until the camera has a video_link; its proxies_job says how far it is."
+    if copy is None:
         raise ApiError(NOT_FINISHED, message, hint=hint)
-    name = f"{camera.file.rpartition('.')[0] or camera.file}.mp4"
-    remedy = "Retry the session's proxies_job, or send the session again."
-    return replace(Download.of(proxy, name), disposition="inline", remedy=remedy)
+    file = session.preflight.cameras[number].file
+    return replace(Download.of(copy, f"{file.rpartition('.')[0] or file}.mp4"), disposition="inline", remedy=remedy)
 
 
 def _sent(session: Session, camera: PreflightCamera, media_type: str) -> Download:

@@ -168,7 +168,7 @@ export function captureCard(view, session) {
           aria-label="Other calibration: ${session.name}" @click=${recalibrate}>Other calibration</button>
         <button type="button" class="button small" id="rename-${session.id}" aria-label="Rename ${session.name}" @click=${() => beginRename(view, session)}>Rename</button>
         ${hasVideos && hasResults ? html`<button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Its job needs them." : nothing}
-          aria-label="Delete the videos of ${session.name}" @click=${removeVideos}>Delete videos</button>` : nothing}
+          aria-label="Delete videos of ${session.name}" @click=${removeVideos}>Delete videos</button>` : nothing}
         <button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Cancel its job first." : nothing}
           aria-label="Delete ${session.name}" @click=${remove}>Delete</button>
       </div>` : nothing}

@@ -232,8 +232,9 @@ def _draw_to_rest(
             if number in turning
             else bodies.angle_rad[:, number] - freedom.rest_rad
         )
-        lower[:, number, 0] += 1.0 / freedom.usual_rad**2
-        force[:, number] -= angle_rad / freedom.usual_rad**2
+        spread_rad = freedom.spread_rad(angle_rad)
+        lower[:, number, 0] += 1.0 / spread_rad**2
+        force[:, number] -= angle_rad / spread_rad**2
 
 
 def _steady_twist(

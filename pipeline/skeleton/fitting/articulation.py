@@ -30,6 +30,11 @@ class Freedom:
     usual_rad: float = np.inf  # Standard deviation of the prior for the rest pose; infinite without a prior
     limits_rad: tuple[float, float] | None = None  # Smallest and largest angle of a hinge; ``None`` for other rotations
     rest_rad: float = 0.0  # Angle of a hinge in the prior; other rotations rest at 0
+    usual_below_rad: float | None = None  # Standard deviation below the rest pose, if it is another
+
+    def spread_rad(self, angle_rad: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " frames"]:
+        """Standard deviation of the prior on the side of each angle from the rest pose."""
+        return np.where(angle_rad < 0.0, self.usual_below_rad or self.usual_rad, self.usual_rad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +74,11 @@ def _side(side: str) -> tuple[Freedom, ...]:
 FREEDOMS = (
     *_ball("Hips"),
     # The trunk bends evenly along the spine. The lines through hips and shoulders show how it bends aside and twists,
-    # but not how it bends to the front: there the largest extension, 20 to 30 degrees (American Academy of Orthopaedic
-    # Surgeons), is two standard deviations of both joints together. More would let people who lean and look ahead bend
-    # their backs as they bend their necks.
-    *(Freedom(("Spine", "Chest"), axis, usual_rad) for axis, usual_rad in zip(_AXES, (0.12, 0.25, 0.25), strict=True)),
+    # but not how it bends to the front or to the rear: there the largest extension, 20 to 30 degrees (American Academy
+    # of Orthopaedic Surgeons), is two standard deviations of both joints together. More would let people who lean and
+    # look ahead bend their backs to the rear as they bend their necks.
+    Freedom(("Spine", "Chest"), _AXES[0], usual_rad=0.25, usual_below_rad=0.12),
+    *(Freedom(("Spine", "Chest"), axis, usual_rad=0.25) for axis in _AXES[1:]),
     *_ball("Neck", usual_rad=0.35),
     *_ball("Head", usual_rad=0.5),
     *_side("Left"),

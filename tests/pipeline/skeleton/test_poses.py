@@ -196,7 +196,7 @@ def test_a_torso_is_completed(unseen: tuple[str, ...]) -> None:
     error_m = errors_m(motion, truth_m)
     # A width or a trunk that nobody measured has adult proportions.
     assert error_m["Hips"].max() < 0.05
-    assert error_m["Neck"].max() < 0.06
+    assert error_m["Neck"].max() < 0.065
     assert steps_deg(motion).max() < 20.0
 
 
