@@ -38,6 +38,8 @@ SLOW = (
     "api/test_outages.py",
     "api/uploads/test_upload_clients.py",
     "e2e/test_backup.py",
+    "e2e/test_benchmarks.py",
+    "e2e/test_characters.py",
     "e2e/test_check_of_sessions.py",
     "e2e/test_clocks.py",
     "e2e/test_damaged.py",

@@ -97,6 +97,7 @@ def test_the_contract_s_page_and_all_that_it_refers_to(live: Live) -> None:
         assert policy["script-src"] == policy["style-src"] == policy["connect-src"] == "'self'"
 
 
+@pytest.mark.slow
 def test_while_jobs_are_watched_only_they_are_asked_for(live: Live) -> None:
     job_id = live.job_id()  # without a worker it stays queued
     asked: list[str] = []
@@ -113,6 +114,7 @@ def test_while_jobs_are_watched_only_they_are_asked_for(live: Live) -> None:
         assert set(asked) == {"/v1/jobs"}
 
 
+@pytest.mark.slow
 def test_a_service_without_streams_is_polled(live: Live) -> None:
     job_id = live.job_id()
     with opened(str(live.client.base_url), allowed=("ERR_FAILED",)) as page:
@@ -146,6 +148,7 @@ def test_the_form_has_a_field_for_every_choice(live: Live) -> None:
         assert page.get_by_role("group", name=choices["frame_range"]["label"]).get_by_role("spinbutton").count() == 2
 
 
+@pytest.mark.slow
 def test_a_job_is_canceled_retried_and_deleted_by_the_keyboard(live: Live) -> None:
     live.job_id()  # without a worker it stays queued
     with opened(f"{live.client.base_url}#/captures") as page:

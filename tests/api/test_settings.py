@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from api.settings import Settings
+from tests.cases import slow_but
 from worker.settings import WorkerSettings, read_settings
 
 
@@ -56,6 +57,7 @@ def test_messages_state_allowed_values_of_variables(
     assert ended.value.code == f"error: {sentence}"
 
 
+@pytest.mark.slow
 def test_the_command_line_says_it_too() -> None:
     wrong = os.environ | {"MULTICAP_ALLOWED_HOSTS": "a,b"}
     command = [sys.executable, "-m", "api.cli.main", "keys", "list"]
@@ -66,7 +68,10 @@ def test_the_command_line_says_it_too() -> None:
 
 @pytest.mark.parametrize(
     ("program", "status"),
-    [(["api.cli.main", "keys", "list"], 2), (["api"], 1), (["worker"], 1), (["worker.reaper"], 1)],
+    slow_but(
+        [(["worker"], 1)],
+        [(["api.cli.main", "keys", "list"], 2), (["api"], 1), (["worker"], 1), (["worker.reaper"], 1)],
+    ),
 )
 def test_wrong_variables_are_named(tmp_path: Path, program: list[str], status: int) -> None:
     wrong = {"MULTICAP_ARTIFACTS_URL": "gs://bucket", "MULTICAP_DATA_DIR": str(tmp_path)}

@@ -71,7 +71,6 @@ def annotated_m(person: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.array([*np.mean(sides, axis=1), *(person[name] for name in JOINTS[2:])])
 
 
-@pytest.mark.slow
 @needs("rendered")
 def test_pictures_of_mvor(tmp_path: Path) -> None:
     rig, people = cameras()[:3], truth()
@@ -119,7 +118,7 @@ def test_pictures_of_mvor(tmp_path: Path) -> None:
 
 
 @needs("rendered")
-@pytest.mark.parametrize("kind", [pytest.param("videos", marks=pytest.mark.slow), "images"])
+@pytest.mark.parametrize("kind", ["videos", "images"])
 def test_a_sequence_of_panoptic(tmp_path: Path, kind: str) -> None:
     names = {"cam_0": "00_03", "cam_1": "00_06", "cam_2": "00_12", "cam_3": "00_13"}
     folder = tmp_path / "171204_pose1"

@@ -276,6 +276,7 @@ def test_the_mesh_is_where_its_file_says_and_vanishes_with_the_person(page: Page
     assert axe_findings(page, ".look-viewer") == []
 
 
+@pytest.mark.slow
 def test_it_moves_with_the_frames_and_goes_with_the_choice(page: Page, walking: Moved) -> None:
     mount(page, walking.job_id)
     before = page.evaluate(MEMORY)
@@ -301,7 +302,8 @@ def test_it_moves_with_the_frames_and_goes_with_the_choice(page: Page, walking: 
     assert page.evaluate("() => globalThis.viewer.view.people.capsules.visible")
 
 
-@pytest.mark.parametrize("is_far", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("is_far", [False, True])
 def test_other_rigs_rates_and_places(page: Page, live: Live, is_far: bool, tmp_path: Path) -> None:
     job = moved(live, tmp_path, vrm("0.x"), None if is_far else 50.0, is_far=is_far)
     mount(page, job.job_id)
@@ -313,6 +315,7 @@ def test_other_rigs_rates_and_places(page: Page, live: Live, is_far: bool, tmp_p
         assert max(distance or 1e9 for distance in distances) < 1.0, (frame, distances)
 
 
+@pytest.mark.slow
 def test_a_character_from_fbx_is_shown(page: Page, live: Live, tmp_path: Path) -> None:
     file = decode_fbx_character("a.fbx", fbx_of(figure_of("a.glb", vrm("1.0")).file, unit_cm=100.0))
     figure = measure(file, map_bones(file, figure_of("a.glb", vrm("1.0")).mapping.bones))
@@ -339,8 +342,8 @@ def send_nothing(route: Route) -> None:
 @pytest.mark.parametrize(
     ("harm", "words"),
     [
-        ("removed", "The file was removed. Start another job"),
-        ("damaged", "damaged"),
+        pytest.param("removed", "The file was removed. Start another job", marks=pytest.mark.slow),
+        pytest.param("damaged", "damaged", marks=pytest.mark.slow),
         ("cut", "no character in motion, or is damaged"),
     ],
 )

@@ -71,6 +71,7 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, first_
     assert found == packed == {f"b-take-b-1_{name}": sha256 for name, sha256 in digests(first_results).items()}
 
 
+@pytest.mark.slow
 def test_a_stored_calibration_is_added_chosen_and_deleted(page: Page, served: Served, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     page.get_by_role("link", name="Calibrations", exact=True).click()
@@ -116,6 +117,7 @@ def test_all_problems_of_a_capture_are_shown(served: Served, sample: Sample, tmp
         expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
 
 
+@pytest.mark.slow
 def test_a_unit_that_nothing_states_is_asked_for(served: Served, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     in_mm = tmp_path / "rig.toml"
@@ -134,6 +136,7 @@ def test_a_unit_that_nothing_states_is_asked_for(served: Served, tmp_path: Path)
         expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
 
 
+@pytest.mark.slow
 def test_an_array_of_the_points_of_all_cameras(page: Page, served: Served, tmp_path: Path) -> None:
     simulation = record(replace(find_scene("room"), duration_s=1.0), seed=4, num_views=2)
     rig, array, other = (tmp_path / name for name in ("rig.json", "mediapipe_2dData_numCams.npy", "cam_00.mp4"))
@@ -208,6 +211,7 @@ def post(served: Served, jobs: str, frames: list[int]) -> dict[str, Any]:
     return served.wait_for_end(answer.json()["id"])
 
 
+@pytest.mark.slow
 def test_warnings_of_a_result_are_shown_and_no_retry_that_would_fail_the_same_way(
     page: Page, served: Served, sample: Sample
 ) -> None:
@@ -284,6 +288,7 @@ def test_with_keys_a_browser_has_to_show_one(tmp_path: Path) -> None:
         expect(page.get_by_role("link", name="New capture")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_the_contract_is_shown_without_anybody_else(served: Served) -> None:
     asked, refused = set(), []
     with opened(str(served.client.base_url)) as page:

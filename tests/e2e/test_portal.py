@@ -102,6 +102,7 @@ def test_dropped_files_become_a_capture_with_files_to_download(page: Page, keypo
     expect(page.get_by_label("Application for BVH and FBX files")).to_have_value("default")
 
 
+@pytest.mark.slow
 def test_another_run_uploads_nothing(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     session = post_session(served, keypoints, "Twice")
     first = served.client.post(session["links"]["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
@@ -129,6 +130,7 @@ def test_another_run_uploads_nothing(page: Page, served: Served, keypoints: dict
     assert uploads == []
 
 
+@pytest.mark.slow
 def test_captures_are_searched_renamed_and_deleted(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     for name in ("Walk A", "Walk B"):
         post_session(served, keypoints, name)
@@ -182,6 +184,7 @@ def test_videos_are_deleted_and_the_results_stay(page: Page, served: Served, tmp
     expect(files_shown.get_by_text("Video with blurred heads").first).to_be_visible()
 
 
+@pytest.mark.slow
 def test_nobody_found_is_no_plain_success(page: Page, served: Served, tmp_path: Path) -> None:
     video_capture(tmp_path, 5)
     files = [("videos", (path.name, path.read_bytes())) for path in sorted((tmp_path / "videos").iterdir())]
@@ -210,6 +213,7 @@ def test_a_capture_that_is_not_complete_is_not_sent(page: Page, keypoints: dict[
     assert sent == []
 
 
+@pytest.mark.slow
 def test_cameras_are_corrected_and_left_out(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     page.get_by_label("Choose files").set_input_files(list(keypoints.values()))
     first, second = page.get_by_label("Camera of cam_00.zip"), page.get_by_label("Camera of cam_01.zip")
@@ -321,6 +325,7 @@ def test_zips_are_told_apart(page: Page, keypoints: dict[str, Path], tmp_path: P
     assert page.evaluate(script) == ["keypoints", "video", "calibration"]
 
 
+@pytest.mark.slow
 def test_findings_of_the_check_stand_beside_their_camera(page: Page, served: Served, tmp_path: Path) -> None:
     video_capture(tmp_path, 5)
     left, right = (tmp_path / "videos" / f"{name}.mp4" for name in ("left", "right"))
@@ -350,6 +355,7 @@ def test_the_first_view_is_there_within_a_second(served: Served) -> None:
         assert shown_ms <= 1000
 
 
+@pytest.mark.slow
 def test_the_same_footage_with_another_calibration(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     session = post_session(served, keypoints, "Footage")
     content = keypoints["calibration.json"].read_bytes()

@@ -76,6 +76,7 @@ def test_send_is_in_reach_on_a_phone_and_opens_the_job(page: Page, videos: dict[
     expect(page.get_by_text("Done: nobody was found")).to_be_visible(timeout=240_000)
 
 
+@pytest.mark.slow
 def test_the_page_of_a_running_job_shows_its_progress_at_once(
     page: Page, served: Served, videos: dict[str, Path]
 ) -> None:
@@ -97,6 +98,7 @@ def test_the_page_of_a_running_job_shows_its_progress_at_once(
             process.resume()
 
 
+@pytest.mark.slow
 def test_files_of_other_names_are_paired_by_order_if_that_is_asked_for(
     page: Page, videos: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -124,6 +126,7 @@ def chapters(videos: dict[str, Path], folder: Path, *names: str) -> list[Path]:
     return cut_at_keyframes(whole, [folder / name for name in names])
 
 
+@pytest.mark.slow
 def test_chapters_and_stated_parts_are_one_camera(page: Page, videos: dict[str, Path], tmp_path: Path) -> None:
     files = chapters(videos, tmp_path, "left_GX010007.mp4", "left_GX020007.mp4", "left_GX030007.mp4")
     beside = tmp_path / "._left_GX010007.mp4"
@@ -161,6 +164,7 @@ def test_chapters_and_stated_parts_are_one_camera(page: Page, videos: dict[str, 
     expect(page.get_by_text("Drop the videos")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_refused_file_is_replaced_by_another_of_its_name(
     page: Page, served: Served, videos: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -196,6 +200,7 @@ def test_two_files_of_one_name_that_come_together_are_not_mixed(
     expect(page.get_by_label("Use left.mp4")).to_have_count(1)
 
 
+@pytest.mark.slow
 def test_keypoints_without_timestamps_need_a_frame_rate(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     timestamps = keypoints["timestamps.csv"]
     rate = page.get_by_label("Frame rate of the keypoints, Hz")
@@ -237,6 +242,7 @@ def write_takes(folder: Path, videos: dict[str, Path]) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_folder_of_takes_is_sent_take_by_take(
     page: Page, served: Served, videos: dict[str, Path], tmp_path: Path
 ) -> None:

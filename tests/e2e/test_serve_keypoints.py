@@ -177,6 +177,7 @@ def generated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module(package)
 
 
+@pytest.mark.slow
 def test_a_generated_client_gets_from_files_to_animations(served: Served, capture: Path, generated: ModuleType) -> None:
     def part(name: str) -> Any:
         return importlib.import_module(f"{generated.__name__}.{name}")

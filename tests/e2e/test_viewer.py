@@ -217,6 +217,7 @@ def test_bodies_are_humans_or_capsules(shown: Shown) -> None:
     assert shown.page.evaluate(TRIANGLES) == {"triangles": discs, "humans": False, "capsules": False}
 
 
+@pytest.mark.slow
 def test_a_take_without_people_draws_none(shown: Shown) -> None:
     shown.page.evaluate(
         """async (job) => {
@@ -250,6 +251,7 @@ def test_a_take_without_people_draws_none(shown: Shown) -> None:
     assert triangles == 0  # cameras, ground and axes are lines
 
 
+@pytest.mark.slow
 def test_the_keyboard_moves_the_play_head(shown: Shown) -> None:
     shown.mount()
     shown.page.locator(".look-canvas").focus()
@@ -298,6 +300,7 @@ def test_seeing_through_a_camera_shows_people_where_the_camera_sees_them(shown: 
     assert off_px < 0.5
 
 
+@pytest.mark.slow
 def test_strips_lead_to_doubtful_spots(shown: Shown) -> None:
     shown.mount()
     shown.page.get_by_role("button", name="person-2: next spot that deserves a look").click()
@@ -342,6 +345,7 @@ def test_figures_and_plots(shown: Shown) -> None:
     expect(shown.page.locator(".u-series", has_text="left elbow flexion").locator(".u-value")).to_have_text("52 °")
 
 
+@pytest.mark.slow
 def test_measured_clocks_are_shown_with_their_evidence(shown: Shown) -> None:
     shown.mount()
     expect(shown.page.get_by_role("tab", name="Clocks")).to_have_count(0)
@@ -368,6 +372,7 @@ def test_measured_clocks_are_shown_with_their_evidence(shown: Shown) -> None:
     assert points.count("M") == 1
 
 
+@pytest.mark.slow
 def test_gait_and_movements_are_shown_where_there_are_some(shown: Shown) -> None:
     shown.mount()
     expect(shown.page.get_by_role("tab", name="Gait and movement")).to_have_count(0)
@@ -424,6 +429,7 @@ def test_video_and_skeleton_are_in_step(shown: Shown, kind: str, request: pytest
         assert np.percentile(off, 75) <= 1, (other, off.tolist())
 
 
+@pytest.mark.slow
 def test_no_picture_is_decoded_twice(shown: Shown, numbered_video: Path) -> None:
     clock = [[0, 0.0, 0.0], [NUM_FRAMES - 1, (NUM_FRAMES - 1) / RATE_HZ, (NUM_FRAMES - 1) / RATE_HZ]]
     shown.mount(clock=clock, video=numbered_video)
@@ -444,6 +450,7 @@ def test_no_picture_is_decoded_twice(shown: Shown, numbered_video: Path) -> None
     page.wait_for_function(f"() => {decoded} > {NUM_FRAMES}")
 
 
+@pytest.mark.slow
 def test_all_pixels_are_drawn_again_at_rest(shown: Shown) -> None:
     shown.mount()
     page = shown.page

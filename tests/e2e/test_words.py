@@ -39,6 +39,7 @@ def card(page: Page, name: str) -> Locator:
     return page.get_by_role("listitem").filter(has=page.get_by_role("heading", name=name, exact=True, level=2))
 
 
+@pytest.mark.slow
 def test_equal_calibrations_are_listed_once_dated_and_renamed(page: Page, served: Served) -> None:
     other = store(served, "Hall", 0.41)
     first, again = store(served, "Studio", 0.43), store(served, "Studio, again", 0.43)
@@ -113,6 +114,7 @@ def test_the_clocks_are_measured_where_the_start_of_the_videos_stands(page: Page
     assert (manifest["clock"], manifest["sync"]) == ("declared", "auto")
 
 
+@pytest.mark.slow
 def test_the_time_of_a_take_is_estimated_from_its_frames(page: Page, served: Served, sample: Sample) -> None:
     videos = list(sample.videos.values())
     page.goto("/#/new")
@@ -161,6 +163,7 @@ def num_frames(path: Path) -> int:
         return container.streams.video[0].frames
 
 
+@pytest.mark.slow
 def test_captures_have_a_picture(page: Page, served: Served, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     files = [("videos", (name, paths[name].read_bytes())) for name in ("left.mp4", "right.mp4")]

@@ -63,7 +63,7 @@ def test_a_pause_of_nine_hours(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("frames", [(2000, 3000), (10, 972_020)])
+@pytest.mark.parametrize("frames", [(2000, 3000), pytest.param((10, 972_020), marks=pytest.mark.slow)])
 def test_frames_that_are_wanted_around_a_pause_and_in_it(method: Method, frames: tuple[int, int]) -> None:
     config = ReconstructionConfig(method=method, smoothing="none", frame_range=frames)
     found = reconstruct(two_takes(32_400.0), config)

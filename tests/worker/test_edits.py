@@ -170,7 +170,7 @@ def test_work_for_an_older_list_is_given_up(bench: RunnerBench, done: JobRecord,
     assert bench.result(done.id) == expected(NOBODY)
 
 
-@pytest.mark.parametrize("end", ["canceled", "failed"])
+@pytest.mark.parametrize("end", slow_but(["canceled"], ["canceled", "failed"]))
 def test_files_stay_if_an_edit_comes_to_nothing(bench: RunnerBench, done: JobRecord, end: str) -> None:
     def broken(_: Work) -> Output:
         raise PipelineError("It is broken.")
@@ -195,6 +195,7 @@ def test_files_stay_if_an_edit_comes_to_nothing(bench: RunnerBench, done: JobRec
     assert bench.result(done.id) == expected(FIRST)
 
 
+@pytest.mark.slow
 def test_edits_go_before_other_work_of_the_tenant(bench: RunnerBench, done: JobRecord) -> None:
     running, queued = bench.create_job(), bench.create_job()
     claim = bench.store.leases.claim("worker", 30.0)
@@ -208,6 +209,7 @@ def test_edits_go_before_other_work_of_the_tenant(bench: RunnerBench, done: JobR
     assert claim.job_id == done.id
 
 
+@pytest.mark.slow
 def test_edits_take_no_share_of_other_tenants(bench: RunnerBench, done: JobRecord) -> None:
     """The tenant with fewer running chunks is next, whatever the other one edits."""
     store = bench.store
@@ -243,6 +245,7 @@ def test_people_must_have_been_found(bench: RunnerBench) -> None:
         edit(bench, bench.store.jobs.get(job.id), FIRST)
 
 
+@pytest.mark.slow
 def test_a_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) -> None:
     edit(bench, done, FIRST)
     canceled = bench.store.jobs.cancel(done.id)

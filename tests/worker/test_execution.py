@@ -19,6 +19,7 @@ from pipeline.stages.codec import decode, encode
 from pipeline.stages.stage import LOOK
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
+from tests.cases import slow_but
 from tests.e2e.captures import video_capture
 from tests.worker.jobs.damage import overwrite
 from worker import execution
@@ -108,6 +109,7 @@ def test_a_whole_video_is_worked_on(session: Session, artifacts: LocalArtifacts,
     assert decode(Detections, outcome.content).camera == "left"
 
 
+@pytest.mark.slow
 def test_a_video_that_is_damaged_between_chunks_is_noticed(
     session: Session, artifacts: LocalArtifacts, tmp_path: Path
 ) -> None:
@@ -120,7 +122,7 @@ def test_a_video_that_is_damaged_between_chunks_is_noticed(
     assert problem.hint is not None
 
 
-@pytest.mark.parametrize("damage", [flip, Path.unlink])
+@pytest.mark.parametrize("damage", slow_but([flip], [flip, Path.unlink]))
 def test_a_video_that_is_damaged_while_it_is_decoded_leaves_no_output(
     session: Session, artifacts: LocalArtifacts, tmp_path: Path, damage: Callable[[Path], None]
 ) -> None:
@@ -143,6 +145,7 @@ def test_an_interrupted_chunk_is_no_damage(session: Session, artifacts: LocalArt
         execution.run_chunk(work(session, artifacts, tmp_path, stop))
 
 
+@pytest.mark.slow
 def test_a_record_without_a_digest_is_read_as_before(
     session: Session, artifacts: LocalArtifacts, tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.stages.stage import DETECT, FIT, IDENTIFY, Output
+from tests.cases import slow_but
 from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench, detect, fit, identify
 from worker.chunk import StoppedError, Work
 from worker.jobs.backup.create import create_backup
@@ -82,7 +83,7 @@ def test_a_job_that_needs_no_association_needs_none(bench: RunnerBench, stages: 
     assert {stage.name: stage.reused for stage in job.stages}[DETECT]
 
 
-@pytest.mark.parametrize("is_removed", [True, False])
+@pytest.mark.parametrize("is_removed", slow_but([True], [True, False]))
 def test_another_association_makes_them_again_from_the_detections(
     bench: RunnerBench, stages: Stages, is_removed: bool
 ) -> None:
@@ -111,7 +112,7 @@ def flip(path: Path) -> None:
     path.write_bytes(bytes(byte ^ 1 for byte in path.read_bytes()))
 
 
-@pytest.mark.parametrize("damage", [flip, Path.unlink])
+@pytest.mark.parametrize("damage", slow_but([flip], [flip, Path.unlink]))
 def test_a_damaged_one_is_made_again(bench: RunnerBench, stages: Stages, damage: Callable[[Path], None]) -> None:
     damages = iter([damage])
 
@@ -147,6 +148,7 @@ def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: RunnerBenc
     assert left(bench) == []
 
 
+@pytest.mark.slow
 def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: RunnerBench, stages: Stages) -> None:
     def broken(work: Work) -> Output:
         raise RuntimeError
@@ -165,6 +167,7 @@ def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: Runne
     assert attempt.failures == ()
 
 
+@pytest.mark.slow
 def test_those_of_a_canceled_job_go(bench: RunnerBench, stages: Stages) -> None:
     def canceling(work: Work) -> Output:
         bench.store.jobs.cancel(work.claim.job_id)

@@ -46,7 +46,9 @@ def test_several_problems_are_all_told(bench: RunnerBench) -> None:
     ("error", "code"),
     [
         (ModelError("The network x is not installed. Run: multicap models install x"), "model_error"),
-        (ChildError("A process was ended. Run: multicap models install x"), "child_failed"),
+        pytest.param(
+            ChildError("A process was ended. Run: multicap models install x"), "child_failed", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retried(

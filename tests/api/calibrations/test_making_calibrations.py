@@ -252,6 +252,7 @@ def keypoint_session(live: Live, simulation: Simulation) -> Any:
     return answer.json()
 
 
+@pytest.mark.slow
 def test_people_of_a_session_calibrate_its_cameras(making: Live, walk: Simulation) -> None:
     session = keypoint_session(making, walk)
     answer = send(making, [], method="people", session_id=session["id"], stature_m=[1.7, 1.65])

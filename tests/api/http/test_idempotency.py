@@ -17,6 +17,7 @@ from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from tests.api.processes import serving
 from tests.api.uploads.test_files import PIECE, TUS, Uploader, encoded
+from tests.cases import slow_but
 from tests.waiting import wait_for
 from worker.jobs.repositories.sessions import Sessions
 
@@ -57,7 +58,7 @@ def test_every_post_takes_a_key() -> None:
     assert taking == {path for path, item in contract["paths"].items() if "post" in item} - without
 
 
-@pytest.mark.parametrize("path", ["/v1/sessions", "/v1/jobs"])
+@pytest.mark.parametrize("path", slow_but(["/v1/jobs"], ["/v1/sessions", "/v1/jobs"]))
 def test_a_form_that_is_cut_otherwise_is_the_same(live: Live, path: str) -> None:
     spec = [] if path == "/v1/sessions" else [("spec", (None, '{"smoothing": "none"}'))]
     again(lambda: live.client.post(path, files=[*form(), *spec], headers=KEY))  # boundaries are random
@@ -186,6 +187,7 @@ def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: 
     assert problem_of(checked, 422, "invalid_request")["errors"][0]["code"] == "preflight_timeout"
 
 
+@pytest.mark.slow
 def test_a_key_stays_taken_as_long_as_its_request_is_at_work(make_settings: Callable[..., Settings]) -> None:
     """The check of the files takes several times the lease."""
     with (

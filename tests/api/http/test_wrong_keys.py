@@ -37,6 +37,7 @@ def use_up(client: httpx2.Client, **headers: str) -> None:
         assert answer.headers["ratelimit-remaining"] == str(left)
 
 
+@pytest.mark.slow
 def test_too_many_wrong_keys_are_refused(guarded: tuple[Live, dict[str, str]]) -> None:
     live, valid = guarded
     use_up(live.client)

@@ -170,6 +170,7 @@ def test_a_wrong_cell_is_named_with_file_frame_and_field(checking: Live, simulat
     assert "individual1 nose y" in json.dumps(item)
 
 
+@pytest.mark.slow
 def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
     checking: Live, simulation: Simulation, tmp_path: Path
 ) -> None:
@@ -207,6 +208,7 @@ def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
     assert "paired_in_sorted_order" in codes[1]
 
 
+@pytest.mark.slow
 def test_archives_are_those_of_the_cameras_for_which_the_manifest_states_them(
     checking: Live, simulation: Simulation
 ) -> None:
@@ -247,6 +249,7 @@ def test_archives_are_those_of_the_cameras_for_which_the_manifest_states_them(
     ]
 
 
+@pytest.mark.slow
 def test_a_rate_is_asked_for_and_kept_with_the_pairs_of_copied_footage(checking: Live, simulation: Simulation) -> None:
     files = keypoint_files(simulation, "AlphaPose")
     renamed = {f"view{number}": files[camera.name] for number, camera in enumerate(simulation.cameras)}

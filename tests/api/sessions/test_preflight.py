@@ -54,6 +54,7 @@ def test_check_is_killed_with_its_children(tmp_path: Path) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_check_that_is_killed_leaves_no_unpacked_file(
     make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,6 +174,7 @@ def test_a_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:
     assert {error["code"] for error in answer.json()["errors"]} == {"session_too_large"}
 
 
+@pytest.mark.slow
 def test_a_tenant_s_checks_that_hang_do_not_delay_another_s_session(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(preflight_timeout_s=6.0)) as live, concurrent.futures.ThreadPoolExecutor(4) as pool:
         keys = [live.services.store.keys.add(name, name, frozenset(Scope))[1] for name in ("bad", "good")]
@@ -197,6 +199,7 @@ def test_without_keys_clients_take_turns_by_address(make_settings: Callable[...,
         assert not any(answer.done() for answer in hanging)
 
 
+@pytest.mark.slow
 def test_a_check_that_waits_too_long_is_refused_with_retry_after(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings(preflight_timeout_s=5.0, preflight_wait_s=0.3, max_parallel_preflights=1)
     with running(settings) as live, concurrent.futures.ThreadPoolExecutor(1) as pool:

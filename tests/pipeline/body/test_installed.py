@@ -33,6 +33,7 @@ def fresh_home(package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_body_is_made_of_the_package_with_the_same_bytes(fresh_home: Path) -> None:
     assert not installed.is_installed()
     path = installed.install()
@@ -54,6 +55,7 @@ def test_a_body_that_is_not_there_says_how_it_is_installed(tmp_path: Path, monke
         installed.load()
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_refused_and_installed_again(made: bytes, fresh_home: Path) -> None:
     path = installed.install()
     whole = path.read_bytes()

@@ -20,8 +20,8 @@ from tests.pipeline.character.test_mapping import Z_UP
 
 CHARACTERS = ("default", "mixamo", "game_engine", "vrm 0.x", "vrm 1.0", "odd")
 TAKES = (
-    *(("walk", "feet", 4.0), ("walk", "body", 4.0), ("cartwheel", "body", 5.0)),
-    pytest.param(("handstand", "body", 6.0), marks=pytest.mark.slow),
+    *(("walk", "feet", 4.0), ("walk", "body", 4.0)),
+    *(pytest.param(take, marks=pytest.mark.slow) for take in (("cartwheel", "body", 5.0), ("handstand", "body", 6.0))),
 )
 
 ON_THE_FLOOR = tuple(pytest.param((scene, "body", 20.0), marks=pytest.mark.slow) for scene in ("crawl", "lying"))
@@ -204,6 +204,7 @@ def test_a_person_at_rest_stands_straight() -> None:
         assert (np.abs(palm[:, 2]) < np.abs(palm[:, 1])).all()
 
 
+@pytest.mark.slow
 def test_fingers_turn_as_the_person_s() -> None:
     animation = take_of("hands", "whole", 4.0)
     source = animation.motions[0]

@@ -21,6 +21,7 @@ from pipeline.evaluation.simulated import score_simulated
 from pipeline.geometry.camera import image_from_world
 from pipeline.joints import BODY_25, COCO_17, COCO_18, JointSet
 from pipeline.simulation.scenes import SCENES, Simulation, record
+from tests.cases import slow_but
 
 SKELETON = skeleton_of(COCO_17)
 EVIDENCE = Membership(SKELETON, 0.3)
@@ -75,7 +76,7 @@ def known_lengths(people_m: np.ndarray) -> LimbLengths:
     return LimbLengths(known_m, np.array(SKELETON.longest_m))
 
 
-@pytest.mark.parametrize("scene", ["room", "handshake", "unsynchronised"])
+@pytest.mark.parametrize("scene", slow_but(["handshake"], ["room", "handshake", "unsynchronised"]))
 def test_everybody_is_found_and_nobody_else(scene: str) -> None:
     simulation = record(replace(SCENES[scene], duration_s=2.0), seed=11)
     scores = score_simulated(reconstruct(simulation), simulation, simulation.joints)

@@ -64,6 +64,7 @@ def test_a_network_is_installed_and_verified(fresh_home: Path) -> None:
     assert path.stat().st_size == entry_of(NAME).num_bytes
 
 
+@pytest.mark.slow
 def test_the_conversion_gives_the_same_bytes_in_every_process(package: Path, tmp_path: Path) -> None:
     for seed in ("1", "2"):
         home = tmp_path / seed

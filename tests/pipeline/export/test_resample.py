@@ -27,6 +27,7 @@ def take(session: KeypointSession) -> Reconstruction:
     return reconstruct(session, ReconstructionConfig())
 
 
+@pytest.mark.slow
 def test_the_session_s_own_rate_changes_nothing(take: Reconstruction) -> None:
     same = resample(take, take.timebase.frame_rate_hz)
     assert asdict(same.timebase) == asdict(take.timebase)

@@ -8,6 +8,7 @@ from pipeline.joints import BODY_FEET, COCO_17
 from pipeline.simulation.motion.performance import joints_at
 from pipeline.simulation.motion.script import Gesture
 from pipeline.simulation.motion.truth import flights_s
+from tests.cases import slow_but
 from tests.pipeline.gait.walks import Act, exercise, gait_of, performed
 
 GRAVITY_M_S2 = 9.81
@@ -40,7 +41,7 @@ def jumps_with_truth(act: Act) -> list[tuple[BodyMovement, float, float, np.ndar
     ]
 
 
-@pytest.mark.parametrize(("num_cameras", "seed"), [(0, 1), (0, 5), (5, 12)])
+@pytest.mark.parametrize(("num_cameras", "seed"), slow_but([(0, 1), (5, 12)], [(0, 1), (0, 5), (5, 12)]))
 def test_heights_of_jumps(num_cameras: int, seed: int) -> None:
     act = exercise(Gesture.COUNTERMOVEMENT_JUMP, seed, num_cameras)
     for jump, by_flight_m, by_hips_m, flight in jumps_with_truth(act):

@@ -69,7 +69,7 @@ def test_events_of_exact_walks_lie_between_frames(speed_m_s: float) -> None:
     assert np.abs(length_errors_m(walk(speed_m_s))).max() < 0.001
 
 
-@pytest.mark.parametrize("speed_m_s", SPEEDS_M_S)
+@pytest.mark.parametrize("speed_m_s", slow_but([1.2], SPEEDS_M_S))
 def test_fitted_walks_have_events_strides_and_cadence(speed_m_s: float) -> None:
     act = walk(speed_m_s, seed=11, num_cameras=6)
     for kind in ("foot_strike", "foot_off"):

@@ -128,6 +128,7 @@ def test_derivatives(x: float, y: float) -> None:
         np.testing.assert_allclose(by_coefficients[..., k], numeric, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_compiled_reprojection_is_that_of_numpy() -> None:
     """A fisheye beside a standard lens: each is reprojected by its own model."""
     fisheye = camera(COEFFICIENTS["action camera"])

@@ -69,6 +69,7 @@ def test_two_views_that_disagree_give_nothing(rays: np.ndarray, weights: np.ndar
     assert chosen_hands(rays, weights) == [[-1, 1]] * 4
 
 
+@pytest.mark.slow
 def test_views_from_opposite_sides_do_not_tell_the_depth(weights: np.ndarray) -> None:
     in_line_m = np.array([[[0.0, y, 1.5] for y in (0.0, 0.01, 0.02, 0.03, 0.04)]] * 2)
     weights[0, [1, 3]] = 0.0

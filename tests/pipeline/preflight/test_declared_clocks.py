@@ -15,6 +15,7 @@ from pipeline.preflight.declared_clocks import _affordable, _spans, check_clocks
 from pipeline.simulation.motion.script import Gesture
 from pipeline.stages.local import reconstruct
 from pipeline.synchronization.remaining import _agreed_s
+from tests.cases import slow_but
 from tests.pipeline.synchronization.conftest import Take, alone, cut_take, shortened
 from tests.pipeline.synchronization.test_session import session_of
 
@@ -38,7 +39,7 @@ def findings(take: Take) -> list[Finding]:
     return list(check_clocks(session, lambda frames: [session.detections], session.joints, session.stretches))
 
 
-@pytest.mark.parametrize("frames", [0.8, -0.8])
+@pytest.mark.parametrize("frames", slow_but([0.8], [0.8, -0.8]))
 def test_a_camera_that_is_late_is_named_with_its_offset(take: Take, frames: float) -> None:
     (found,) = findings(shifted(take, frames))
     assert (found.code, found.severity, found.camera) == ("clocks_disagree", "warning", take.cameras[1].name)
@@ -57,6 +58,7 @@ def test_good_times_small_errors_and_people_at_rest_are_no_findings(take: Take) 
     assert findings(shifted(cut_take(alone(Gesture.IDLE, 4.0), 4, (0, 0, 0)), 3.0)) == []
 
 
+@pytest.mark.slow
 def test_a_reconstruction_says_so(take: Take) -> None:
     late = session_of(shifted(take, 1.0))
     codes = {}

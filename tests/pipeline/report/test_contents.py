@@ -13,6 +13,7 @@ from pipeline.edits import Rename
 from pipeline.report.contents import settings_of
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct, reconstruct_to_files
+from tests.cases import slow_but
 from tests.pipeline.simulations import write_simulation
 
 
@@ -56,7 +57,7 @@ def test_the_same_take_gives_the_same_report_with_the_digests_of_its_files(tmp_p
     assert texts[0].count('aria-label="Knee flexion from') == len(written.metrics["people"])
 
 
-@pytest.mark.parametrize("is_wanted", [False, True])
+@pytest.mark.parametrize("is_wanted", slow_but([True], [False, True]))
 def test_nothing_is_made_that_is_not_asked_for(tmp_path: Path, is_wanted: bool) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=0.5), seed=6), tmp_path)
     session = open_keypoints(tmp_path / "keypoints", tmp_path / "calibration.json", tmp_path / "timestamps.csv")

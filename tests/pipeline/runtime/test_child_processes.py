@@ -10,6 +10,7 @@ import psutil
 import pytest
 
 from pipeline.runtime.child_processes import ProcessPool, module_command
+from tests.cases import slow_but
 
 # Two processes that have work for a minute.
 PROGRAM = """
@@ -39,7 +40,7 @@ def workers_of(process: "subprocess.Popen[str]", number: int) -> list[psutil.Pro
     return workers
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", slow_but([signal.SIGKILL], [signal.SIGINT, signal.SIGKILL]))
 def test_processes_end_with_the_block_or_their_parent(tmp_path: Path, number: signal.Signals) -> None:
     program = tmp_path / "program.py"
     program.write_text(textwrap.dedent(PROGRAM), encoding="utf-8")

@@ -23,6 +23,7 @@ from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, joint_pose
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
+from tests.cases import slow_but
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.skeleton.synthetic_tracks import walker
 
@@ -57,7 +58,7 @@ def bend_rad(motion: SkeletonMotion, name: str) -> tuple[np.ndarray, np.ndarray]
     return along, np.linalg.norm(rotvec - along[:, None] * hinge, axis=-1)
 
 
-@pytest.mark.parametrize("smoothing", ["fit", "none", "butterworth"])
+@pytest.mark.parametrize("smoothing", slow_but(["fit"], ["fit", "none", "butterworth"]))
 def test_elbows_and_knees_bend_within_the_extremes_of_people(smoothing: Smoothing) -> None:
     for motion in animated("room", 6.0, hard=True, smoothing=smoothing).motions:
         for name in ("LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg"):
@@ -78,6 +79,7 @@ def test_joints_are_where_the_skeleton_has_them() -> None:
                 np.testing.assert_allclose(seen_m[known], posed_m[known, INDEX[joint.name]], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_nothing_flips() -> None:
     """No joint turns by more than 45 degrees between frames, with noise, misses and fast motion."""
     for motion in animated("outdoor", 6.0, hard=True).motions:
@@ -118,6 +120,7 @@ def test_no_contact_is_invented_in_running_and_jumping(hard: bool) -> None:
     assert scores["contacts_found"] > 0.8
 
 
+@pytest.mark.slow
 def test_holding_feet_makes_nothing_pop() -> None:
     def fastest_m_s2(animation: Animation) -> float:
         ankles_m = [joint_pose(motion, f"{side}Foot")[0] for motion in animation.motions for side in ("Left", "Right")]
@@ -126,7 +129,7 @@ def test_holding_feet_makes_nothing_pop() -> None:
     assert fastest_m_s2(animated("walk", 10.0, True)) < 1.3 * fastest_m_s2(animated("walk", 10.0, True, feet="off"))
 
 
-@pytest.mark.parametrize("smoothing", ["none", "butterworth", "one-euro"])
+@pytest.mark.parametrize("smoothing", slow_but(["one-euro"], ["none", "butterworth", "one-euro"]))
 def test_feet_are_held_whatever_the_smoothing(smoothing: Smoothing) -> None:
     animation = animated("walk", 10.0, smoothing=smoothing)
     contacts = [contact for motion in animation.motions for contact in motion.contacts if contact.pinned]
@@ -138,6 +141,7 @@ def test_feet_are_held_whatever_the_smoothing(smoothing: Smoothing) -> None:
             np.testing.assert_array_equal(one.xyz_m, other.xyz_m)
 
 
+@pytest.mark.slow
 def test_feet_without_toes_are_level_while_they_stand_and_follow_the_shin_else() -> None:
     motion = animated("walk", 10.0).motions[0]
     _, world_from_foot = joint_pose(motion, "LeftFoot")
@@ -216,6 +220,7 @@ def test_nobody() -> None:
     assert (animation.tracks, animation.motions, animation.floor) == ((), (), None)
 
 
+@pytest.mark.slow
 def test_every_window_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(windows, "_WINDOW_FRAMES", 120)
     simulation, found = recorded("walk", 10.0)

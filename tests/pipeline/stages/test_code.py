@@ -59,6 +59,7 @@ def imported_by(path: Path) -> set[str]:
     return absolute | {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
 
 
+@pytest.mark.slow
 def test_all_libraries_of_the_stages_count() -> None:
     modules = [f"{path.parent.name}.{path.stem}" for path in (ROOT / "pipeline/stages").glob("*.py")]
     direct = {f"pipeline.{name}" for name in modules} - {"pipeline.stages.local", "pipeline.stages.__init__"}
@@ -71,6 +72,7 @@ def test_all_libraries_of_the_stages_count() -> None:
     assert {distributions[name][0] for name in others - NOT_NUMERIC} == {*LIBRARIES}
 
 
+@pytest.mark.slow
 def test_another_version_of_a_library_is_other_code() -> None:
     assert not {*digests_of_stages(ROOT, ("numpy",)).values()} & {*stage_codes().values()}
 
@@ -242,6 +244,7 @@ def test_members_of_a_class_count_if_they_are_named(tmp_path: Path) -> None:
     assert digest(pkg__far=far.replace("def used(): ...", "def used(): return 1")) != first
 
 
+@pytest.mark.slow
 def test_digests_are_kept_for_the_next_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
     compute = stage_codes.__wrapped__

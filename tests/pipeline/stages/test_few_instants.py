@@ -17,10 +17,11 @@ from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_results
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from pipeline.stages.local import reconstruct
+from tests.cases import slow_but
 from tests.pipeline.simulations import write_simulation
 
 FORMATS = of_people(installed_formats())
-METHODS = pytest.mark.parametrize("method", ["tracking", "clustering"])
+METHODS = pytest.mark.parametrize("method", slow_but(["tracking"], ["tracking", "clustering"]))
 # Distance of a pose from the truth, over all joints, within which it is the person.
 NEAR_M = 0.1
 

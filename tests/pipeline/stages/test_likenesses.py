@@ -73,6 +73,7 @@ def test_a_picture_is_named_and_is_no_floor(with_poster: KeypointSession) -> Non
     assert take.animation.floor.tilt_deg < 0.5
 
 
+@pytest.mark.slow
 def test_of_one_person_to_keep_the_one_who_moves_is_kept(with_poster: KeypointSession) -> None:
     take = reconstruct(with_poster, ReconstructionConfig(smoothing="none", people=1))
     (track,) = take.tracks
@@ -90,6 +91,7 @@ def test_a_picture_moves_no_world(with_poster: KeypointSession) -> None:
     assert take.refinement.world is None
 
 
+@pytest.mark.slow
 def test_a_mirror_image_is_named_with_its_plane() -> None:
     normal, offset_m = np.array([0.8, 0.6, 0.0]), 2.0
     before = [number for number, camera in enumerate(CAMERAS) if center_in_world(camera) @ normal < offset_m]

@@ -63,6 +63,7 @@ def test_another_smoothing_reuses_the_tracks(session: KeypointSession, tmp_path:
     assert written(other, tmp_path / "other") == written(fresh, tmp_path / "fresh")
 
 
+@pytest.mark.slow
 def test_paths_may_be_texts(session: KeypointSession, tmp_path: Path) -> None:
     cache, steps = str(tmp_path / "cache"), list[Progress]()
     first = reconstruct(session, TRACKING, cache=cache)
@@ -80,6 +81,7 @@ def test_a_parameter_of_a_method_counts(session: KeypointSession, tmp_path: Path
     assert units[ASSOCIATE][0] == 0
 
 
+@pytest.mark.slow
 def test_another_session_reuses_nothing(session: KeypointSession, tmp_path: Path) -> None:
     run(session, TRACKING, tmp_path)
     camera = next(iter(session.detections))

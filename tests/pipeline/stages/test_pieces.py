@@ -132,6 +132,7 @@ def test_files_are_written_once_and_renamed_people_anew(
     assert changed == {"skeletons.json", *of_person, *of_take}
 
 
+@pytest.mark.slow
 def test_a_name_changes_no_report_and_no_motion_for_viewers(
     session: KeypointSession, cache: Path, tmp_path: Path
 ) -> None:
@@ -186,6 +187,7 @@ def test_names_change_the_keys_of_files_alone(session: KeypointSession) -> None:
     assert keys(split)[EXPORT] != keys(Split(person=2, frame=HALF))[EXPORT]
 
 
+@pytest.mark.slow
 def test_parts_of_the_people_are_written_ahead_at_any_rate(
     session: KeypointSession, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

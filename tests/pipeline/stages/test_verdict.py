@@ -88,6 +88,7 @@ def test_a_refused_session_leaves_no_folder_of_results(session: KeypointSession,
     assert list(kept.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_force_changes_nothing_without_errors(session: KeypointSession, tmp_path: Path) -> None:
     made = [reconstruct_to_files(session, tmp_path / name, config) for name, config in (("a", CONFIG), ("b", FORCED))]
     contents = [{path.name: path.read_bytes() for path in of_run.paths} for of_run in made]
@@ -95,6 +96,7 @@ def test_force_changes_nothing_without_errors(session: KeypointSession, tmp_path
     assert b'"forced"' not in contents[0]["metrics.json"]
 
 
+@pytest.mark.slow
 def test_a_refused_session_is_refused_again_after_it_was_forced(session: KeypointSession, tmp_path: Path) -> None:
     reconstruct(exchanged(session), FORCED, cache=tmp_path)
     assert refused(exchanged(session), CONFIG, tmp_path)[1] == CHECK

@@ -34,6 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_offsets_of_videos_with_sound_and_reasons_of_the_others(folder: Path) -> None:
     session = open_session(folder / "videos", folder / "calibration.json")
     first, second, third, silent = (camera.name for camera in session.cameras)

@@ -4,6 +4,7 @@ import time
 from collections.abc import Collection
 from dataclasses import replace
 
+import pytest
 from sqlalchemy.exc import OperationalError
 
 from tests.waiting import wait_for
@@ -38,6 +39,7 @@ def test_stopping_takes_the_process_off_the_list(bench: RunnerBench) -> None:
     assert bench.store.workers.all() == []
 
 
+@pytest.mark.slow
 def test_a_database_that_is_away_is_told_as_soon_as_it_is_back(bench: RunnerBench) -> None:
     class UnreachableWorkers:
         tries = 0

@@ -63,7 +63,12 @@ def test_takes_of_a_folder_in_natural_order_with_a_table(takes: Path, tmp_path: 
     ]
     assert (out / "take2" / "person-1.csv").is_file()
 
-    # The same command keeps what is done; another choice, or another file, makes it anew.
+
+@pytest.mark.slow
+def test_what_is_done_is_kept_and_made_anew_for_another_choice_or_file(takes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code, answer = run(takes, out, "--calibration", str(tmp_path / "rig.json"))
+    assert code == 0, answer
     before = written_at(out)
     assert run(takes, out, "--calibration", str(tmp_path / "rig.json"))[1] == answer
     assert written_at(out) == before

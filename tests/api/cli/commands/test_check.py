@@ -72,6 +72,7 @@ def test_problems_are_findings(session: Path, tmp_path: Path) -> None:
     assert findings[0]["evidence"]["file"] == "missing.json"
 
 
+@pytest.mark.slow
 def test_clocks_are_measured_if_asked(session: Path, tmp_path: Path) -> None:
     names = [camera.name for camera in SIMULATION.cameras]
     late = 5
@@ -106,6 +107,7 @@ def test_an_unknown_way_to_synchronise_is_refused(session: Path) -> None:
     assert (problem["field"], problem["message"]) == ("sync", "sync must be one of declared, auto.")
 
 
+@pytest.mark.slow
 def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
     bright = walk(0, 30)
     for name, images in {"left": bright, "right": [image // 8 for image in walk(1, 30)]}.items():
@@ -164,6 +166,7 @@ def test_what_the_check_calls_an_error_reconstruct_and_batch_refuse_unless_they_
     assert (answer.exit_code, row["state"]) == (0, "done")
 
 
+@pytest.mark.slow
 def test_folders_of_keypoints_are_stated_for_cameras(session: Path, tmp_path: Path) -> None:
     words = [
         "check",

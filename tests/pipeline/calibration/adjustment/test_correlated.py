@@ -52,7 +52,8 @@ def adjusted(
     return made, sigma, errors_mm, errors_deg
 
 
-@pytest.mark.parametrize("lasting_px", [pytest.param(0.0, marks=pytest.mark.slow), 3.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("lasting_px", [0.0, 3.0])
 def test_errors_are_within_two_standard_deviations(lasting_px: float) -> None:
     shares, ratios, naive = [], [], []
     for seed in range(8):

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.adjustment.adjust import adjust
@@ -73,6 +74,7 @@ def gauss_newton(residuals: Callable[[np.ndarray], np.ndarray], number: int) -> 
     return -np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residuals(np.zeros(number)))
 
 
+@pytest.mark.slow
 def test_variances_and_delays_are_those_of_the_views() -> None:
     rng = np.random.default_rng(2)
     bodies, delay_s = bodies_of(80, rng), np.array([0.0, 0.0, 0.05])

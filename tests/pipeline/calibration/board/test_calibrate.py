@@ -72,6 +72,7 @@ def test_places_on_the_floor_make_one_plane() -> None:
     assert distance_mm(made.cameras, cameras).max() < 12.0
 
 
+@pytest.mark.slow
 def test_known_points_make_the_world() -> None:
     cameras = ring(4)
     xyz_m = np.array([[0.4, 0.5, 0.0], [-0.6, 0.1, 0.1], [0.2, -0.5, 0.9]])
@@ -88,6 +89,7 @@ def test_known_points_make_the_world() -> None:
         calibrate_board(views[:1], CHARUCO, None, 25.0, known_points=points)
 
 
+@pytest.mark.slow
 def test_given_intrinsics_stay() -> None:
     given = {camera.name: camera for camera in ring(4)}
     made = calibrate_board(simulated(CHARUCO, num_poses=24), CHARUCO, given, 25.0)
@@ -117,6 +119,7 @@ def test_a_camera_that_shares_no_view_is_named() -> None:
     assert [(one.code, one.camera) for one in raised.value.problems] == [("board_unlinked", alone.camera)]
 
 
+@pytest.mark.slow
 def test_photographs_give_intrinsics_only() -> None:
     views = [
         replace(one.select(range(len(one) - 24, len(one), 2)), time_s=read_only(np.full(12, np.nan)))

@@ -1,6 +1,7 @@
 """Adjustment of cameras to sightings: recovery and standard deviations."""
 
 import numpy as np
+import pytest
 
 from pipeline.calibration.adjustment.parameters import (
     EXTRINSICS,
@@ -41,6 +42,7 @@ def test_parameters_that_are_not_free_stay() -> None:
     assert (found.sigma[~free] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_the_spread_of_repeats() -> None:
     seen = [see(CAMERAS, *walk(4.0), seed=seed) for seed in range(10)]
     found = [adjust_to_sightings(CAMERAS, CAMERAS, sightings, POSES) for sightings in seen]

@@ -17,6 +17,7 @@ from pipeline.errors import ChildError
 from pipeline.findings import Finding
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
+from tests.cases import slow_but
 from tests.pipeline.capture.pictures.rooms import walk
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_pictures, write_video
@@ -59,7 +60,9 @@ def test_good_videos_have_pictures_and_no_findings(tmp_path: Path, walks: dict[s
     assert np.abs(image[..., ::-1].astype(int) - walks["left"][18]).mean() < 6.0
 
 
-@pytest.mark.parametrize("code", ["picture_dark", "picture_blurred", "picture_frozen", "same_video"])
+@pytest.mark.parametrize(
+    "code", slow_but(["picture_blurred"], ["picture_dark", "picture_blurred", "picture_frozen", "same_video"])
+)
 def test_a_fault_is_found_and_named(tmp_path: Path, walks: dict[str, list[np.ndarray]], code: str) -> None:
     right = {
         "picture_dark": [image // 8 for image in walks["right"]],

@@ -315,6 +315,7 @@ def test_other_versions_are_named() -> None:
     assert code_of(head + (7400).to_bytes(4, "little")) == "character_unreadable"
 
 
+@pytest.mark.slow
 def test_what_can_not_be_is_refused() -> None:
     circle = FbxScene(30.0, 100.0)
     first = bone("a", SCENE, circle)

@@ -74,6 +74,7 @@ def test_bones_are_where_they_were_put(name: str, tmp_path: Path) -> None:
     assert (expected_m[-AFTER:] == expected_m[-AFTER - 1]).all()
 
 
+@pytest.mark.slow
 def test_three_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     contents = {}
     for name in CHARACTERS:

@@ -19,6 +19,7 @@ from pipeline.data.cameras import Camera
 from pipeline.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
 from pipeline.geometry.camera import image_from_world
 from pipeline.simulation.scenes import SCENES, Scene, record
+from tests.cases import slow_but
 from tests.pipeline.clustering.test_associate import EVIDENCE, SKELETON, candidates_of, known_lengths, two_people
 
 PARAMETERS = ClusteringParameters(tau1_px=8.0)
@@ -150,7 +151,7 @@ def recall_within_150_mm(scene: Scene, seed: int, num_views: int) -> tuple[float
     return scores.recall, scores.pck150
 
 
-@pytest.mark.parametrize("name", ["crowd-3", "noisy"])
+@pytest.mark.parametrize("name", slow_but(["noisy"], ["crowd-3", "noisy"]))
 def test_people_are_found_with_three_cameras(name: str) -> None:
     recall, pck150 = recall_within_150_mm(replace(SCENES[name], duration_s=2.0), 5, num_views=3)
     assert recall >= 0.97

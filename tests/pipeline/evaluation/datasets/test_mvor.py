@@ -19,6 +19,7 @@ from pipeline.evaluation.datasets.mvor_scores import score_joints_2d, score_mvor
 from pipeline.geometry.camera import project
 from pipeline.joints import COCO_17
 from pipeline.simulation.scenes import Simulation
+from tests.cases import slow_but
 from tests.pipeline.evaluation.datasets.mvor_files import (
     ONLY_BOX,
     annotated_m,
@@ -184,7 +185,7 @@ def _without(detections: Detections) -> Detections:
     return detections.within(range(0))
 
 
-@pytest.mark.parametrize("method", ["tracking", "clustering"])
+@pytest.mark.parametrize("method", slow_but(["tracking"], ["tracking", "clustering"]))
 def test_keypoints_are_reconstructed_and_scored(
     simulation: Simulation, document: dict[str, Any], folder: Path, method: str
 ) -> None:

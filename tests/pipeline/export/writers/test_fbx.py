@@ -16,7 +16,7 @@ from pipeline.export.writers.fbx_nodes import ArrayProperty, Node, read
 from pipeline.export.writers.fbx_stored import StoredScene, name_of, numbers, property_of
 from pipeline.skeleton.model import INDEX, forward_kinematics, skeleton_of
 from tests.e2e.foreign import read_with_three
-from tests.pipeline.export.writers.test_bvh import MOTIONS, tumbling, walk, with_fingers
+from tests.pipeline.export.writers.test_bvh import tumbling, walk, with_fingers
 
 RATES_HZ = (25.0, 30000 / 1001, 24000 / 1001, 240.0, 31.7)
 MODES = {25.0: 10, 30000 / 1001: 9, 24000 / 1001: 13, 240.0: 14, 31.7: 14, 120000 / 1001: 18}
@@ -36,7 +36,13 @@ def own_m(path: Path, preset: Preset = "default") -> np.ndarray:
     return np.concatenate(list(fbx.read_xyz_m(path, preset)))
 
 
-@MOTIONS
+@pytest.mark.parametrize(
+    "dressed",
+    [
+        pytest.param(lambda motion: motion, id="body"),
+        pytest.param(with_fingers, id="fingers", marks=pytest.mark.slow),
+    ],
+)
 def test_takes_of_any_length_and_rate(dressed: Callable[[SkeletonMotion], SkeletonMotion], tmp_path: Path) -> None:
     motions = {}
     for num_frames, rate_hz in [*itertools.product((1, 2), RATES_HZ), (530, 120000 / 1001)]:

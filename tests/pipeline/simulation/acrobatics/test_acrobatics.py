@@ -13,6 +13,7 @@ from pipeline.simulation.acrobatics.motions import ACROBATICS
 from pipeline.simulation.acrobatics.performance import Acrobat, acrobat_joints_at, feet_on_floor, perform_acrobatics
 from pipeline.simulation.motion.body import random_proportions
 from pipeline.simulation.motion.feet import random_foot_shape
+from tests.cases import slow_but
 
 RATE_HZ = 50.0
 SEED = 11
@@ -44,7 +45,7 @@ def bend_deg(positions_m: Float[np.ndarray, "times 21 3"], *names: str) -> Float
     return np.asarray(180.0 - np.degrees(np.arccos(np.clip(cos, -1.0, 1.0))))
 
 
-@pytest.mark.parametrize("name", ACROBATICS)
+@pytest.mark.parametrize("name", slow_but(["grappling"], ACROBATICS))
 def test_bodies_are_plausible(name: str) -> None:
     for person, acrobat in enumerate(performed(name)):
         positions_m = joints_m(name, person)

@@ -66,6 +66,7 @@ def test_noise_misses_and_swaps_are_fitted_away_in_fast_motion_too(scene: str) -
     assert fit_m[fast_fit].mean() <= 0.75 * raw_m[fast_raw].mean()
 
 
+@pytest.mark.slow
 def test_people_tremble_less_and_their_bones_keep_their_length() -> None:
     simulation = record(replace(find_scene("noisy"), duration_s=4.0), seed=7)
     found = track_people(simulation)

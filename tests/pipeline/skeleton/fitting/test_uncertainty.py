@@ -83,7 +83,7 @@ def test_every_position_has_an_uncertainty_and_nothing_else() -> None:
             assert np.median(track.uncertainty_m[predicted]) > 1.2 * np.median(track.uncertainty_m[measured])
 
 
-@pytest.mark.parametrize("smoothing", ["none", "butterworth", "one-euro"])
+@pytest.mark.parametrize("smoothing", slow_but(["butterworth"], ["none", "butterworth", "one-euro"]))
 def test_other_smoothing_states_none(smoothing: Smoothing) -> None:
     assert all(track.uncertainty_m is None for track in animated("room", smoothing=smoothing).tracks)
 

@@ -18,6 +18,7 @@ from pipeline.tracking.kernels import tracking_kernels as kernels
 from pipeline.tracking.observations import Detections2D, gather, undistorted
 from pipeline.tracking.parameters import TrackingParameters, derive_parameters
 from pipeline.tracking.tracker import Tracker, make_frames, make_rig
+from tests.cases import slow_but
 from tests.pipeline.conftest import body, ring_camera
 
 NUM_JOINTS = 17
@@ -153,7 +154,9 @@ def test_most_pairs_of_a_hall_are_skipped() -> None:
     assert len(listed_pairs(tracker, 12)) < 0.5 * 12 * 12
 
 
-@pytest.mark.parametrize(("scene", "seed", "duration_s"), [("crowd", 1, 3.0), ("store-large", 0, 2.0)])
+@pytest.mark.parametrize(
+    ("scene", "seed", "duration_s"), slow_but([("crowd", 1, 3.0)], [("crowd", 1, 3.0), ("store-large", 0, 2.0)])
+)
 def test_people_are_those_of_the_reference_without_pruning(scene: str, seed: int, duration_s: float) -> None:
     simulation = record(replace(SCENES[scene], duration_s=duration_s), seed, 8)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)

@@ -67,6 +67,7 @@ def onsets_s(path: Path) -> list[float]:
     return [round(k / 1000, 3) for k in np.flatnonzero(loud) if not loud[max(0, k - 100) : k].any()]
 
 
+@pytest.mark.slow
 def test_claps_of_all_parts_are_at_their_times_in_the_whole(tmp_path: Path) -> None:
     """The sound of the first part ends before its pictures, that of the second after them."""
     lengths_s = (3.8, 4.3, 4.0)

@@ -57,6 +57,7 @@ def everything(jobs: StoreBench, job_id: str) -> object:
     return jobs.store.sessions.page(), timeless, jobs.store.results.of_job(job_id)
 
 
+@pytest.mark.slow
 def test_down_and_up_again_keeps_sessions_jobs_and_results(jobs: StoreBench, engine: sa.Engine) -> None:
     ids = add_data(jobs)
     before = everything(jobs, ids[1])

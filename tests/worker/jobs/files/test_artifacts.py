@@ -196,6 +196,7 @@ def test_ping(artifacts: ArtifactStore) -> None:
     assert artifacts.ping()
 
 
+@pytest.mark.slow
 def test_a_large_file_is_whole(artifacts: ArtifactStore, tmp_path: Path) -> None:
     content = os.urandom(2**20) * 21
     path = tmp_path / "upload"

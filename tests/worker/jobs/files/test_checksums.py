@@ -6,10 +6,12 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 
 import pytest
 
+from tests.cases import slow_but
 from tests.s3 import S3, running_s3
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, LocalArtifacts, read_artifact
@@ -102,9 +104,14 @@ def test_a_whole_file_is_read(artifacts: ArtifactStore) -> None:
         assert path.read_bytes() == CONTENT
 
 
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
-def test_a_damaged_file_is_never_read(artifacts: ArtifactStore, damage: Callable[[bytes], bytes]) -> None:
-    artifacts.put_bytes(KEY, damage(CONTENT))
+# The tests' S3 server takes seconds for each file.
+@pytest.mark.parametrize(
+    ("artifacts", "damage"),
+    slow_but([*product(["folder"], DAMAGES), ("s3", "flipped")], product(["folder", "s3"], DAMAGES)),
+    indirect=["artifacts"],
+)
+def test_a_damaged_file_is_never_read(artifacts: ArtifactStore, damage: str) -> None:
+    artifacts.put_bytes(KEY, DAMAGES[damage](CONTENT))
     with pytest.raises(DamagedArtifact, match=KEY):
         artifacts.open(KEY, SHA256)
     with pytest.raises(DamagedArtifact), artifacts.local_path(KEY, SHA256):

@@ -39,6 +39,7 @@ def pictures() -> list[tuple[np.ndarray, np.ndarray]]:
     return list(blurred(6))
 
 
+@pytest.mark.slow
 def test_blurred_boards_are_found_with_the_right_numbers(pictures: list[tuple[np.ndarray, np.ndarray]]) -> None:
     assert len(pictures) == 6
     num_found = 0
