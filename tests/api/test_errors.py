@@ -134,6 +134,7 @@ def test_database_away_is_503(live: Live, monkeypatch: pytest.MonkeyPatch) -> No
     assert "secret" not in answer.text
 
 
+@pytest.mark.slow
 def test_thousands_of_unknown_fields_are_answered_by_dozens(make_settings: Callable[..., Settings]) -> None:
     fields = {f"field {number} {'x' * (number == 7 and 60_000)}": number for number in range(100_000)}
     with running(make_settings(max_json_bytes=8_000_000, max_session_bytes=9_000_000)) as live:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import pytest
 from playwright.sync_api import Locator, Page, Request, expect
 
+from tests.cases import slow_but
 from tests.e2e.browsing import axe_findings, choose_option, opened
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import Served
@@ -238,7 +239,7 @@ def test_cameras_are_corrected_and_left_out(page: Page, served: Served, keypoint
     assert served.client.get("/v1/sessions?name=Exchanged").json()["sessions"] == []
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+@pytest.mark.parametrize(("width", "scheme"), slow_but([(390, "dark")], [(1280, "light"), (390, "dark")]))
 def test_views_are_accessible_and_fit(
     served: Served, keypoints: dict[str, Path], width: int, scheme: Literal["light", "dark"]
 ) -> None:

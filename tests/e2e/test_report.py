@@ -12,6 +12,7 @@ from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.edits import Cut, Rename
 from pipeline.stages.local import reconstruct_to_files
+from tests.cases import slow_but
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.captures import keypoint_capture
 from tests.e2e.foreign import READERS
@@ -136,7 +137,7 @@ def test_names_of_strangers_are_text(report: Path) -> None:
         assert page.title() == f"{HOSTILE}, report"
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+@pytest.mark.parametrize(("width", "scheme"), slow_but([(390, "dark")], [(1280, "light"), (390, "dark")]))
 def test_it_is_accessible_and_fits(report: Path, width: int, scheme: Literal["light", "dark"]) -> None:
     if not (READERS / "node_modules/axe-core").is_dir():
         pytest.skip("axe-core is not installed (`npm ci` in tests/e2e/readers)")

@@ -201,6 +201,7 @@ TRIANGLES = """() => {
 }"""
 
 
+@pytest.mark.slow
 def test_bodies_are_humans_or_capsules(shown: Shown) -> None:
     shown.mount()
     humans = shown.page.evaluate(TRIANGLES)
@@ -317,6 +318,7 @@ def test_strips_lead_to_doubtful_spots(shown: Shown) -> None:
     assert abs(shown.frame - 89) <= 1
 
 
+@pytest.mark.slow
 def test_figures_and_plots(shown: Shown) -> None:
     shown.mount()
     people = shown.page.get_by_role("table", name="People")

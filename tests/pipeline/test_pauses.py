@@ -39,7 +39,8 @@ def two_takes(pause_s: float) -> KeypointSession:
     )
 
 
-@pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["tracking", "clustering"])
 def test_a_pause_of_nine_hours(method: Method) -> None:
     steps: Counter[str] = Counter()
 

@@ -34,7 +34,8 @@ def positions(found: Reconstruction) -> Mapping[int, np.ndarray]:
     return whole
 
 
-@pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["tracking", "clustering"])
 def test_they_move_as_they_do_in_the_whole(session: KeypointSession, method: Method) -> None:
     config = ReconstructionConfig(method=method, smoothing="none")
     whole = positions(reconstruct(session, config))

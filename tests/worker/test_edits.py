@@ -137,7 +137,7 @@ def test_the_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -
     assert states == [JobState.SUCCEEDED, JobState.CANCELED, JobState.SUCCEEDED]
 
 
-@pytest.mark.parametrize("stage", slow_but([EDIT, EXPORT], [EDIT, REFIT, WRITE, EXPORT]))
+@pytest.mark.parametrize("stage", slow_but([EXPORT], [EDIT, REFIT, WRITE, EXPORT]))
 def test_work_for_an_older_list_is_given_up(bench: RunnerBench, done: JobRecord, stage: str) -> None:
     """A chunk that ends after a newer edit changes nothing, and a unit of work later it stops."""
     function, stopped = bench.stages[stage], []

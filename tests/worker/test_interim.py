@@ -99,6 +99,7 @@ def test_another_association_makes_them_again_from_the_detections(
     assert left(bench) == []
 
 
+@pytest.mark.slow
 def test_without_colours_there_are_none(bench: RunnerBench, stages: Stages) -> None:
     run(bench, appearance="off")
     stages.forget()
@@ -129,6 +130,7 @@ def test_a_damaged_one_is_made_again(bench: RunnerBench, stages: Stages, damage:
     assert [failure.problem.code for failure in attempt.failures] == ["output_damaged"]
 
 
+@pytest.mark.slow
 def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: RunnerBench, stages: Stages) -> None:
     def broken(work: Work) -> Output:
         raise RuntimeError

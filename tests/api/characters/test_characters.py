@@ -228,6 +228,7 @@ def test_a_lost_or_damaged_file_is_named(strict: Live) -> None:
     problem_of(strict.client.patch(made["links"]["self"], json={"bones": {}}), 410, "expired")
 
 
+@pytest.mark.slow
 def test_the_quota_of_bytes_counts_characters(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_character_bytes=200_000, max_tenant_bytes=100_000)) as live:
         made = send(live).json()

@@ -119,6 +119,7 @@ def test_offsets_that_make_no_session(tmp_path: Path, offsets: list[str], found:
     assert all(problem["field"] == "offset_s" and problem["hint"] for problem in problems)
 
 
+@pytest.mark.slow
 def test_cameras_and_rates_are_stated_by_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two files of one name in folders of their cameras, the second in slow motion, and one of its camera's name."""
     monkeypatch.setattr("api.cli.commands.check._as_declared", lambda *given: ())  # nobody is in the videos
@@ -423,7 +424,7 @@ NEWER = "written by a newer version of Multicap (schema 0099). Upgrade Multicap,
         pytest.param(["api.cli.main", "audit", "--data"], 2, marks=pytest.mark.slow),
         pytest.param(["api.cli.main", "webhooks", "list", "--data"], 2, marks=pytest.mark.slow),
         pytest.param(["api.cli.main", "serve", "--port", "0", "--data"], 2, marks=pytest.mark.slow),
-        (["api"], 1),
+        pytest.param(["api"], 1, marks=pytest.mark.slow),
     ],
 )
 def test_a_database_of_a_newer_version_is_a_sentence(tmp_path: Path, command: list[str], status: int) -> None:

@@ -149,6 +149,7 @@ def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.Mon
         assert listener.events[-1]["data"]["state"] == "succeeded"
 
 
+@pytest.mark.slow
 def test_a_stream_opened_during_a_poll_gets_an_event_number(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     look = live.services.store.jobs.changes
 
@@ -167,6 +168,7 @@ def test_a_stream_opened_during_a_poll_gets_an_event_number(live: Live, monkeypa
         assert listener.events[0]["id"].isdigit()
 
 
+@pytest.mark.slow
 def test_closed_streams_end_the_polling(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     job_id = live.job_id()
     url = f"http://{live.address[0]}:{live.address[1]}/v1/jobs/{job_id}/events"

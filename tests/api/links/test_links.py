@@ -274,6 +274,7 @@ def test_the_log_has_no_secret(studio: Studio) -> None:
     assert token not in str(lines)
 
 
+@pytest.mark.slow
 def test_strangers_use_up_requests_of_their_link_alone(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_requests_per_minute=20)) as live:
         job_id = live.job_id()

@@ -20,6 +20,7 @@ from api.settings import Settings
 from pipeline.problem_codes.requests import INTERNAL_ERROR
 from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
 from tests.api.conftest import RESULT, Live, form, problem_of, running
+from tests.cases import slow_but
 from tests.s3 import running_s3
 from worker.jobs.files.artifacts import result_key
 from worker.jobs.model.jobs import JobProblem
@@ -358,7 +359,7 @@ def test_a_file_that_is_damaged_while_it_is_sent_is_not_sent_to_its_end(
     assert sum(map(len, received)) < len(LARGE)
 
 
-@pytest.mark.parametrize("name", ["results/person-1.bvh", "results.zip"])
+@pytest.mark.parametrize("name", slow_but(["results/person-1.bvh"], ["results/person-1.bvh", "results.zip"]))
 def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: str, tmp_path: Path) -> None:
     with begun_download(live, name) as (first, blocks, stored):
         os.link(stored, live.settings.data_dir / "held")
@@ -370,6 +371,7 @@ def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: st
     assert received == LARGE
 
 
+@pytest.mark.slow
 def test_results_of_a_damaged_bucket(
     make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

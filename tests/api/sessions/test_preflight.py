@@ -108,6 +108,7 @@ def test_check_that_makes_no_sense(tmp_path: Path, script: str, status: int) -> 
     assert raised.value.status == status
 
 
+@pytest.mark.slow
 def test_checks_beyond_the_limit_wait_without_holding_others_up(make_settings: Callable[..., Settings]) -> None:
     with (
         running(make_settings(max_parallel_preflights=1, preflight_timeout_s=1.0)) as live,
@@ -215,6 +216,7 @@ def test_a_check_that_waits_too_long_is_refused_with_retry_after(make_settings: 
         assert live.kept() == []
 
 
+@pytest.mark.slow
 def test_large_files_wait_longer_for_their_check(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings(preflight_timeout_s=3.0, preflight_wait_s=0.1, max_parallel_preflights=1)
     with running(settings) as live, concurrent.futures.ThreadPoolExecutor(1) as pool:

@@ -70,6 +70,7 @@ def test_a_damaged_file_is_refused_and_installed_again(made: bytes, fresh_home: 
     assert len(installed.load().triangles) > 20_000
 
 
+@pytest.mark.slow
 def test_a_package_with_other_data_is_refused(made: bytes, fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installed, "_made_from", lambda _: made[:-1] + b"x")
     with pytest.raises(ModelError, match="not what it must be"):

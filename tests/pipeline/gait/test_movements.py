@@ -41,7 +41,7 @@ def jumps_with_truth(act: Act) -> list[tuple[BodyMovement, float, float, np.ndar
     ]
 
 
-@pytest.mark.parametrize(("num_cameras", "seed"), slow_but([(0, 1), (5, 12)], [(0, 1), (0, 5), (5, 12)]))
+@pytest.mark.parametrize(("num_cameras", "seed"), slow_but([(0, 1)], [(0, 1), (0, 5), (5, 12)]))
 def test_heights_of_jumps(num_cameras: int, seed: int) -> None:
     act = exercise(Gesture.COUNTERMOVEMENT_JUMP, seed, num_cameras)
     for jump, by_flight_m, by_hips_m, flight in jumps_with_truth(act):

@@ -109,7 +109,8 @@ def test_feet_of_a_walk_stand_still(hard: bool) -> None:
     assert floor.tilt_deg < 1.0
 
 
-@pytest.mark.parametrize("hard", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("hard", [False, True])
 def test_no_contact_is_invented_in_running_and_jumping(hard: bool) -> None:
     simulation, _ = recorded("sports", 6.0, hard)
     animation = animated("sports", 6.0, hard)

@@ -162,6 +162,7 @@ def test_a_declaration_counts_for_no_code(sources: Path) -> None:
     assert changed(sources) == set()
 
 
+@pytest.mark.slow
 def test_what_a_task_asks_its_context_counts(sources: Path) -> None:
     context = sources / "pipeline/stages/context.py"
     edit(context, "facts.frame_rate_hz) + 2", "facts.frame_rate_hz) + 3")  # a helper of what they ask

@@ -102,6 +102,7 @@ def test_processes_and_ranges_change_no_byte(
     assert written(one, tmp_path / "one") == written(two, tmp_path / "two")
 
 
+@pytest.mark.slow
 def test_a_damaged_output_is_computed_again(session: KeypointSession, tmp_path: Path) -> None:
     first, _ = run(session, TRACKING, tmp_path / "cache")
     for path in (tmp_path / "cache").iterdir():

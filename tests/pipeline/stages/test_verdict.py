@@ -69,6 +69,7 @@ def test_all_errors_refuse_a_session_before_people_are_associated(session: Keypo
     assert refused(exchanged(session), replace(CONFIG, method="clustering"))[1] == CHECK
 
 
+@pytest.mark.slow
 def test_a_forced_session_goes_on_and_its_metrics_say_so(session: KeypointSession, tmp_path: Path) -> None:
     metrics = metrics_of(exchanged(session), tmp_path, FORCED)
     assert metrics["forced"] == ["cameras_exchanged"]

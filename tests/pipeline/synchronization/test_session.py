@@ -29,7 +29,8 @@ def session_of(take: Take) -> KeypointSession:
     return KeypointSession(take.cameras, take.times, timebase, take.detections, take.joints, folders, ())
 
 
-@pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["tracking", "clustering"])
 def test_motion_is_that_of_synchronised_cameras(method: Method, tmp_path: Path) -> None:
     scene = shortened("room", 5.0)
     whole = session_of(cut_take(scene, 4, (0, 0, 0, 0)))

@@ -97,6 +97,7 @@ def test_client_that_hangs_up(tmp_path: Path) -> None:
         received(tmp_path, [BODY[:500]], hangs_up=True)
 
 
+@pytest.mark.slow
 @given(name=st.text(st.characters(codec="utf-8"), min_size=1, max_size=60))
 def test_names_that_pass_are_names_of_files_on_any_system(name: str) -> None:
     if name_error(name) is None:

@@ -185,6 +185,7 @@ def test_an_answer_is_not_many_times_the_request(live: Live) -> None:
     assert found[-1] == (None, "more_problems", "25 more problems are not listed.")
 
 
+@pytest.mark.slow
 def test_only_what_is_listed_is_translated(
     make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,6 +96,7 @@ def test_standard_deviations_are_those_of_repeats() -> None:
     np.testing.assert_array_equal(stated[~free], 0.0)
 
 
+@pytest.mark.slow
 def test_covariances_of_blocks_are_those_of_repeats() -> None:
     free, chosen = gauge_fixed(FOCAL), np.array([20, 90])
     found, stated = [], []

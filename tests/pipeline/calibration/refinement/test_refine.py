@@ -44,6 +44,7 @@ def test_a_good_calibration_is_not_touched() -> None:
     assert found.steps == ()
 
 
+@pytest.mark.slow
 def test_one_camera_that_was_turned_is_the_one_that_moves() -> None:
     step = np.array([0.0, np.radians(2.0), 0.0, 0.0, 0.0, 0.0, 0.0])
     given = (CAMERAS[0], move_camera(CAMERAS[1], step), *CAMERAS[2:])

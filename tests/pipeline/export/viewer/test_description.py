@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from pipeline.angles.compute import joint_angles
 from pipeline.angles.definitions import ANGLE_NAMES
@@ -143,6 +144,7 @@ def test_strips_tell_where_a_person_is_doubtful() -> None:
     assert read_record(description, content, 1, 31)["identity"] == 1.0
 
 
+@pytest.mark.slow
 def test_long_takes_have_few_buckets_that_keep_the_worst_frame() -> None:
     num_frames = 2500
     one = take(track_of(np.tile(walker(25), (100, 1, 1))), num_frames=num_frames)

@@ -89,6 +89,7 @@ def test_a_neighbour_whom_a_view_lacks_gets_the_limb() -> None:
     assert count(persons) - count(returned(simulation, persons)) < 0.8 * foreign
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, persons = crowded()
     whole = returned(simulation, persons)

@@ -46,7 +46,7 @@ def axis_errors_deg(name: str, joints: JointSet) -> np.ndarray:
     return np.concatenate(errors)
 
 
-@pytest.mark.parametrize("name", slow_but(["handstand", "kneel"], ["lying", "crawl", "handstand", "pull-up", "kneel"]))
+@pytest.mark.parametrize("name", slow_but(["kneel"], ["lying", "crawl", "handstand", "pull-up", "kneel"]))
 def test_feet_that_are_never_flat_keep_their_own_pitch(name: str) -> None:
     assert np.median(axis_errors_deg(name, BODY_FEET)) < 10.0
 
