@@ -345,7 +345,7 @@ def test_the_report_follows_edits_on_request(page: Page, portal: ServedPeople) -
     expect(files.get_by_role("button")).to_have_count(0)
     rename(page, "person-2", "Anna")
     made(page, 1)
-    expect(files).to_contain_text("The report and the overlay videos show the take as found.")
+    expect(files).to_contain_text("The report shows the take as found.")
     expect(files.get_by_role("link", name="room-take-1_report.html")).to_be_visible()
     files.get_by_role("button", name="Make them now").click()
     expect(files).to_contain_text("Those of revision 1 are being made.")

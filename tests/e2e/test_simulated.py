@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.config import ReconstructionConfig
 from pipeline.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.joints import COCO_17, COCO_18
 from pipeline.simulation.scenes import Simulation, find_scene, record
+from pipeline.stages.local import reconstruct
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from tests.pipeline.simulations import write_simulation
@@ -89,10 +92,8 @@ def test_keypoint_files_give_what_memory_gives(tmp_path: Path) -> None:
     simulation = record(replace(find_scene("room"), duration_s=2.0), seed=5)
     command = command_for(simulation, tmp_path, "--smoothing", "none")
     said = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout)
-    parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
-    tracks, _ = reconstruct_tracks(
-        simulation.cameras, simulation.times, simulation.detections, simulation.timebase, parameters
-    )
+    given = simulation.cameras, simulation.times, simulation.timebase, simulation.detections, simulation.joints
+    tracks = reconstruct(KeypointSession(*given, {}, ()), ReconstructionConfig(smoothing="none")).tracks
     assert len(tracks) == len(simulation.truth_m)
     assert said["tracks"] == [
         {"id": track.track_id, "start_frame": track.start_frame, "num_frames": track.num_frames} for track in tracks
