@@ -4,6 +4,9 @@ import argparse
 import signal
 import sys
 
+import structlog
+
+from pipeline.detect.providers.find import current_provider
 from pipeline.stages.code import stage_codes
 from worker import tasks
 from worker.app import create_celery
@@ -30,7 +33,10 @@ def main() -> None:
     compile_kernels(store)
     store.close()
     tasks.report_loading()
-    stage_codes()  # computed once, for all forked children
+    # Both are found once, for all forked children.
+    stage_codes()
+    if (provider := current_provider()).note:
+        structlog.get_logger().warning("provider_fallback", reason=provider.note)
     celery = create_celery(settings)
     celery.worker_main(
         [

@@ -21,6 +21,7 @@ from pipeline.detect.profiles.detection import open_detection
 from pipeline.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.problem_codes.jobs import INPUT_DAMAGED
 from pipeline.problem_codes.requests import VIDEOS_DELETED
+from pipeline.providers import ProviderName, provider_name
 from pipeline.stages.context import Context, Origin
 from pipeline.stages.plan import STAGE_BY_NAME
 from pipeline.stages.stage import Output, SessionFacts
@@ -143,6 +144,10 @@ class _TaskContext(Context):
     @property
     def scratch(self) -> Path:
         return self.work.scratch
+
+    @property
+    def provider(self) -> ProviderName:
+        return provider_name(self.work.claim.provider)
 
     @property
     def has_viewers(self) -> bool:

@@ -9,7 +9,7 @@ from pipeline.capture.preflight_record import Preflight
 from pipeline.edits import PeopleEdit
 from pipeline.job_choices import VisualChoices
 from pipeline.stages.code import stage_codes
-from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, plan
+from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, STAGE_BY_NAME, PlannedStage, plan
 from pipeline.stages.stage import SessionFacts, Task
 from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.jobs import JobRecord, Making, config_of
@@ -40,15 +40,25 @@ def plan_job(
     edits: tuple[PeopleEdit, ...] = (),
     revision: int = 0,
     character: JobCharacter | None = None,
+    provider: str = "",
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
-    ``codes`` are digests of the stages' code, by default this process's; ``making``, ``edits``, ``revision`` and
-    ``character`` are as in ``worker.jobs.model.jobs.JobRecord``.
+    ``codes`` are digests of the stages' code, by default this process's for the execution provider of networks with the
+    identity ``provider``; ``making``, ``edits``, ``revision`` and ``character`` are as in
+    ``worker.jobs.model.jobs.JobRecord``.
     """
     config = config_of(spec, making, edits, revision, character)
-    stages = plan(session_facts(session), config, codes or stage_codes(), chunk_frames)
-    return tuple(StagePlan(stage.name, _Chunks(stage), stage.code_sha256) for stage in stages)
+    stages = plan(session_facts(session), config, codes or stage_codes(provider), chunk_frames)
+    return tuple(
+        StagePlan(
+            stage.name,
+            _Chunks(stage),
+            stage.code_sha256,
+            provider if STAGE_BY_NAME[stage.name].runs_networks else "",
+        )
+        for stage in stages
+    )
 
 
 def plan_visuals(
@@ -63,13 +73,14 @@ def plan_visuals(
         edits=job.edits,
         revision=job.revision,
         character=job.character,
+        provider=job.provider,
     )
 
 
 def plan_again(
-    session: PlannableSession, job: JobRecord, chunk_frames: int = DEFAULT_CHUNK_FRAMES
+    session: PlannableSession, job: JobRecord, chunk_frames: int = DEFAULT_CHUNK_FRAMES, provider: str = ""
 ) -> tuple[StagePlan, ...]:
-    """Plan of a job that is there already."""
+    """Plan of a job that is there already, for an execution provider; see ``plan_job``."""
     return plan_job(
         session,
         job.spec,
@@ -78,6 +89,7 @@ def plan_again(
         edits=job.edits,
         revision=job.revision,
         character=job.character,
+        provider=provider,
     )
 
 

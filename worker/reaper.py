@@ -112,12 +112,13 @@ class Reaper:
 
     def _plan_again(self) -> None:
         # Asked first: after an outage of the database workers are listed again one after another.
-        if not self._store.plans.is_run(stage_codes().values()):
+        provider = self._store.workers.provider()
+        if not self._store.plans.is_run(stage_codes(provider).values()):
             return  # workers of this version may start later
         for job_id in self._store.plans.unclaimable():
             job = self._store.jobs.get(job_id)
             session = self._store.sessions.get(job.session_id)
-            stages = plan_again(session, job, self._chunk_frames)
+            stages = plan_again(session, job, self._chunk_frames, provider)
             if self._store.plans.replace(job_id, stages):
                 log.info("job_planned_again", job=job_id)
                 self._publish()

@@ -10,6 +10,7 @@ import structlog
 from opentelemetry import trace
 from opentelemetry.trace import StatusCode
 
+from pipeline.detect.providers.find import current_provider
 from pipeline.runtime.pauses import Pauses
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import STAGE_BY_NAME, followers
@@ -77,7 +78,7 @@ class Runner:
         self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
         self._stopping, self._on_stuck, self._has_room = stopping, on_stuck, has_room
         self._name = process_name()
-        self._codes = frozenset(stage_codes().values())
+        self._codes = frozenset(stage_codes(current_provider().identity).values())
         self._pauses = Pauses(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
         self._outage: Outage | None = None
 

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict, SettingsError
 from sqlalchemy.exc import SQLAlchemyError
 
+from pipeline.providers import ProviderChoice
 from pipeline.requirements import Schema, requirement
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
@@ -159,6 +160,11 @@ class WorkerSettings(StorageSettings):
         gt=0,
         description="Output frames of a chunk of a camera, for jobs that are planned again after an upgrade; use the "
         "API's value.",
+    )
+    provider: ProviderChoice = Field(
+        default="auto",
+        description="What runs the networks of workers, see docs/providers.md; auto is CUDA where it works, else the "
+        "CPU.",
     )
     claim_for_s: float = Field(
         default=300.0, gt=0, description="Time for which a worker claims chunks after one message."

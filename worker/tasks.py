@@ -12,6 +12,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from pipeline.config import Body, installed_formats
+from pipeline.detect.providers.find import current_provider
 from pipeline.runtime.kernel_cache import is_complete
 from pipeline.stages.code import stage_codes
 from worker.jobs.errors import DamagedDatabase
@@ -135,7 +136,8 @@ def _status() -> WorkerStatus | None:
         return WorkerStatus(process_name(), WorkerState.STARTING, CONNECTING)
     if not _disk().has_room():
         return WorkerStatus(process_name(), WorkerState.STARTING, NO_ROOM)
-    codes = tuple(sorted(stage_codes().values()))
+    provider = current_provider()
+    codes = tuple(sorted(stage_codes(provider.identity).values()))
     return WorkerStatus(
         process_name(),
         WorkerState.READY,
@@ -144,6 +146,7 @@ def _status() -> WorkerStatus | None:
         bodies=_installed_bodies(),
         formats=installed_formats(),
         codes=codes,
+        provider=provider,
     )
 
 

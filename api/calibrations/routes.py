@@ -51,16 +51,16 @@ def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCali
     content = checked.content
     if isinstance(content, ReadFile):
         return _add_file(services, idempotent, checked, content)
-    making = checked.choices()
+    making, provider = checked.choices(), services.store.workers.provider()
     if isinstance(content, Session):
         services.disk.require_room()
-        stages = plan_job(content, JobSpec(), services.settings.chunk_frames, making=making)
+        stages = plan_job(content, JobSpec(), services.settings.chunk_frames, making=making, provider=provider)
         with idempotent.records.transaction() as work:
             answer = _begin(services, idempotent, work, checked, content.id, stages)
         services.queue.publish()
         return answer
     with stored(services, content) as new:
-        stages = plan_job(new, JobSpec(), services.settings.chunk_frames, making=making)
+        stages = plan_job(new, JobSpec(), services.settings.chunk_frames, making=making, provider=provider)
         with idempotent.records.transaction() as work:
             work.uploads.use(new.upload_ids)
             work.sessions.add(

@@ -8,14 +8,17 @@ from typing import Annotated, Any, cast, get_args
 
 import typer
 
+from api.cli.console import warn
 from pipeline.calibration.contents import UNITS_M, Units, Up
 from pipeline.capture.preflight_record import Clock
 from pipeline.choices import Choice
 from pipeline.config import ReconstructionConfig
+from pipeline.detect.providers.find import current_provider
 from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.commands import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_UNITS
+from pipeline.problem_codes.commands import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_PROVIDER, UNKNOWN_UNITS
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.specs import FRAME_RANGE
+from pipeline.providers import ProviderChoice, choose_provider
 from pipeline.requirements import requirement
 from pipeline.rules import CONFIG_CHOICES, require, value_problems
 
@@ -73,6 +76,14 @@ PairByOrderOption = Annotated[
     bool,
     typer.Option(
         "--pair-by-order", help="Pair cameras with videos or folders by the order of their names, not by their names."
+    ),
+]
+ProviderOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(get_args(ProviderChoice)),
+        help="What runs the networks, see docs/providers.md. Default: MULTICAP_PROVIDER, else auto.",
+        show_default=False,
     ),
 ]
 KeypointRateOption = Annotated[
@@ -162,6 +173,17 @@ def _frame_range(text: str | None) -> tuple[int, int] | None:
 def known_units(name: str | None) -> Units | None:
     """Check the name of a unit; ``InputError`` if there is none of that name."""
     return None if name is None else cast(Units, _known(UNKNOWN_UNITS, "units", name, tuple(UNITS_M)))
+
+
+def take_provider(name: str | None) -> None:
+    """Take the value of ``--provider`` for this process and those that it starts.
+
+    Raises ``InputError`` if there is none of that name; says so if the CPU runs the networks instead.
+    """
+    if name is not None:
+        choose_provider(cast(ProviderChoice, _known(UNKNOWN_PROVIDER, "provider", name, get_args(ProviderChoice))))
+    if note := current_provider().note:
+        warn(note)
 
 
 def known_up(name: str) -> Up:

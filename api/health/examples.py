@@ -7,6 +7,7 @@ ANSWERS: dict[str, Any] = {
     "Readiness": {
         "status": "ready",
         "checks": dict.fromkeys(("database", "broker", "artifacts", "worker", "model", "disk"), True),
+        "providers": [{"name": "cuda", "device": "NVIDIA GeForce RTX 4090", "note": "", "workers": 4}],
         "disk_free_bytes": 214748364800,
     },
 }

@@ -1,5 +1,6 @@
 """Routes of health: liveness, readiness, and metrics for Prometheus."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,7 +15,7 @@ from api.dependencies import ServicesDep
 from api.errors import ErrorItem, database_damaged, problem_response, service_unavailable
 from api.health import examples
 from api.health.metrics import RequestMetrics
-from api.health.schemas import Health, Readiness
+from api.health.schemas import Health, ProviderOut, Readiness
 from pipeline.config import install_command, networks_of
 from pipeline.problem_codes.jobs import (
     BROKER_UNAVAILABLE,
@@ -28,7 +29,7 @@ from worker.jobs.files.disk import DiskSpace
 from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
-from worker.jobs.worker_status import WorkerStatus
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 router = APIRouter(tags=["health"])
 
@@ -75,7 +76,11 @@ def get_readiness(request: Request, services: ServicesDep) -> Readiness | Respon
         # Not raised, because the handler would log it: clients that wait for the service ask every few seconds.
         problem = service_unavailable(NOT_READY, "The service can't start a job now.", errors)
         return problem_response(request, problem)
-    return Readiness(checks=dict.fromkeys(checks, True), disk_free_bytes=services.disk.free_bytes)
+    return Readiness(
+        checks=dict.fromkeys(checks, True),
+        providers=_providers(services.store.workers.all()),
+        disk_free_bytes=services.disk.free_bytes,
+    )
 
 
 @router.get(
@@ -89,6 +94,15 @@ def get_metrics(_: AdminDep, request: Request, services: ServicesDep) -> Respons
     """Read counts of requests, jobs and chunks in Prometheus' text format. Needs the scope `admin`."""
     metrics: RequestMetrics = request.app.state.metrics
     return Response(metrics.expose(services.store, services.disk), media_type=CONTENT_TYPE_LATEST)
+
+
+def _providers(workers: Sequence[WorkerStatus]) -> tuple[ProviderOut, ...]:
+    """Execution providers of ready workers, the most frequent first."""
+    counts = Counter(worker.provider for worker in workers if worker.state is WorkerState.READY)
+    return tuple(
+        ProviderOut(name=provider.name, device=provider.device, note=provider.note, workers=number)
+        for provider, number in counts.most_common()
+    )
 
 
 def _check(name: str, responds: bool) -> ErrorItem | None:

@@ -68,6 +68,7 @@ JOB: dict[str, Any] = {
     "revision": 0,
     "results_revision": None,
     "visuals_job": None,
+    "provider": "cpu",
     "stages": [
         stage(LOOK, "done", 24, 24),
         stage(DETECT, "running", 150, 600),

@@ -257,7 +257,8 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         if errors:
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan_again(session, job, services.settings.chunk_frames)
+        provider = services.store.workers.provider(job.provider)
+        stages = plan_again(session, job, services.settings.chunk_frames, provider)
         with idempotent.records.transaction() as work:
             answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()
@@ -308,7 +309,13 @@ def _planned(
     services: Services, session: Session | NewSession, spec: JobSpec, moved: tuple[str, JobCharacter] | None
 ) -> tuple[StagePlan, ...]:
     """Plan of a new reconstruction."""
-    return plan_job(session, spec, services.settings.chunk_frames, character=None if moved is None else moved[1])
+    return plan_job(
+        session,
+        spec,
+        services.settings.chunk_frames,
+        character=None if moved is None else moved[1],
+        provider=services.store.workers.provider(),
+    )
 
 
 def _page(

@@ -6,6 +6,7 @@ from pydantic import AwareDatetime, Field
 
 from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of
 from pipeline.problem_codes.model import Code
+from pipeline.providers import ProviderName, provider_name
 from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.model.jobs import (
     Attempt,
@@ -180,6 +181,9 @@ class JobOut(ResponseModel):
     visuals_job: VisualsJobOut | None = Field(
         description="Job that makes the visuals of these edits; null without one."
     )
+    provider: ProviderName | None = Field(
+        description="Execution provider that its networks run on, such as `cuda`; null if it runs none."
+    )
     stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
     progress: float = Field(
         ge=0, le=1, description="Share of the work that is done; it never decreases within an attempt."
@@ -217,12 +221,13 @@ class JobOut(ResponseModel):
                 job,
                 cls,
                 without=(
-                    *("kind", "calibration_id", "stages", "error", "waiting_for"),
+                    *("kind", "calibration_id", "provider", "stages", "error", "waiting_for"),
                     *("result_warnings", "visuals_job", "links"),
                 ),
             ),
             kind=kind_of(job.making),
             calibration_id=job.id if kind_of(job.making) == "calibration" else None,
+            provider=provider_name(job.provider) if _runs_networks(job) else None,
             stages=tuple(StageOut.of(stage) for stage in job.stages),
             error=JobError.of(job.problem) if job.problem else None,
             visuals_job=None if job.visuals_job is None else VisualsJobOut(**fields_of(job.visuals_job, VisualsJobOut)),
@@ -246,6 +251,10 @@ class JobOut(ResponseModel):
         """Job as a link shows it: without the receiver of its webhooks, and without what may be done with it."""
         links = self.links.model_copy(update={"people": None, "cancel": None, "visuals": None, "retry": None})
         return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
+
+
+def _runs_networks(job: JobRecord) -> bool:
+    return any(STAGE_BY_NAME[stage.name].runs_networks for stage in job.stages)
 
 
 def _may_make_visuals(job: JobRecord) -> bool:

@@ -91,6 +91,7 @@ def edit_job_people(
         edits=edits.edits,
         revision=job.revision + 1,
         character=job.character,
+        provider=job.provider,
     )
     with records.transaction() as work:
         # Without `If-Match` the newest list wins, also over one that came meanwhile.

@@ -9,6 +9,7 @@ from pipeline.data.detections import DamagedVideo
 from pipeline.data.people import Doubt, Observations, Track3D
 from pipeline.findings import SessionCheck
 from pipeline.joints import JointOffsets, JointSet
+from pipeline.providers import ProviderName
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +42,8 @@ class Reconstruction:
         Measured clocks; ``None`` if times are as they were declared.
     check
         Check of the session by its people.
+    provider
+        Execution provider of the networks; ``None`` if there was nothing to detect.
     is_emptied
         Whether edits removed everybody who was found.
     """
@@ -59,6 +62,7 @@ class Reconstruction:
     refinement: Refinement | None = None
     synchronization: Synchronization | None = None
     check: SessionCheck = field(default_factory=SessionCheck)
+    provider: ProviderName | None = None
     is_emptied: bool = False
 
     @property

@@ -16,7 +16,8 @@ from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detect.entries import entry_of
 from pipeline.detect.letterbox import LetterBox, apply_letterbox, fit_letterbox
 from pipeline.detect.models import verify
-from pipeline.detect.registry import NetworkHead, NetworkInput
+from pipeline.detect.providers.find import current_provider
+from pipeline.detect.registry import NetworkEntry, NetworkHead, NetworkInput
 from pipeline.detect.session import Network, open_network
 from pipeline.errors import ModelError
 from pipeline.joints import JointSet
@@ -83,4 +84,11 @@ def open_detector(name: str = "movenet-multipose") -> Detector:
     entry = entry_of(name)
     if entry.head.reads_crops or entry.own is not None:
         raise ModelError(f"{name} reads landmarks in crops, which other networks find: it is no detector alone.")
-    return Detector(open_network(verify(name)), entry.input, entry.head, entry.joints, entry.fields)
+    return Detector(open_network(verify(_to_run(entry))), entry.input, entry.head, entry.joints, entry.fields)
+
+
+def _to_run(entry: NetworkEntry) -> str:
+    """Name of the network that this process's provider runs for a network of the registry."""
+    if entry.single_precision is None or not current_provider().is_gpu:
+        return entry.name
+    return entry.single_precision

@@ -135,6 +135,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             input=NetworkInput(channels="rgb", multiple=32, scaled_px=512),
             head=NetworkHead.MOVENET_MULTIPOSE,
             joints=COCO_17,
+            single_precision="movenet-multipose",
             offsets=_MOVENET_OFFSETS,
         ),
         NetworkEntry(

@@ -90,6 +90,9 @@ class NetworkEntry:
     input: NetworkInput
     head: NetworkHead
     joints: JointSet
+    # Name of the same network in single precision, which GPUs run instead: integers of 8 bits gain nothing there, and
+    # joints depend on how each processor rounds them
+    single_precision: str | None = None
     fields: FieldGrid | None = None  # Grid of the part affinity fields; ``None`` for a network without fields
     # Offsets of the network's marks from the centres of the joints, learnt from rendered people (docs/fit.md)
     offsets: JointOffsets = field(default_factory=dict)

@@ -21,6 +21,9 @@ UNKNOWN_CLOCK = COMMANDS.code(
 )
 UNKNOWN_UNITS = COMMANDS.code("unknown_units", _COMMAND, "There is no such unit.", "Use a name that `hint` lists.")
 UNKNOWN_AXIS = COMMANDS.code("unknown_axis", _COMMAND, "There is no such axis.", "Use a name that `hint` lists.")
+UNKNOWN_PROVIDER = COMMANDS.code(
+    "unknown_provider", _COMMAND, "There is no such execution provider.", "Use a name that `hint` lists."
+)
 UNKNOWN_SCENE = COMMANDS.code(
     "unknown_scene", _COMMAND, "There is no such simulated scene.", "Use a name that `hint` lists."
 )

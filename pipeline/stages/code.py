@@ -41,11 +41,27 @@ _RECORD = "pipeline.capture.preflight_npz"
 _OF_ALL = (BY_MEMBER, "Context"), (_RECORD, "decode_session"), (_RECORD, "decode_keypoints")
 
 
-@functools.cache
-def stage_codes() -> Mapping[str, str]:
+def stage_codes(provider: str = "") -> Mapping[str, str]:
     """Digest of the code of each stage of this installation, by name of the stage.
 
-    Digests take seconds, and every process needs them: the first one keeps them in the folder of the installation.
+    ``provider`` is the identity of the execution provider of the networks, see
+    ``pipeline.providers.Provider``: stages that run networks have other outputs with another one, so that
+    no worker runs the chunks of a plan that was made for another provider.
+    """
+    codes = _codes_on_cpu()
+    if not provider:
+        return codes
+    of_provider = {stage.name for stage in STAGES if stage.runs_networks}
+    return MappingProxyType(
+        {name: _hash([code, provider]) if name in of_provider else code for name, code in codes.items()}
+    )
+
+
+@functools.cache
+def _codes_on_cpu() -> Mapping[str, str]:
+    """Digests for networks on the CPU.
+
+    They take seconds, and every process needs them: the first one keeps them in the folder of the installation.
     """
     file = home() / "stage-codes" / f"{sources_sha256()}.json"
     codes = _kept(file)
@@ -63,9 +79,11 @@ def digests_of_stages(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) 
         _, _, module = stage.function.__module__.rpartition(".")
         digests[stage.name] = function_digest(root, [(f"{PACKAGE}.stages.{module}", stage.function.__name__), *_OF_ALL])
     forget_sources()
-    return {
-        stage: hashlib.sha256(json.dumps([digest, versions]).encode()).hexdigest() for stage, digest in digests.items()
-    }
+    return {stage: _hash([digest, versions]) for stage, digest in digests.items()}
+
+
+def _hash(value: object) -> str:
+    return hashlib.sha256(json.dumps(value).encode()).hexdigest()
 
 
 def _kept(file: Path) -> dict[str, str] | None:

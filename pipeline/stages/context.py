@@ -27,6 +27,7 @@ from pipeline.detect.profiles.detection import detection_joints, mark_offsets
 from pipeline.errors import PipelineError
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.progress import OnShare, in_units
+from pipeline.providers import ProviderName
 from pipeline.runtime.npz import decode_arrays
 from pipeline.stages.codec import decode
 from pipeline.stages.people import StoredPeople
@@ -65,6 +66,11 @@ class Context(ABC):
     @abstractmethod
     def scratch(self) -> Path:
         """Folder for temporary files and result files of this task."""
+
+    @property
+    @abstractmethod
+    def provider(self) -> ProviderName:
+        """Execution provider of the networks of the reconstruction."""
 
     @property
     @abstractmethod

@@ -50,5 +50,6 @@ STAGE = Stage(
     is_planned=is_detecting,
     unit="frames",
     reads_videos=True,
+    runs_networks=True,
     leaves_interim=lambda config: config.uses_colours,
 )

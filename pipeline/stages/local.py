@@ -19,12 +19,14 @@ from pipeline.data.detections import Detections
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect.chunk import concatenate
 from pipeline.detect.profiles.detection import detection_joints
+from pipeline.detect.providers.find import current_provider
 from pipeline.errors import ChildError, PipelineError
 from pipeline.export.results import OnFile, WrittenResults, no_file, not_written
 from pipeline.job_choices import CalibrationChoices
 from pipeline.paths import StrPath
 from pipeline.preflight.verdict import require_cameras
 from pipeline.progress import OnProgress, Progress, silent
+from pipeline.providers import ProviderName
 from pipeline.rules import config_problems, require
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages.storage import sha256_of
@@ -200,7 +202,7 @@ def _planned(
         outputs = stack.enter_context(output_folder(cache))
         interim = stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))
         scratch = stack.enter_context(_scratch_folder(files))
-        codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else stage_codes()
+        codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else stage_codes(current_provider().identity)
         stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name in wanted]
         yield _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), scratch, files)
 
@@ -323,6 +325,10 @@ class _TaskContext(Context):
     @property
     def scratch(self) -> Path:
         return self.job.scratch
+
+    @property
+    def provider(self) -> ProviderName:
+        return current_provider().name
 
     @property
     def has_viewers(self) -> bool:

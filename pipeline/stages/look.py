@@ -59,5 +59,6 @@ STAGE = Stage(
     is_planned=is_detecting,
     unit="frames",
     reads_videos=True,
+    runs_networks=True,
     max_frames=LOOKED_AT_FRAMES,
 )

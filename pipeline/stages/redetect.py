@@ -58,4 +58,5 @@ STAGE = Stage(
     is_planned=is_redetecting,
     frames_a_unit=10,
     reads_videos=True,
+    runs_networks=True,
 )

@@ -22,4 +22,5 @@ STAGE = Stage(
     is_planned=is_redetecting,
     frames_a_unit=50,
     reads_videos=True,
+    runs_networks=True,
 )

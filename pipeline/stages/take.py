@@ -50,6 +50,7 @@ def assemble(context: Context) -> Reconstruction:
         refinement=None if refined is None else refined.report,
         synchronization=context.clocks(),
         check=context.record(CHECK, SessionCheck),
+        provider=context.provider if context.facts.has_videos else None,
     )
     if take is None:
         return reconstruction

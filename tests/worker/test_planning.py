@@ -398,3 +398,17 @@ def test_blurred_heads_change_no_key_but_those_of_pictures() -> None:
     assert [(chunk.payload["camera"], chunk.unit_count) for chunk in stage.chunks] == [("0", 100), ("1", 50)]
     keypoints = replace(session, files=(replace(session.files[0], kind="keypoints"), *session.files[1:]))
     assert not {HEADS, BLUR} & {planned.name for planned in plan_job(keypoints, JobSpec(blur_faces=True))}
+
+
+def test_stages_with_networks_alone_depend_on_the_execution_provider() -> None:
+    """No output of another provider is taken, and no worker with another one runs the chunks."""
+    on_cpu, on_gpu = (plan_job(make_session(), JobSpec(), provider=provider) for provider in ("", "cuda 1.31.1"))
+    with_networks = {stage.name for stage in STAGES if stage.runs_networks}
+    assert with_networks == {LOOK, DETECT, REDETECT, REDETECT_AGAIN}
+    for before, after in zip(on_cpu, on_gpu, strict=True):
+        runs_networks = before.name in with_networks
+        assert after.provider == ("cuda 1.31.1" if runs_networks else "")
+        assert (before.code_sha256 != after.code_sha256) is runs_networks
+        # All stages read what the networks found.
+        assert [chunk.output_key for chunk in before.chunks] != [chunk.output_key for chunk in after.chunks]
+    assert {stage.code_sha256 for stage in on_gpu} <= set(stage_codes("cuda 1.31.1").values())

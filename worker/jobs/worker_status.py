@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from pipeline.providers import CPU, Provider
+
 
 class WorkerState(StrEnum):
     """Whether a worker process could start a chunk now."""
@@ -25,3 +27,4 @@ class WorkerStatus:
     bodies: tuple[str, ...] = ()  # Names of the installed bodies of people
     formats: tuple[str, ...] = ()  # Formats of people's files that it can write
     codes: tuple[str, ...] = ()  # Digests of the stages' code that it runs
+    provider: Provider = CPU  # Execution provider of its networks

@@ -17,6 +17,7 @@ from api.cli.benchmark.fit import fit
 from api.cli.benchmark.identity import identity
 from api.cli.benchmark.load import load
 from api.cli.benchmark.profiles import profiles
+from api.cli.benchmark.providers import providers
 from api.cli.benchmark.queue import queue
 from api.cli.benchmark.takes import loop_video, peak_rss_mib
 from api.cli.benchmark.tracking import tracking
@@ -43,6 +44,7 @@ app.command()(fit)
 app.command()(identity)
 app.command()(load)
 app.command()(profiles)
+app.command()(providers)
 app.command()(queue)
 app.command()(tracking)
 

@@ -12,6 +12,7 @@ from api.cli.console import JsonOption, StageBars, emit, print_table, reporting,
 from api.cli.options import (
     KeypointsOption,
     PairByOrderOption,
+    ProviderOption,
     TimestampsOption,
     UnitsOption,
     UpOption,
@@ -19,6 +20,7 @@ from api.cli.options import (
     known_clock,
     known_units,
     known_up,
+    take_provider,
     with_choices,
 )
 from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source, parameters
@@ -132,6 +134,7 @@ def command(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Parameter of clustering, see docs/clustering.md; repeatable."),
     ] = None,
+    provider: ProviderOption = None,
     cache: Annotated[
         Path | None,
         typer.Option(
@@ -153,6 +156,8 @@ def command(
             clustering=parameters(clustering or [], "tau2=0.25"),
         )
         check_sources(videos, keypoints, timestamps, offset, rate)
+        if keypoints is None:
+            take_provider(provider)
         moved = _character(character, bones)
         footage = [*(videos or []), *(more_videos or [])]
         session = open_source(

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from api.app import ExposedError, require_keys_if_exposed
 from api.cli.console import console, refusal, reporting
+from api.cli.options import ProviderOption, take_provider
 from api.cli.served import READY
 from api.cli.store import opened_store
 from api.settings import Settings
@@ -96,12 +97,14 @@ def command(
             help="Number of worker processes. Default: one for each processor, plus one if there are several tenants.",
         ),
     ] = None,
+    provider: ProviderOption = None,
 ) -> None:
     """Run the service on this machine: web API, workers, broker and database, until Ctrl-C."""
     settings = Settings(host=host) if data is None else Settings(host=host, data_dir=data)
     keep_files_private()
     raise_descriptor_limit()
     with reporting(as_json=False):
+        take_provider(provider)
         for name in networks_of(JobSpec().config).names:
             models.verify(name)
     try:

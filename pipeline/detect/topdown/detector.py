@@ -1,5 +1,6 @@
 """Detector of bodies in two steps: bodies in the whole image, then landmarks in the crops of bodies and hands."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from pipeline.detect.session import Network
 from pipeline.detect.topdown import blazepose, hands
 from pipeline.detect.topdown.blazepose import LANDMARK, SURE_PEAK, PoseOutputs, score_of_peak
 from pipeline.detect.topdown.fusion import fuse
-from pipeline.detect.topdown.regions import crop
+from pipeline.detect.topdown.regions import Region, crop
 from pipeline.joints import BODY_FEET, COCO_17, SIDES, JointSet, finger_joints
 
 _MIN_SCORE = 0.2
@@ -52,9 +53,8 @@ class TopDown:
         score = np.zeros(keypoints_px.shape[:2])
         num_body = len(COCO_17.names)
         keypoints_px[:, :num_body], score[:, :num_body] = bodies.keypoints_px, bodies.score
-        candidates: list[hands.Hand] = []
-        for number in range(len(score)):
-            pose = self._pose(image_rgb, bodies.keypoints_px[number], bodies.score[number])
+        poses = self._poses(image_rgb, bodies)
+        for number, pose in enumerate(poses):
             if self.refines_body:
                 fused = fuse(bodies.keypoints_px[number], bodies.score[number], pose)
                 keypoints_px[number, :num_body], score[number, :num_body] = fused
@@ -65,43 +65,54 @@ class TopDown:
                 size_px = blazepose.body_size_px(joints_px, bodies.score[number] >= _MIN_SCORE)
                 feet = self.joints.indices(FOOT_JOINTS)
                 keypoints_px[number, feet], score[number, feet] = read_feet(pose, joints_px[_ANKLES], size_px)
-            candidates += self._hands(image_rgb, number, pose, joints_px[_WRISTS])
-        for hand in hands.without_doubles(candidates):
+        for hand in hands.without_doubles(self._hands(image_rgb, poses, keypoints_px[:, _WRISTS])):
             fingers = self.joints.indices(finger_joints(SIDES[hand.side]))
             keypoints_px[hand.body, fingers], score[hand.body, fingers] = hand.points_px[1:], hand.score
         return replace(bodies, keypoints_px=read_only(keypoints_px), score=read_only(score))
 
-    def _pose(
-        self,
-        image_rgb: UInt8[np.ndarray, "height width 3"],
-        keypoints_px: Float[np.ndarray, "joints 2"],
-        score: Float[np.ndarray, " joints"],
-    ) -> blazepose.PoseOutputs | None:
-        """BlazePose's outputs for a body; ``None`` for a body without a region."""
-        region = blazepose.body_region(keypoints_px, score, self.turn_deg)
-        if region is None:
-            return None
-        return blazepose.decode_pose(self.near(crop(image_rgb, region, blazepose.CROP_PX)), region)
+    def _poses(
+        self, image_rgb: UInt8[np.ndarray, "height width 3"], bodies: ImageBodies
+    ) -> list[blazepose.PoseOutputs | None]:
+        """BlazePose's outputs for each body; ``None`` for a body without a region."""
+        regions = [
+            blazepose.body_region(keypoints_px, score, self.turn_deg)
+            for keypoints_px, score in zip(bodies.keypoints_px, bodies.score, strict=True)
+        ]
+        outputs = iter(_run(self.near, image_rgb, [region for region in regions if region], blazepose.CROP_PX))
+        return [None if region is None else blazepose.decode_pose(next(outputs), region) for region in regions]
 
     def _hands(
         self,
         image_rgb: UInt8[np.ndarray, "height width 3"],
-        body: int,
-        pose: blazepose.PoseOutputs,
-        wrists_px: Float[np.ndarray, "sides 2"],
+        poses: Sequence[blazepose.PoseOutputs | None],
+        wrists_px: Float[np.ndarray, "bodies sides 2"],
     ) -> list[hands.Hand]:
-        """Hands in the crops of a body."""
+        """Hands in the crops of all bodies."""
         if self.hand is None:
             return []
-        landmarks_px, _ = pose.refined()
-        decoded = []
-        for side, wrist_px in enumerate(wrists_px):
-            region = hands.hand_region(landmarks_px, side)
-            if region is not None:
-                outputs = self.hand(crop(image_rgb, region, hands.CROP_PX))
-                hand = hands.decode_hand(outputs, region, body, side, wrist_px)
-                decoded += [] if hand is None else [hand]
-        return decoded
+        landmarks_px = [(body, pose.refined()[0]) for body, pose in enumerate(poses) if pose is not None]
+        placed = [
+            (body, side, region)
+            for body, points_px in landmarks_px
+            for side in range(len(SIDES))
+            if (region := hands.hand_region(points_px, side)) is not None
+        ]
+        outputs = _run(self.hand, image_rgb, [region for _, _, region in placed], hands.CROP_PX)
+        decoded = (
+            hands.decode_hand(of_crop, region, body, side, wrists_px[body, side])
+            for (body, side, region), of_crop in zip(placed, outputs, strict=True)
+        )
+        return [hand for hand in decoded if hand is not None]
+
+
+def _run(
+    network: Network, image_rgb: UInt8[np.ndarray, "height width 3"], regions: Sequence[Region], size_px: int
+) -> list[dict[str, np.ndarray]]:
+    """Outputs of a network for the crops of regions, which it gets as one batch."""
+    if not regions:
+        return []
+    outputs = network(np.concatenate([crop(image_rgb, region, size_px) for region in regions]))
+    return [{name: values[number : number + 1] for name, values in outputs.items()} for number in range(len(regions))]
 
 
 def read_feet(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from pipeline.config import FILE_FORMATS, NETWORKS, JobChoices, networks_of
+from pipeline.providers import Provider
 from tests.api.conftest import Live, keypoint_form, problem_of
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
@@ -43,6 +44,39 @@ def test_ready_with_a_worker_that_could_start(with_broker: Live) -> None:
     names = {"database", "broker", "artifacts", "worker", "model", "disk"}
     assert answer.json()["checks"] == dict.fromkeys(names, True)
     assert answer.json()["disk_free_bytes"] > 0
+
+
+def test_ready_workers_are_counted_by_execution_provider(with_broker: Live) -> None:
+    gpu = Provider("cuda", "1.31.1", "NVIDIA H200")
+    fallback = Provider(note="Networks run on the CPU, not by cuda: there is no driver.")
+    for number, provider in enumerate((gpu, gpu, fallback)):
+        with_broker.services.store.workers.report(replace(READY, id=f"host:{number + 3}", provider=provider))
+    with_broker.services.store.workers.report(COMPILING)
+    assert with_broker.client.get("/readyz").json()["providers"] == [
+        {"name": "cuda", "device": "NVIDIA H200", "note": "", "workers": 2},
+        {"name": "cpu", "device": "", "note": fallback.note, "workers": 1},
+    ]
+
+
+def test_jobs_are_planned_for_the_workers_provider_and_say_it(with_broker: Live) -> None:
+    """Also a job whose edits or retry come when another worker is there."""
+    address = f"/v1/sessions/{with_broker.session_id()}/jobs"
+    store = with_broker.services.store
+    assert with_broker.client.post(address, json={}).json()["provider"] == "cpu"
+    store.workers.report(replace(READY, provider=Provider("cuda", "1.31.1", "NVIDIA H200")))
+    job = with_broker.client.post(address, json={}).json()
+    assert job["provider"] == "cuda"
+    assert store.jobs.get(job["id"]).provider == "cuda 1.31.1"
+    with_broker.client.post(job["links"]["cancel"]).raise_for_status()
+    assert with_broker.client.post(f"/v1/jobs/{job['id']}/retry").json()["provider"] == "cuda"
+    with_broker.client.post(job["links"]["cancel"]).raise_for_status()
+    store.workers.report(READY)  # the GPU is gone
+    assert with_broker.client.post(f"/v1/jobs/{job['id']}/retry").json()["provider"] == "cpu"
+
+
+def test_jobs_without_networks_have_no_provider(with_broker: Live) -> None:
+    answer = with_broker.client.post("/v1/jobs", files=keypoint_form())
+    assert answer.json()["provider"] is None
 
 
 def test_a_worker_that_starts_says_how_far_it_is(with_broker: Live) -> None:

@@ -248,7 +248,7 @@ def test_members_of_a_class_count_if_they_are_named(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_digests_are_kept_for_the_next_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
-    compute = stage_codes.__wrapped__
+    compute = code._codes_on_cpu.__wrapped__
     codes = compute()
     (file,) = (tmp_path / "stage-codes").iterdir()
     assert file.stem == sources_sha256()

@@ -143,6 +143,7 @@ def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJo
         visuals_job=visuals_job,
         character=job_character_of(row.character),
         has_videos=row.videos_deleted_at is None,
+        provider=row.provider,
     )
 
 

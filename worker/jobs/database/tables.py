@@ -110,6 +110,7 @@ jobs = Table(
     Column("visuals_old_at", UtcTimestamp, index=True),  # last edit; null: no visuals, or they are new or being made
     Column("precedence", Integer, nullable=False, server_default="1"),  # 0: edits of people, before other work
     Column("waiting_for", JSON(none_as_null=True)),  # problem of an outage; null: nothing keeps it waiting
+    Column("provider", String, nullable=False, server_default=""),  # identity of that of its networks; empty: the CPU
     Column("character", JSON(none_as_null=True)),  # that it moves: id, copy of the file, corrections; null: none
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
@@ -332,6 +333,7 @@ workers = Table(
     Column("bodies", JSON, nullable=False, server_default="[]"),  # names of the installed bodies of people
     Column("formats", JSON, nullable=False, server_default="[]"),  # names of the formats that it can write
     Column("codes", JSON, nullable=False, server_default="[]"),  # digests of the code of its stages
+    Column("provider", JSON, nullable=False, server_default="{}"),  # of its networks; empty: the CPU
     Column("seen_at", UtcTimestamp, nullable=False),
 )
 

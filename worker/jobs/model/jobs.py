@@ -124,7 +124,8 @@ class JobRecord:
     its first results are written. ``results_revision`` is the revision whose files can be read, while those of a newer
     one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of
     an earlier revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character
-    that it moves. ``has_videos``: the videos of its session, if it has any, were not deleted.
+    that it moves. ``has_videos``: the videos of its session, if it has any, were not deleted. ``provider`` is the
+    identity of the execution provider of its networks, empty for the CPU.
     """
 
     id: str
@@ -156,6 +157,7 @@ class JobRecord:
     visuals_job: NewestJob | None = None
     character: JobCharacter | None = None
     has_videos: bool = True
+    provider: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,8 @@ class StagePlan:
     # At least one; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
     chunks: Iterable[ChunkPlan]
     code_sha256: str  # Digest of the code that can run the chunks, as in ``pipeline.stages.code``
+    # Identity of the execution provider that runs its networks, see ``pipeline.providers``; empty: the CPU, or none
+    provider: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,7 @@ class Claim:
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0
     of_job: str | None = None  # reconstruction of which it makes visuals
+    provider: str = ""  # identity of the execution provider of the job's networks
     character: JobCharacter | None = None  # as of ``JobRecord``
 
     @property

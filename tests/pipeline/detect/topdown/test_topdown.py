@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.detect.bodies import BodyDetector, ImageBodies
-from pipeline.detect.session import Network
+from pipeline.detect.session import Network, one_by_one
 from pipeline.detect.topdown.blazepose import body_region
 from pipeline.detect.topdown.detector import TopDown
 from pipeline.detect.topdown.fusion import common_marks_px
@@ -33,7 +33,7 @@ def network_of(points_px: np.ndarray) -> Network:
     region = body_region(standing_px(), np.full(17, 0.6))
     assert region is not None
     outputs = pose_of(points_px, region)
-    return lambda _: outputs
+    return one_by_one(lambda _: outputs)
 
 
 def hand_network(_: np.ndarray) -> dict[str, np.ndarray]:
@@ -63,7 +63,7 @@ def test_other_joints_than_those_of_coco_are_refused() -> None:
 
 @pytest.mark.parametrize("joints", [COCO_17, BODY_FEET, WHOLE_BODY])
 def test_bodies_have_the_joints_that_are_asked_for(joints: JointSet) -> None:
-    hand = hand_network if joints is WHOLE_BODY else None
+    hand = one_by_one(hand_network) if joints is WHOLE_BODY else None
     bodies = TopDown(one_body(), network_of(landmarks_px()), hand, True, joints).detect(IMAGE)
     assert bodies.score.shape == (1, len(joints.names))
     np.testing.assert_array_equal(bodies.score > 0, np.isfinite(bodies.keypoints_px).all(-1))
@@ -80,7 +80,7 @@ def test_without_refinement_the_body_stays_and_the_feet_are_added() -> None:
 
 
 def test_fingers_hang_on_their_own_wrist() -> None:
-    bodies = TopDown(one_body(), network_of(landmarks_px()), hand_network, True, WHOLE_BODY).detect(IMAGE)
+    bodies = TopDown(one_body(), network_of(landmarks_px()), one_by_one(hand_network), True, WHOLE_BODY).detect(IMAGE)
     for side, wrist in zip(
         ("left", "right"), standing_px()[COCO_17.indices(("left_wrist", "right_wrist"))], strict=True
     ):
@@ -99,7 +99,9 @@ def test_small_bodies_keep_the_joints_of_the_detector() -> None:
 
 
 def test_an_image_without_bodies() -> None:
-    detector = TopDown(FixedBodies(np.zeros((0, 17, 2))), network_of(landmarks_px()), hand_network, True, WHOLE_BODY)
+    detector = TopDown(
+        FixedBodies(np.zeros((0, 17, 2))), network_of(landmarks_px()), one_by_one(hand_network), True, WHOLE_BODY
+    )
     assert detector.detect(IMAGE).keypoints_px.shape == (0, 61, 2)
 
 

@@ -110,6 +110,7 @@ class Leases:
             edits=edits_of(job.edits),
             revision=job.revision,
             of_job=job.of_job,
+            provider=job.provider,
             character=job_character_of(job.character),
         )
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from itertools import islice, takewhile
 from typing import Any
 
-from sqlalchemy import Connection, delete, insert, literal, or_, select, true
+from sqlalchemy import Connection, delete, insert, literal, or_, select, true, update
 
 from pipeline.config import ReconstructionConfig
 from pipeline.stages.plan import STAGE_BY_NAME, followers
@@ -89,6 +89,8 @@ def insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePla
     """
     if not stages or any(next(iter(stage.chunks), None) is None for stage in stages):
         raise ValueError("a job needs a stage, and every stage a chunk")
+    provider = max(stage.provider for stage in stages)  # they have the same, or none
+    connection.execute(update(jobs).where(jobs.c.id == job_id).values(provider=provider))
     rows = (
         _chunk_row(job_id, stage_index, stage, chunk, is_first=stage_index == num_done)
         for stage_index, stage in enumerate(stages)

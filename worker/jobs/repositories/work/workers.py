@@ -8,6 +8,7 @@ from dataclasses import asdict
 
 from sqlalchemy import ColumnElement, Connection, delete, func, or_, select
 
+from pipeline.providers import CPU, Provider
 from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.tables import workers
 from worker.jobs.database.transactions import Transactions
@@ -51,9 +52,26 @@ class Workers:
                     bodies=tuple(row.bodies),
                     formats=tuple(row.formats),
                     codes=tuple(row.codes),
+                    provider=Provider(**row.provider),
                 )
                 for row in rows
             ]
+
+    def provider(self, earlier: str | None = None) -> str:
+        """See ``provider_at_work``."""
+        return provider_at_work(self.all(), earlier)
+
+
+def provider_at_work(found: Iterable[WorkerStatus], earlier: str | None = None) -> str:
+    """Identity of the execution provider for which work is planned, so that a ready worker can run it.
+
+    That of an ``earlier`` plan as long as a worker has it; else a GPU's before the CPU's, and the CPU's if no worker is
+    ready.
+    """
+    providers = {worker.provider for worker in found if worker.state is WorkerState.READY}
+    if earlier is not None and earlier in {provider.identity for provider in providers}:
+        return earlier
+    return min(providers, key=lambda provider: (not provider.is_gpu, provider.identity), default=CPU).identity
 
 
 def count_ready(connection: Connection) -> int:

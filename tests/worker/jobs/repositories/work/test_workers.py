@@ -1,10 +1,16 @@
 import pytest
 import sqlalchemy as sa
 
+from pipeline.providers import CPU, Provider
 from tests.worker.jobs.conftest import StoreBench
 from worker.jobs.database.tables import workers
 from worker.jobs.errors import NewerDatabase
-from worker.jobs.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
+from worker.jobs.repositories.work.workers import (
+    installed_bodies,
+    installed_detectors,
+    provider_at_work,
+    writable_formats,
+)
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 75)
@@ -77,3 +83,36 @@ def test_a_worker_refuses_a_database_of_a_newer_version(jobs: StoreBench) -> Non
     jobs.execute(sa.text("UPDATE alembic_version SET version_num = '0099'"))
     with pytest.raises(NewerDatabase, match="0099"):
         jobs.store.require_known_schema()
+
+
+GPU, SLOWER = Provider("cuda", "1.31.1", "NVIDIA H200"), Provider("openvino", "1.8.1", note="")
+
+
+def with_provider(number: int, provider: Provider, state: WorkerState = WorkerState.READY) -> WorkerStatus:
+    return WorkerStatus(f"host:{number}", state, "A worker works", provider=provider)
+
+
+def test_providers_of_workers_are_listed_as_they_were_reported(jobs: StoreBench) -> None:
+    fallback = Provider(note="Networks run on the CPU, not by cuda: there is no driver.")
+    for number, provider in enumerate((GPU, fallback)):
+        jobs.store.workers.report(with_provider(number, provider))
+    assert [worker.provider for worker in jobs.store.workers.all()] == [GPU, fallback]
+
+
+@pytest.mark.parametrize(
+    ("workers_", "earlier", "expected"),
+    [
+        ([], None, ""),
+        ([with_provider(1, CPU)], None, ""),
+        ([with_provider(1, CPU), with_provider(2, GPU)], None, "cuda 1.31.1"),
+        ([with_provider(1, CPU), with_provider(2, GPU)], "", ""),
+        ([with_provider(1, CPU), with_provider(2, SLOWER)], None, ""),
+        ([with_provider(1, SLOWER)], "cuda 1.31.1", "openvino 1.8.1"),
+        ([with_provider(1, CPU), with_provider(2, GPU, WorkerState.STARTING)], None, ""),
+    ],
+)
+def test_work_is_planned_for_a_provider_that_a_ready_worker_has(
+    workers_: list[WorkerStatus], earlier: str | None, expected: str
+) -> None:
+    """A GPU comes first, and a job that was begun goes on with its own as long as a worker has it."""
+    assert provider_at_work(workers_, earlier) == expected

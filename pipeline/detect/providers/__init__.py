@@ -1,0 +1,1 @@
+"""Execution providers of ONNX Runtime: what runs the networks on this machine."""
