@@ -49,9 +49,9 @@ def test_angles_are_as_precise_as_documented(motion: str, num_cameras: int) -> N
     for name in HINGES:
         assert rmse_deg(errors[name]) < 3.0 * few, name
     for name in BALLS:
-        # How a squatting trunk shares its bend is not seen: docs/biomechanics.md.
-        unseen = 1.6 if motion == "squat" and name == "hip_flexion" else 1.0
-        assert rmse_deg(errors[name]) < 4.0 * few * unseen, name
+        # How a squatting trunk shares its bend is not seen, by however many cameras: docs/biomechanics.md.
+        limit_deg = 6.2 if motion == "squat" and name == "hip_flexion" else 4.0 * few
+        assert rmse_deg(errors[name]) < limit_deg, name
     for name in TWISTS:
         assert rmse_deg(errors[name]) < 8.0 * few, name
 
