@@ -144,13 +144,14 @@ def refine(
     bodies: JointPoses,
     skeleton: Articulation,
     evidence: Evidence,
-    usual_m: Float[np.ndarray, " landmarks"],
+    usual_m: Float[np.ndarray, "*differences landmarks"],
     frame_rate_hz: float,
     num_steps: int,
 ) -> None:
     """Refine bodies by Gauss-Newton steps, in place.
 
-    ``usual_m`` are the usual second differences of landmarks in metres; infinite for landmarks without this term.
+    ``usual_m`` are the usual second differences of landmarks in metres, the same for all frames or one for each of the
+    ``frames - 2`` differences; infinite for landmarks without this term.
     """
     for _ in range(num_steps):
         move(bodies, skeleton, _step(bodies, skeleton, evidence, usual_m, frame_rate_hz))
@@ -160,7 +161,7 @@ def _step(
     bodies: JointPoses,
     skeleton: Articulation,
     evidence: Evidence,
-    usual_m: Float[np.ndarray, " landmarks"],
+    usual_m: Float[np.ndarray, "*differences landmarks"],
     frame_rate_hz: float,
 ) -> Float[np.ndarray, "frames freedoms"]:
     system = linearise(bodies, skeleton, evidence, usual_m, frame_rate_hz)
@@ -189,7 +190,7 @@ def linearise(
     bodies: JointPoses,
     skeleton: Articulation,
     evidence: Evidence,
-    usual_m: Float[np.ndarray, " landmarks"],
+    usual_m: Float[np.ndarray, "*differences landmarks"],
     frame_rate_hz: float,
 ) -> LinearSystem:
     """Normal equations at a pose; for the arguments see ``refine``."""

@@ -17,6 +17,7 @@ from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.fitting.articulated import JointPoses, landmarks_of, refine, start_from
 from pipeline.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
 from pipeline.skeleton.fitting.lengths import learn_lengths
+from pipeline.skeleton.fitting.liveliness import liveliness
 from pipeline.skeleton.fitting.positions import MAX_GAP_S, SCALES_M, fit_positions, stretches, usual_step_m
 from pipeline.skeleton.fitting.rays import Rays
 from pipeline.skeleton.fitting.solve import solve_pose
@@ -95,6 +96,8 @@ class SkeletonFit:
         Offsets of the detector's marks, to which the rays lead, from the joints' centres, at which the positions are.
     is_predicted
         Positions that are weak evidence beside the rays, as one camera alone sees the person. ``None``: none is.
+    lively
+        Ratio of the person's accelerations to usual ones, see ``fitting.liveliness``. ``None``: they are usual.
     """
 
     def __init__(
@@ -106,9 +109,11 @@ class SkeletonFit:
         rays_of: _RaysOf | None = None,
         offsets: JointOffsets = MARKED_AT_CENTERS,
         is_predicted: Bool[np.ndarray, "frames joints"] | None = None,
+        lively: Float[np.ndarray, " frames"] | None = None,
     ) -> None:
         self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
         self._is_predicted = np.zeros(track.source.shape, bool) if is_predicted is None else is_predicted
+        self._lively = np.ones(track.num_frames) if lively is None else lively
         self._offsets = offsets
         self._use_lengths(bone_lengths_m(Landmarks(track.xyz_m, track.source, joints)))
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
@@ -187,6 +192,10 @@ class SkeletonFit:
         is_seen = np.isfinite(self._track.xyz_m[rows]).all(-1).any(-1)
         return stretches(is_seen, round(MAX_GAP_S * self._timebase.frame_rate_hz))
 
+    def _usual_step_m(self, rows: slice) -> Float[np.ndarray, "differences landmarks"]:
+        """Usual second differences of landmarks in a window."""
+        return np.asarray(self._lively[rows][1:-1, None] * self._usual_m)
+
     def _use_lengths(self, bone_length_m: Float[np.ndarray, " joints"]) -> None:
         """Build the skeleton with lengths of bones, and measure heads and feet with it."""
         self._bone_length_m = bone_length_m
@@ -207,9 +216,8 @@ class SkeletonFit:
         for number in chosen.tolist():
             bodies = self._start(rows[number])
             bodies.is_tied = self._is_tied(rows[number])
-            spread.append((bodies, self._evidence(rows[number], bodies, {})))
-        rate_hz = self._timebase.frame_rate_hz
-        return learn_lengths(self._bone_length_m, self._marked, spread, self._usual_m, rate_hz)
+            spread.append((bodies, self._evidence(rows[number], bodies, {}), self._usual_step_m(rows[number])))
+        return learn_lengths(self._bone_length_m, self._marked, spread, self._timebase.frame_rate_hz)
 
     def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]], on_share: OnShare = ignore) -> None:
         """Refine the motion with landmarks held at given positions.
@@ -260,7 +268,7 @@ class SkeletonFit:
             evidence = self._evidence(rows, bodies, {name: place_m[rows] for name, place_m in places_m.items()})
             # After a pause, the start of the fit is often far off.
             steps = num_steps if bodies.is_tied is None or places_m else _NUM_STEPS_APART
-            refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, steps)
+            refine(bodies, self._skeleton, evidence, self._usual_step_m(rows), self._timebase.frame_rate_hz, steps)
             if sigma_m is not None:
                 sigma_m.add(rows, uncertainty_m(bodies, self._skeleton, evidence, self._timebase.frame_rate_hz))
             root_m.add(rows, bodies.root_m)
@@ -328,7 +336,12 @@ def fit_to_rays(
     ``track`` is located by association. ``offsets`` of the detector's marks from the joints' centres are unused for a
     person without hips and shoulders.
     """
-    xyz_m = fit_positions(track, seen, cameras, timebase, joints, on_share)
+
+    def rays_of(rows: slice) -> Rays:
+        return Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
+
+    lively = liveliness(track, rays_of, usual_step_m(joints, timebase), joints, timebase.frame_rate_hz)
+    xyz_m = fit_positions(track, seen, cameras, timebase, joints, lively, on_share)
     measured = track.source == Source.MEASURED
     known = measured | gaps_up_to(measured, round(MAX_GAP_S * timebase.frame_rate_hz))
     predicted = track.source == Source.PREDICTED
@@ -343,11 +356,7 @@ def fit_to_rays(
         for rows in windows(len(xyz_m), overlap=0):
             xyz_m[rows] = centers_from_marks(Landmarks(xyz_m[rows], source[rows], joints), offsets, marked_length_m)
     positions = replace(track, xyz_m=read_only(xyz_m), source=read_only(source.astype(track.source.dtype)))
-
-    def rays_of(rows: slice) -> Rays:
-        return Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
-
-    return SkeletonFit(positions, joints, timebase, name, rays_of, offsets, predicted)
+    return SkeletonFit(positions, joints, timebase, name, rays_of, offsets, predicted, lively)
 
 
 def follow(

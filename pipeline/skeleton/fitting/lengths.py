@@ -33,15 +33,14 @@ _DIFFERENCE = 1e-3
 # Longest change of a length in a step, as a share.
 _LONGEST_STEP = 0.05
 
-Window = tuple[JointPoses, Evidence]
-"""Start of the fit in a window of frames, and its evidence."""
+Window = tuple[JointPoses, Evidence, Float[np.ndarray, "*differences landmarks"]]
+"""Start of the fit in a window of frames, its evidence, and usual second differences as of ``articulated.refine``."""
 
 
 def learn_lengths(
     bone_length_m: Float[np.ndarray, " joints"],
     articulated: Callable[[Float[np.ndarray, " joints"]], Articulation],
     windows: Sequence[Window],
-    usual_m: Float[np.ndarray, " landmarks"],
     frame_rate_hz: float,
 ) -> Float[np.ndarray, " joints"]:
     """Lengths of bones in metres that fit the evidence best, where they differ clearly from those at the start.
@@ -54,7 +53,7 @@ def learn_lengths(
         Returns the person's skeleton with other lengths.
     windows
         Windows of frames that represent the track; their poses are changed.
-    usual_m, frame_rate_hz
+    frame_rate_hz
         As of ``articulated.refine``.
     """
     members = np.zeros((len(_PARTS), len(bone_length_m)), dtype=bool)
@@ -71,7 +70,7 @@ def learn_lengths(
         ]
         normal, right = prior.copy(), -prior @ (share - 1.0)
         solved = []
-        for bodies, evidence in windows:
+        for bodies, evidence, usual_m in windows:
             step, coupling, of_window, pull = _eliminated(bodies, skeleton, beside, evidence, usual_m, frame_rate_hz)
             normal += of_window / _LASTING_FRAMES
             right += pull / _LASTING_FRAMES
@@ -106,7 +105,7 @@ def _eliminated(
     skeleton: Articulation,
     beside: Sequence[Articulation],
     evidence: Evidence,
-    usual_m: Float[np.ndarray, " landmarks"],
+    usual_m: Float[np.ndarray, "*differences landmarks"],
     frame_rate_hz: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Eliminate the poses of a window.

@@ -4,7 +4,8 @@ The energy, for a joint position X in metres at an instant, is the sum of:
 
 - *rays*: see ``fitting.rays``; the scale decreases from step to step (graduated non-convexity);
 - *acceleration*: Cauchy's function of the second difference of X, relative to the usual value of the joint at the frame
-  rate. It is heavy-tailed, because a Gaussian prior would smooth away punches and jumps;
+  rate, times the person's liveliness (``fitting.liveliness``). It is heavy-tailed, because a Gaussian prior would
+  smooth away punches and jumps;
 - *bones*: squared difference between the length of a limb and the person's own length, left and right pooled
   unless they disagree.
 
@@ -62,7 +63,7 @@ def usual_step_m(joints: JointSet, timebase: Timebase) -> Float[np.ndarray, " jo
 
 
 def tie_weight(
-    second_m: Float[np.ndarray, "*batch 3"], usual_m: float | Float[np.ndarray, " joints"]
+    second_m: Float[np.ndarray, "*batch 3"], usual_m: Float[np.ndarray, "*usual"]
 ) -> Float[np.ndarray, "*batch"]:
     """Weight of second differences by Cauchy's function of their ratio to the usual value."""
     ratio2 = (second_m**2).sum(-1) / usual_m**2
@@ -75,14 +76,16 @@ def fit_positions(
     cameras: Sequence[Camera],
     timebase: Timebase,
     joints: JointSet,
+    lively: Float[np.ndarray, " frames"],
     on_share: OnShare = ignore,
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Fit the positions of a person's joints.
 
-    World positions (metres) are those of all frames, gaps included; NaN in all for joints that were never located.
+    ``lively`` is the ratio of the person's accelerations to usual ones, see ``fitting.liveliness``. World positions
+    (metres) are those of all frames, gaps included; NaN in all for joints that were never located.
     """
     limbs = limb_lengths(track, track.source == Source.MEASURED, joints)
-    usual_m = usual_step_m(joints, timebase)
+    usual_m = lively[:, None] * usual_step_m(joints, timebase)
     may_follow = timebase.frame_rate_hz >= _FOLLOWED_HZ
     fitted_m = np.empty(track.xyz_m.shape)
     fitted = Blend(fitted_m)
@@ -96,7 +99,7 @@ def fit_positions(
             seen_rows = slice(rows.start + stretch.start, rows.start + stretch.stop)
             rays = Rays(cameras, seen.points_px[seen_rows], seen.score[seen_rows], joints)
             of_stretch = start_m[stretch], beside_m[stretch]
-            window_m[stretch] = _fit_stretch(*of_stretch, rays, limbs, usual_m, may_follow)
+            window_m[stretch] = _fit_stretch(*of_stretch, rays, limbs, usual_m[seen_rows], may_follow)
         fitted.add(rows, window_m)
     return fitted_m
 
@@ -139,7 +142,7 @@ def _fit_stretch(
     beside_m: Float[np.ndarray, "frames joints 3"],
     rays: Rays,
     limbs: Sequence[Sequence[tuple[int, float]]],
-    usual_m: Float[np.ndarray, " joints"],
+    usual_m: Float[np.ndarray, "frames joints"],
     may_follow: bool,
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Fit a stretch of frames without a pause; ``beside_m`` are positions beside joints that are seen elsewhere."""
@@ -162,7 +165,7 @@ def _fit_stretch(
                 # In frames that are far apart, a joint that nobody saw is anywhere, and pulls none that was seen.
                 pulls = is_followed[other] | is_known[:, other] | ~is_known[:, joint]
                 _add_bone(normal, right, xyz_m[:, joint], xyz_m[:, other], length_m, pulls)
-            step_m = _solve(normal, right, xyz_m[:, joint], usual_m[joint]) - xyz_m[:, joint]
+            step_m = _solve(normal, right, xyz_m[:, joint], usual_m[:, joint]) - xyz_m[:, joint]
             length_m = np.linalg.norm(step_m, axis=-1, keepdims=True)
             xyz_m[:, joint] += step_m * np.minimum(1.0, _LONGEST_STEP_M / np.maximum(length_m, 1e-9))
     return xyz_m
@@ -199,7 +202,7 @@ def _solve(
     normal: Float[np.ndarray, "frames 3 3"],
     right: Float[np.ndarray, "frames 3"],
     before_m: Float[np.ndarray, "frames 3"],
-    usual_m: float,
+    usual_m: Float[np.ndarray, " frames"],
 ) -> Float[np.ndarray, "frames 3"]:
     """Solve for a joint over time: normal equations of all frames, coupled by the acceleration."""
     num_frames = len(normal)
@@ -211,7 +214,7 @@ def _solve(
     banded[8] += _INERTIA
     if num_frames > 2:
         second_m = before_m[2:] - 2 * before_m[1:-1] + before_m[:-2]
-        tie = tie_weight(second_m, usual_m)
+        tie = tie_weight(second_m, usual_m[1:-1])
         for row in range(3):
             for column in range(row, 3):
                 tied = slice(column, num_frames - 2 + column)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, rays_in_world
@@ -75,6 +75,17 @@ class Rays:
         residual = float((robust * off_m2)[counted].sum()) / 2
         noise = (residual + _NUM_PROMISED) / (int(counted.sum()) + _NUM_PROMISED)
         return self._summed(joint, robust)[0] / noise
+
+    def residuals(
+        self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
+    ) -> tuple[Float[np.ndarray, " frames"], Int[np.ndarray, " frames"]]:
+        """Weighted sum of the squared distances of a joint to its rays in each frame, and the number of views.
+
+        A distance as large as the scores promise has the expectation 2, one for each coordinate of the view.
+        """
+        weight, off_m2 = self._weight[:, :, joint], self._off_m2(joint, xyz_m)
+        robust = weight * (scale_m**2 / (off_m2 + scale_m**2)) ** 2
+        return (robust * off_m2).sum(1), (weight > 0).sum(1)
 
     def exchange_sides(self, xyz_m: Float[np.ndarray, "frames joints 3"], scale_m: float) -> None:
         """Exchange the left and right limb of a view in frames in which they clearly fit better when exchanged."""
