@@ -138,6 +138,17 @@ class MotionChoices:
     detector: Annotated[
         Detector, About("Detector", "Network that finds the 2D joints, in place of those of the profile.")
     ] = "auto"
+    follow_s: Annotated[
+        float,
+        About(
+            "Time between detections, s",
+            "Longest time between two detections of bodies in whole pictures, in seconds; between them crops follow "
+            "people who move little. 0: every frame is detected.",
+            minimum=0.0,
+            maximum=0.2,
+            option="follow",
+        ),
+    ] = field(default=0.0, kw_only=True)
     smoothing: Annotated[Smoothing, About("Smoothing", "How joint positions are smoothed.")] = "fit"
     cutoff_hz: Annotated[
         float,

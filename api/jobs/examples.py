@@ -24,6 +24,7 @@ SPEC: dict[str, Any] = {
     "detector": "auto",
     "smoothing": "fit",
     "cutoff_hz": 6.0,
+    "follow_s": 0.0,
     "feet": "auto",
     "joint_centers": "auto",
     "refine_calibration": "off",

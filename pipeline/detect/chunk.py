@@ -17,6 +17,8 @@ from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.detect.detector import Detector
 from pipeline.detect.doubled import ChangeMeter, join_changes
 from pipeline.detect.profiles.detection import BodyDetector
+from pipeline.detect.topdown.between import bodies_between, schedule_detections
+from pipeline.detect.topdown.detector import TopDown
 from pipeline.errors import InputError
 from pipeline.joints import JointSet
 from pipeline.runtime.memory import give_pictures_back
@@ -31,6 +33,7 @@ def detect_chunk(
     detector: BodyDetector,
     on_frame: Callable[[], None] = lambda: None,
     measures_colours: bool = False,
+    follow_s: float = 0.0,
 ) -> Detections:
     """Decode a camera's frames with times in ``[t0, t1)``, and detect bodies in them.
 
@@ -40,6 +43,9 @@ def detect_chunk(
         t0 and t1 on the session's clock.
     measures_colours
         Whether the colours of the bodies are measured; see ``appearance``.
+    follow_s
+        Longest time between two detections in whole images, for a detector that reads the joints of bodies in crops;
+        see ``topdown.between``. 0: every frame is detected.
 
     Returns
     -------
@@ -54,17 +60,45 @@ def detect_chunk(
     meter = ChangeMeter()
     bodies: list[tuple[int, ImageBodies]] = []
     colours: list[UInt8[np.ndarray, "n parts bins"]] = []
-    with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
-        for frame, image_rgb in frames:
+    with closing(_detected(session, camera, span_s, detector, follow_s, damaged.append)) as frames:
+        for frame, image_rgb, image_bodies in frames:
             meter.add(frame, image_rgb)
-            image_bodies = detector.detect(image_rgb)
             bodies.append((frame, image_bodies))
             if measures_colours:
                 colours.append(
                     colour_histograms(image_rgb, image_bodies.keypoints_px, image_bodies.score, detector.joints)
                 )
+            on_frame()
     detections = stack_bodies(camera, bodies, len(detector.joints.names))
     return replace(detections, damaged=_frame_numbers(damaged), colour=_join_colours(colours), changes=meter.changes())
+
+
+def _detected(
+    session: CaptureSession,
+    camera: str,
+    span_s: tuple[float, float],
+    detector: BodyDetector,
+    follow_s: float,
+    on_damaged: Callable[[int], None],
+) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"], ImageBodies], None, None]:
+    """Number, picture and bodies of each frame of a range; see ``detect_chunk``."""
+    time_s = session.times[camera].time_s
+    frames = frames_in(session.times[camera], *span_s)
+    if not (follow_s and len(frames) and isinstance(detector, TopDown) and detector.refines_body):
+        with closing(camera_images(session, camera, frames, on_damaged=on_damaged)) as images:
+            for frame, image_rgb in images:
+                yield frame, image_rgb, detector.detect(image_rgb)
+        return
+
+    def on_own_damaged(frame: int) -> None:
+        if frame in frames:
+            on_damaged(frame)
+
+    schedule = schedule_detections(time_s, frames, follow_s)
+    with closing(camera_images(session, camera, schedule.frames, on_damaged=on_own_damaged)) as images:
+        for frame, image_rgb, bodies in bodies_between(images, detector.body, schedule):
+            if frame in frames:
+                yield frame, image_rgb, detector.refined(image_rgb, bodies)
 
 
 def measure_colours(

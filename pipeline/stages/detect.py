@@ -35,7 +35,9 @@ def detect(task: Task, context: Context) -> Output:
             return Output(encode(detect_fields_chunk(session, camera, span, finder, context.on_unit)))
         else:
             detector = open_detection(networks, detected_joints(config), look.sizes, look.turn_deg)
-            detections = detect_chunk(session, camera, span, detector, context.on_unit, config.uses_colours)
+            detections = detect_chunk(
+                session, camera, span, detector, context.on_unit, config.uses_colours, config.follow_s
+            )
     content = stored or encode(replace(detections, colour=no_colours()))
     return Output(content, interim=encode_arrays({"colour": detections.colour}) if config.uses_colours else None)
 
@@ -46,7 +48,7 @@ STAGE = Stage(
     detect,
     cut="camera ranges",
     follows=(LOOK,),
-    choices=("profile", "joints", "detector", "output"),
+    choices=("profile", "joints", "detector", "follow_s", "output"),
     is_planned=is_detecting,
     unit="frames",
     reads_videos=True,

@@ -18,7 +18,7 @@ from importlib import import_module
 from itertools import islice
 from typing import Any
 
-from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints
+from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
 from pipeline.edits import document_of, without_names
 from pipeline.job_choices import ProxyChoices
 from pipeline.stages.stage import PERSON_PARTS, SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
@@ -158,6 +158,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     is_clustering = config.method == "clustering"
     has_no_effect = {
         "profile": config.detector != "auto",
+        "follow_s": not networks_of(config).refines_body,
         "cutoff_hz": config.smoothing != "butterworth",
         "appearance": is_clustering,
         "joint_centers": config.smoothing != "fit",

@@ -115,6 +115,12 @@ def test_the_stages_and_their_sizes() -> None:
     assert [chunk.unit_count for chunk in stages[5].chunks] == [2, 2, 2, 2, 1, 1]  # people lean in few frames
 
 
+@pytest.mark.parametrize("choice", [{"profile": "fast"}, {"detector": "movenet-multipose"}])
+def test_following_counts_where_joints_are_read_in_crops(choice: dict[str, Any]) -> None:
+    session = make_session()
+    assert keys(session, JobSpec(**choice, follow_s=0.1)) == keys(session, JobSpec(**choice, follow_s=0.0))
+
+
 def test_a_cutoff_counts_where_it_is_used() -> None:
     session = make_session()
     assert keys(session, JobSpec(cutoff_hz=3.0)) == keys(session)
@@ -201,6 +207,7 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
     ("choice", "changed"),
     [
         ({"detector": "openpose-mobilenet-thin"}, set(VIDEO_STAGES)),
+        ({"follow_s": 0.1}, set(VIDEO_STAGES) - {LOOK}),
         ({"method": "clustering"}, {ASSOCIATE} | FROM_PLACES),
         ({"smoothing": "none"}, {FIT, EXPORT}),
         ({"feet": "off"}, {FIT, EXPORT}),

@@ -59,6 +59,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "profile": "balanced",
         "joints": "auto",
         "detector": "auto",
+        "follow_s": 0.0,
         "smoothing": "fit",
         "feet": "auto",
         "appearance": "on",

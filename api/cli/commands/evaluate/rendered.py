@@ -19,7 +19,7 @@ from pipeline.evaluation.extremities.feet import score_foot_directions
 from pipeline.stages.local import detect_people, reconstruct
 
 
-@with_choices("profile", "joints", "detector", "method", "smoothing", "joint_centers", "refine_calibration")
+@with_choices("profile", "joints", "detector", "follow_s", "method", "smoothing", "joint_centers", "refine_calibration")
 def command(
     *,
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
