@@ -15,12 +15,16 @@ UFBX := .venv-ufbx
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean blender-extension
+.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean blender-extension
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-setup: $(VENV)/.compiled $(PORTAL)/vendor/.installed  ## Install all dependencies, pinned and checked by hash, into .venv
+# The kernels are compiled by one processor; npm's packages and files come meanwhile.
+AT_ONCE := @$(MAKE) --no-print-directory --jobs 3 $(VENV)/.compiled $(PORTAL)/vendor/.installed
+
+setup: $(VENV)/.installed  ## Install all dependencies, pinned and checked by hash, into .venv
+	$(AT_ONCE)
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(VENV)
@@ -43,8 +47,15 @@ $(PORTAL)/vendor/.installed: $(PORTAL)/package-lock.json $(PORTAL)/vendor.mjs $(
 	@$(BIN)/npm ci --prefix $(PORTAL) --silent --no-audit --no-fund && touch $@ \
 		|| echo "npm's packages can't be installed here: the page at / shows how to install them; the rest works."
 
-demo: setup  ## Start the service, send a real four-camera capture, write the results to demo-output/
+demo: $(VENV)/.installed  ## Start the service, send a real four-camera capture, write the results to demo-output/
+	$(AT_ONCE) demo-files
 	$(BIN)/multicap demo
+
+# The networks of the default profile; `multicap demo` installs whatever else it needs.
+demo-files: $(VENV)/.installed
+	$(BIN)/multicap models install movenet-multipose-int8 blazepose-full
+	$(BIN)/multicap bodies install
+	$(BIN)/multicap samples install
 
 serve: setup  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
 	$(BIN)/multicap models install

@@ -1,10 +1,11 @@
 """Networks: ONNX models on the execution provider of this process."""
 
 import logging
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +29,16 @@ class NetworkClock:
 
     total_s: float = 0.0  # Seconds in all networks so far
     num_passes: int = 0  # Number of passes so far
+    _turn: threading.Lock = field(default_factory=threading.Lock, repr=False)  # Held during a pass
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Count the time of a block as one pass of a network."""
-        started_s = time.perf_counter()
-        yield
-        self.total_s += time.perf_counter() - started_s
-        self.num_passes += 1
+        """Count the time of a block as one pass of a network; other threads wait with their passes."""
+        with self._turn:
+            started_s = time.perf_counter()
+            yield
+            self.total_s += time.perf_counter() - started_s
+            self.num_passes += 1
 
 
 NETWORK_CLOCK = NetworkClock()

@@ -4,9 +4,10 @@ import contextlib
 import hashlib
 import json
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -34,6 +35,7 @@ from pipeline.stages.association import clustering_parameters, tracking_paramete
 from pipeline.stages.code import stage_codes
 from pipeline.stages.context import Context, Origin
 from pipeline.stages.output_folder import OutputFolder, output_folder
+from pipeline.stages.overlapped import overlapped
 from pipeline.stages.plan import STAGE_BY_NAME, STAGES, PlannedStage, followers, plan
 from pipeline.stages.stage import DETECT, EXPORT, LOOK, WRITE, ResultFile, SessionFacts, Task
 from pipeline.stages.take import assemble
@@ -387,23 +389,25 @@ class _Counter:
     def __init__(self, stage: PlannedStage, on_progress: OnProgress) -> None:
         self._stage, self._on_progress = stage.name, on_progress
         self._total = stage.num_units
-        self._done = self._reused = self._whole = 0
+        self._reused = self._whole = 0
+        self._units = dict[int, int]()  # Units of each task at hand
         self._report()
 
-    def on_unit(self) -> None:
-        """Count a unit of the task at hand."""
-        self._done += 1
+    def on_unit(self, task: Task) -> None:
+        """Count a unit of a task at hand. The number of units of a task is a good guess before it has run."""
+        self._units[task.index] = min(self._units.get(task.index, 0) + 1, task.num_units)
         self._report()
 
     def finish(self, task: Task, is_reused: bool) -> None:
-        """Count a whole task. The number of units of a task is a good guess before it has run."""
+        """Count a whole task."""
+        self._units.pop(task.index, None)
         self._whole += task.num_units
-        self._done = self._whole
         self._reused += task.num_units if is_reused else 0
         self._report()
 
     def _report(self) -> None:
-        self._on_progress(Progress(self._stage, min(self._done, self._total), self._total, self._reused))
+        done = self._whole + sum(self._units.values())
+        self._on_progress(Progress(self._stage, done, self._total, self._reused))
 
 
 def _run_stage(job: _Job, stage: PlannedStage, on_progress: OnProgress) -> list[Path]:
@@ -416,8 +420,9 @@ def _run_stage(job: _Job, stage: PlannedStage, on_progress: OnProgress) -> list[
             missing.append(task)
         else:
             counter.finish(task, is_reused=True)
-    for task in _finished(job, missing, counter.on_unit):
-        counter.finish(task, is_reused=False)
+    with contextlib.closing(_finished(job, missing, counter.on_unit)) as finished:
+        for task in finished:
+            counter.finish(task, is_reused=False)
     if job.files is None or STAGE_BY_NAME[stage.name].is_reusable:
         return []
     return [job.files.folder / name for task in stage.tasks for name in json.loads(_read(job.outputs, task))["files"]]
@@ -431,11 +436,13 @@ def _needs_interim(job: _Job, stage: PlannedStage) -> bool:
     )
 
 
-def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[], None]) -> Iterable[Task]:
+def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[Task], None]) -> Generator[Task, None, None]:
     """Run tasks; yields each one when it is done."""
-    if job.config.processes == 1 or len(tasks) < 2:
-        return (_run(job, task, on_unit) for task in tasks)
-    return _finished_in_processes(job, tasks)
+    if len(tasks) > 1 and job.config.processes > 1:
+        return _finished_in_processes(job, tasks)
+    if len(tasks) > 1 and STAGE_BY_NAME[tasks[0].stage].runs_networks:
+        return overlapped(tasks, partial(_run, job), on_unit)
+    return (_run(job, task, partial(on_unit, task)) for task in tasks)
 
 
 def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> Task:
@@ -464,7 +471,7 @@ def _keep(file: ResultFile, folder: Path) -> None:
         raise not_written(folder, error) from error
 
 
-def _finished_in_processes(job: _Job, tasks: Sequence[Task]) -> Iterator[Task]:
+def _finished_in_processes(job: _Job, tasks: Sequence[Task]) -> Generator[Task, None, None]:
     try:
         with ProcessPool(min(job.config.processes, len(tasks)), _Worker.start, (job,)) as pool:
             yield from pool.map(_Worker.run, tasks)

@@ -190,7 +190,8 @@ class Stage:
     # its interim output is missing and an output of a stage that follows is missing too.
     leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
     reads_videos: bool = False  # It fails without the session's videos
-    runs_networks: bool = False  # Whether its output depends on the execution provider of the networks
+    # Whether its output depends on the execution provider of the networks. Two tasks run at a time, see ``overlapped``.
+    runs_networks: bool = False
     makes_files: bool = False  # Whether its output are result files, and their index
     is_of_edits: bool = False  # Whether it works for edits of people alone
     # Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are no

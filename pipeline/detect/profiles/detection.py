@@ -1,6 +1,5 @@
 """Detector of a reconstruction: the networks of a profile, at the image sizes of a camera."""
 
-import functools
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
@@ -18,6 +17,7 @@ from pipeline.detect.session import Network, open_network
 from pipeline.detect.topdown.detector import TopDown
 from pipeline.errors import ModelError
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointOffsets, JointSet
+from pipeline.runtime.once import once_a_process
 
 __all__ = [
     "BodyDetector",
@@ -37,7 +37,7 @@ _JOINT_SETS: Mapping[str, JointSet] = {"body": COCO_17, "feet": BODY_FEET, "whol
 # Network that finds people for a network of crops of the user's own.
 _FINDER = "movenet-multipose"
 
-load_detector = functools.cache(open_detector)
+load_detector = once_a_process(open_detector)
 """``open_detector``, once a process for each network."""
 
 
@@ -51,11 +51,11 @@ def open_landmarks(name: str) -> Network:
     return open_network(verify(name))
 
 
-load_landmarks = functools.cache(open_landmarks)
+load_landmarks = once_a_process(open_landmarks)
 """``open_landmarks``, once a process for each network."""
 
 
-_load_network = functools.cache(lambda name: open_network(verify(name)))
+_load_network = once_a_process(lambda name: open_network(verify(name)))
 
 
 def load_own(name: str, turn_deg: float = 0.0) -> BodyDetector:
