@@ -39,7 +39,8 @@ def overlapped(
         Error of the first of the tasks that fails, as if they ran one after the other. Later ones are ended.
     """
     events = SimpleQueue[tuple[int, Future[object] | None]]()
-    num_wanted, error = len(tasks), None
+    num_wanted = len(tasks)
+    error: BaseException | None = None
 
     def start(number: int) -> None:
         def count() -> None:

@@ -55,7 +55,9 @@ load_landmarks = once_a_process(open_landmarks)
 """``open_landmarks``, once a process for each network."""
 
 
-_load_network = once_a_process(lambda name: open_network(verify(name)))
+@once_a_process
+def _load_network(name: str) -> Network:
+    return open_network(verify(name))
 
 
 def load_own(name: str, turn_deg: float = 0.0) -> BodyDetector:

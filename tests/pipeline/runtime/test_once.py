@@ -8,7 +8,8 @@ from pipeline.runtime.once import once_a_process
 
 
 def test_threads_that_ask_at_the_same_time_get_one_value() -> None:
-    calls, is_asked_again = [], threading.Event()
+    calls: list[str] = []
+    is_asked_again = threading.Event()
 
     @once_a_process
     def load(name: str) -> object:

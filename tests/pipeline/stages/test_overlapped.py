@@ -28,7 +28,8 @@ def test_two_tasks_run_at_a_time() -> None:
 
 
 def test_no_third_task_runs_beside_them() -> None:
-    running, most = set[int](), []
+    running: set[int] = set()
+    most: list[int] = []
     lock = threading.Lock()
 
     def run(task: Task, on_unit: Callable[[], None]) -> None:
