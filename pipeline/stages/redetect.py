@@ -24,6 +24,8 @@ def read_expected(task: Task, context: Context, stage: str) -> Output:
     from pipeline.video.timeline import frames_in, span_s
 
     session, camera, networks = context.videos(), task.one_camera, networks_of(context.config)
+    if networks.again is None:
+        raise ValueError("These networks look for nobody again: the stage is not planned.")
     (expected,) = context.outputs(stage)
     number = list(context.facts.camera_rates_hz).index(camera)
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
