@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 SIDES = ("Left", "Right")
 HEAD = "Head"
@@ -83,6 +83,7 @@ VRM_JOINTS: Mapping[str, str] = MappingProxyType(
 """Joints of the skeleton by the names of VRM's humanoid bones; a thumb with a metacarpal bone is apart."""
 
 
+@runtime_checkable
 class NamedBones(Protocol):
     """Tree of nodes with names, numbered."""
 

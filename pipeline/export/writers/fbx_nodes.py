@@ -102,7 +102,7 @@ class Node:
         return next((child for child in self.children if child.name == name), None)
 
 
-def array(code: str, values: Shaped[np.ndarray, " length"] | Sequence[float]) -> ArrayProperty:
+def array(code: str, values: Shaped[np.ndarray, " length"] | Sequence[float] | Sequence[int]) -> ArrayProperty:
     """Array of some values, compressed unless it is short; ``code`` is the type of its elements."""
     content = np.ascontiguousarray(values, _ARRAYS[code]).tobytes()
     is_compressed = len(content) >= _COMPRESSED_FROM_BYTES
