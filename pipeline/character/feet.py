@@ -37,7 +37,7 @@ class ScaledFloor(NamedTuple):
 
     def height(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
         """Vertical distance of points above the floor."""
-        return points[..., 2] - self.z - points[..., :2] @ np.array(self.slopes)
+        return np.asarray(points[..., 2] - self.z - points[..., :2] @ np.array(self.slopes))
 
     @property
     def up(self) -> Float[np.ndarray, " 3"]:

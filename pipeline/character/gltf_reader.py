@@ -361,7 +361,7 @@ class GltfDocument:
     def _objects(self, name: str) -> list[dict[str, Any]]:
         return objects_in(self._document, name)
 
-    def require(self, is_true: bool, message: str) -> None:
+    def require(self, is_true: bool | np.bool_, message: str) -> None:
         """Refuse the file with a message unless something is true of it."""
         if not is_true:
             raise CharacterFileError(message)
