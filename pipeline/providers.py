@@ -54,7 +54,7 @@ class Provider:
 
     @property
     def is_gpu(self) -> bool:
-        """Whether networks run on another processor than the CPU."""
+        """True if networks run on another processor than the CPU."""
         return self.name in {"cuda", "tensorrt", "coreml"}
 
 

@@ -93,7 +93,7 @@ class _Opened:
 
     @property
     def takes_batches(self) -> bool:
-        """Whether the number of images is not fixed."""
+        """True if the number of images is not fixed."""
         return not isinstance(self.input_shape[0], int)
 
 

@@ -190,7 +190,7 @@ class Stage:
     # its interim output is missing and an output of a stage that follows is missing too.
     leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
     reads_videos: bool = False  # It fails without the session's videos
-    # Whether its output depends on the execution provider of the networks. Two tasks run at a time, see ``overlapped``.
+    # Networks run in it: its output depends on their execution provider, and two tasks overlap (``overlapped``).
     runs_networks: bool = False
     makes_files: bool = False  # Whether its output are result files, and their index
     is_of_edits: bool = False  # Whether it works for edits of people alone

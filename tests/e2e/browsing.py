@@ -20,7 +20,7 @@ FLAGS = [
 # What Chromium tells about its own drawing in software.
 OWN = ("GPU stall due to ReadPixels",)
 DESKTOP: ViewportSize = {"width": 1280, "height": 800}
-# What the page does takes longer on a busy machine; a test that fails waits so long.
+# Pages take longer on a busy machine; a test that fails waits so long.
 expect.set_options(timeout=30_000)
 
 _running = contextlib.ExitStack()

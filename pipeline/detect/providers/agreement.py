@@ -18,7 +18,6 @@ A thousandth of the side of a crop of 256 pixels is a quarter of a pixel.
 """
 _SIZES_PX = (4, 16, 64)
 _USUAL_PX = 256
-_BLACK, _WHITE = 0.0, 1.0
 
 Outputs = Mapping[str, np.ndarray]
 
@@ -65,5 +64,5 @@ def noise(size: tuple[int, int], seed: int = 0) -> Float32[np.ndarray, "1 3 heig
         for patch_px in _SIZES_PX
     ]
     weights = np.array(_SIZES_PX, np.float32) / sum(_SIZES_PX)
-    mixed = np.einsum("l,lhwc->chw", weights, np.stack(layers)).clip(_BLACK, _WHITE)
+    mixed = np.einsum("l,lhwc->chw", weights, np.stack(layers)).clip(0.0, 1.0)
     return np.ascontiguousarray(mixed[None], np.float32)

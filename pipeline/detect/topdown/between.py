@@ -31,8 +31,7 @@ _MAX_FRAMES = 4
 _SLACK_S = 1e-4
 # Joints that make two bodies comparable: their least score, and their least number.
 _MIN_SCORE, _MIN_JOINTS = 0.2, 5
-# Largest mean distance of the joints of one body in two detections, and of any of its joints, as shares of its size.
-_MAX_MEAN_STEP = 0.1
+# Largest distance of a joint of one body in two detections, as a share of the body's size.
 _MAX_STEP = 0.1
 
 
@@ -169,7 +168,7 @@ def pair_bodies(before: ImageBodies, after: ImageBodies) -> Int[np.ndarray, " n"
     mean_step = np.where(num_sure >= _MIN_JOINTS, step.sum(-1) / np.maximum(num_sure, 1), np.inf)
     rows, pairs = np.arange(len(mean_step)), mean_step.argmin(1)
     is_mutual = mean_step.argmin(0)[pairs] == rows
-    is_near = (mean_step[rows, pairs] <= _MAX_MEAN_STEP) & (step[rows, pairs].max(-1) <= _MAX_STEP)
+    is_near = np.isfinite(mean_step[rows, pairs]) & (step[rows, pairs].max(-1) <= _MAX_STEP)
     return pairs if (is_mutual & is_near).all() else None
 
 
