@@ -76,9 +76,10 @@ def get_readiness(request: Request, services: ServicesDep) -> Readiness | Respon
         # Not raised, because the handler would log it: clients that wait for the service ask every few seconds.
         problem = service_unavailable(NOT_READY, "The service can't start a job now.", errors)
         return problem_response(request, problem)
+    providers = services.readiness.run({"providers": lambda: _providers(services.store.workers.all())})
     return Readiness(
         checks=dict.fromkeys(checks, True),
-        providers=_providers(services.store.workers.all()),
+        providers=providers["providers"] or (),
         disk_free_bytes=services.disk.free_bytes,
     )
 
