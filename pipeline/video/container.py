@@ -21,6 +21,9 @@ _OPTIONS = {"format_whitelist": "mov,matroska,avi,mpegts,mpeg", "protocol_whitel
 _NEVER_SEEK = frozenset({"mpeg"})
 
 CODECS = frozenset({"h264", "hevc", "av1", "vp8", "vp9", "mpeg4", "mpeg2video", "mjpeg", "prores", "dnxhd", "ffv1"})
+# Codecs whose frames state exactly whether others refer to them. In layers of HEVC such a frame may be referred to.
+_MARKS_REFERENCES = frozenset({"h264"})
+
 MAX_PIXELS = 8192 * 4320
 """Limit on the pixels of a picture; decoders refuse larger pictures before they allocate memory."""
 
@@ -46,7 +49,9 @@ def first_video(container: InputContainer) -> VideoStream | None:
     return None
 
 
-def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterator[VideoFrame]:
+def decode_from(
+    path: Path, seek_pts: Sequence[int], target_pts: int, wanted_pts: Collection[int] | None = None
+) -> Iterator[VideoFrame]:
     """Decode frames in the order of display, from a keyframe that is not after ``target_pts``.
 
     Packets that can't be decoded are skipped, and their frames are missing.
@@ -57,6 +62,8 @@ def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterato
         Timestamps of keyframes to start at, the best first. A seek may lead past the keyframe (damaged index,
         MPEG-TS), or to a frame that is wrongly marked as a keyframe. Then the next timestamp is tried, and finally the
         start of the file. An MPEG program stream is always decoded from its start.
+    wanted_pts
+        Timestamps of the wanted frames; others may be missing. ``None``: all are wanted.
 
     Raises
     ------
@@ -65,14 +72,14 @@ def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterato
     """
     for keyframe_pts in seek_pts:
         with open_container(path) as container:
-            frames = _decode_after_seek(container, keyframe_pts)
+            frames = _decode_after_seek(container, keyframe_pts, wanted_pts)
             first = next(frames, None)
             if first is not None and first.key_frame and _is_shown_by(first, target_pts):
                 yield first
                 yield from frames
                 return
     with open_container(path) as container:
-        yield from _decode(container, first_video(container))
+        yield from _decode(container, first_video(container), wanted_pts=wanted_pts)
 
 
 def decode_keyframes(path: Path, wanted_pts: Collection[int]) -> Iterator[VideoFrame]:
@@ -96,7 +103,7 @@ def _is_shown_by(frame: VideoFrame, pts: int) -> bool:
     return shown_pts is not None and shown_pts <= pts
 
 
-def _decode_after_seek(container: InputContainer, pts: int) -> Iterator[VideoFrame]:
+def _decode_after_seek(container: InputContainer, pts: int, wanted_pts: Collection[int] | None) -> Iterator[VideoFrame]:
     if container.format.name in _NEVER_SEEK:
         return
     stream = first_video(container)
@@ -104,19 +111,30 @@ def _decode_after_seek(container: InputContainer, pts: int) -> Iterator[VideoFra
         container.seek(pts, stream=stream)
     except DECODE_ERRORS:  # no usable index
         return
-    yield from _decode(container, stream)
+    yield from _decode(container, stream, wanted_pts=wanted_pts)
 
 
 def _decode(
-    container: InputContainer, stream: VideoStream | None, only_pts: Collection[int] | None = None
+    container: InputContainer,
+    stream: VideoStream | None,
+    only_pts: Collection[int] | None = None,
+    wanted_pts: Collection[int] | None = None,
 ) -> Iterator[VideoFrame]:
+    """Decode the frames of a stream: of all packets, or of those with ``only_pts``.
+
+    Of frames that are not in ``wanted_pts`` those are left out that no other frame refers to.
+    """
     if stream is None:
         return
+    leaves_out = wanted_pts is not None and stream.codec_context.name in _MARKS_REFERENCES
     for packet in container.demux(stream):
         # An empty packet ends the stream: the decoder gives the frames that it holds back.
         stamp = packet.dts if packet.pts is None else packet.pts
         if only_pts is not None and packet.size and stamp not in only_pts:
             continue
+        if leaves_out:
+            is_left_out = packet.size and packet.pts is not None and packet.pts not in (wanted_pts or ())
+            stream.codec_context.skip_frame = "NONREF" if is_left_out else "DEFAULT"
         try:
             frames = packet.decode()
         except MemoryError:

@@ -98,7 +98,8 @@ def _frames(request: Request) -> Iterator[VideoFrame]:
         return decode_images(path, wanted_images(request.first_pts, request.last_pts, request.only_pts))
     if request.only_keyframes and request.only_pts is not None:
         return decode_keyframes(path, request.only_pts)
-    return decode_from(path, request.seek_pts, request.first_pts)
+    only_pts = None if request.only_pts is None else frozenset(request.only_pts)
+    return decode_from(path, request.seek_pts, request.first_pts, only_pts)
 
 
 def _read_stdin(is_free: threading.Semaphore) -> None:

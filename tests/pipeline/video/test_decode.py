@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import InputError
+from pipeline.video.container import decode_from, display_pts
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
@@ -75,6 +76,19 @@ def test_chosen_frames_alone_are_given(video: VideoInfo, chosen: list[int]) -> N
     for number, image_rgb in found:
         np.testing.assert_array_equal(image_rgb, straight(video.path)[number])
     assert damaged == []
+
+
+def test_frames_that_no_wanted_frame_refers_to_are_not_decoded(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "b.mp4", NUM_FRAMES, options={"bf": "3", "g": "250", "b-adapt": "0"})
+    whole = [pts for frame in decode_from(path, [], 0) if (pts := display_pts(frame)) is not None]
+    wanted = {whole[5], whole[6], whole[NUM_FRAMES - 1]}
+    some = [display_pts(frame) for frame in decode_from(path, [], 0, wanted)]
+    assert wanted <= set(some) < set(whole)
+    assert len(some) < 0.8 * NUM_FRAMES
+    video = probe(path)
+    assert isinstance(video, VideoInfo)
+    for number, image_rgb in decode(video, 0, NUM_FRAMES, only=[5, 6, NUM_FRAMES - 1]):
+        np.testing.assert_array_equal(image_rgb, straight(path)[number])
 
 
 def test_keyframes_alone_are_decoded(video: VideoInfo) -> None:

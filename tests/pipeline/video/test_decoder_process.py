@@ -47,7 +47,7 @@ if {DECODER!r} in sys.orig_argv:
         def demux(self, stream): return demux(self._opened, stream)
         def __getattr__(self, name): return getattr(self._opened, name)
     decode = container._decode
-    container._decode = lambda opened, stream: decode(Opened(opened), stream)
+    container._decode = lambda opened, stream, **wanted: decode(Opened(opened), stream, **wanted)
 """
 
 
