@@ -1,13 +1,15 @@
-"""Settings of workers and reaper, from environment variables that begin with ``MULTICAP_``."""
+"""Settings of workers and reaper, from environment variables that begin with ``MULTICAP_``, or from files."""
 
 import json
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, SettingsConfigDict, SettingsError
+from pydantic.fields import FieldInfo
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, SettingsError
 from sqlalchemy.exc import SQLAlchemyError
 
 from pipeline.providers import ProviderChoice
@@ -15,6 +17,7 @@ from pipeline.requirements import Schema, requirement
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
 from worker.jobs.files.artifacts import ArtifactStore
+from worker.jobs.files.secret_files import S3_KEYS, FileVariableError, file_variable
 from worker.jobs.files.stores import (
     ARTIFACTS_URL,
     DEFAULT_CACHE_BYTES,
@@ -27,6 +30,49 @@ from worker.telemetry.logs import LogLevel
 
 _Settings = TypeVar("_Settings", bound=BaseSettings)
 
+_PREFIX = "MULTICAP_"
+
+
+class UnusableFilesError(SettingsError):
+    """Files that variables name can't be used, with a sentence for each variable."""
+
+    def __init__(self, sentences: Sequence[str]) -> None:
+        super().__init__("\n".join(sentences))
+        self.sentences = sentences
+
+
+class FileVariables(PydanticBaseSettingsSource):
+    """Settings out of files: ``MULTICAP_NAME_FILE`` names the file with the value of ``MULTICAP_NAME``.
+
+    The keys of the bucket, which are no settings, are checked too.
+    """
+
+    def get_field_value(self, field: FieldInfo, field_name: str) -> tuple[Any, str, bool]:
+        """Text of a setting's file, or ``None``."""
+        return file_variable(f"{_PREFIX}{field_name.upper()}"), field_name, False
+
+    def __call__(self) -> dict[str, Any]:
+        """Values by setting; raises ``UnusableFilesError`` with all problems."""
+        values, sentences = {}, []
+        for name, field in self.settings_cls.model_fields.items():
+            try:
+                text, _, is_complex = self.get_field_value(field, name)
+                if text is not None:
+                    values[name] = self.prepare_field_value(name, field, text, is_complex)
+            except FileVariableError as error:
+                sentences.append(str(error))
+            except ValueError:
+                variable = f"{_PREFIX}{name.upper()}_FILE"
+                sentences.append(f"{variable}={os.environ[variable]}: the file must hold JSON.")
+        for name in S3_KEYS:
+            try:
+                file_variable(name)
+            except FileVariableError as error:
+                sentences.append(str(error))
+        if sentences:
+            raise UnusableFilesError(sentences)
+        return values
+
 
 def read_settings(kind: type[_Settings]) -> _Settings:
     """Read settings from the environment; exit with a sentence for each wrong variable."""
@@ -38,13 +84,20 @@ def read_settings(kind: type[_Settings]) -> _Settings:
 
 def explain(kind: type[BaseSettings], error: ValidationError | SettingsError) -> list[str]:
     """Sentences about wrong environment variables, with all allowed values."""
+    if isinstance(error, UnusableFilesError):
+        return list(error.sentences)
     root = kind.model_json_schema()
     wrong = _undecodable(root) if isinstance(error, SettingsError) else _refused(error)
     sentences = []
     for name, shown in wrong.items():
         schema = root["properties"][name]
         form = "JSON, " if _is_json(schema) else ""
-        sentences.append(f"MULTICAP_{name.upper()}{shown}: must be {form}{requirement(schema, root, null=False)}.")
+        allowed = f"{form}{requirement(schema, root, null=False)}"
+        variable = f"{_PREFIX}{name.upper()}"
+        if path := os.environ.get(f"{variable}_FILE"):  # what it holds may be a secret
+            sentences.append(f"{variable}_FILE={path}: the file must hold {allowed}.")
+        else:
+            sentences.append(f"{variable}{shown}: must be {allowed}.")
     return sentences
 
 
@@ -60,7 +113,7 @@ def _undecodable(root: Schema) -> dict[str, str]:
     """Settings that must be JSON and are not, with their values."""
     wrong = {}
     for name, schema in root["properties"].items():
-        value = os.environ.get(f"MULTICAP_{name.upper()}")
+        value = os.environ.get(f"{_PREFIX}{name.upper()}")
         if value is not None and _is_json(schema):
             try:
                 json.loads(value)
@@ -89,7 +142,7 @@ def require_usable_database(store: JobStore) -> None:
 class StorageSettings(BaseSettings):
     """Settings of the storage that the web API and the workers share."""
 
-    model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
+    model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True)
 
     data_dir: Path = Field(
         default_factory=default_data_dir,
@@ -102,6 +155,18 @@ class StorageSettings(BaseSettings):
         examples=["s3://bucket/prefix"],
         description="s3://bucket/prefix; empty for a folder in data_dir.",
     )
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Arguments, environment, and files that variables name."""
+        return init_settings, env_settings, FileVariables(settings_cls)
 
     @property
     def resolved_database_url(self) -> str:

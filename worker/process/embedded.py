@@ -21,6 +21,9 @@ from worker.process.supervisor import Program
 # sockaddr_un has room for 108 bytes.
 _MAX_SOCKET_PATH_BYTES = 100
 
+# Files of settings that the service sets itself.
+_REPLACED_FILES = frozenset({"MULTICAP_DATA_DIR_FILE", "MULTICAP_BROKER_URL_FILE", "MULTICAP_HOST_FILE"})
+
 
 class DataFolderError(Exception):
     """The data folder can't be used; the text states the reason and the remedy."""
@@ -50,8 +53,10 @@ class DataDirectory:
 
     def environment(self) -> dict[str, str]:
         """Environment of all programs: that of this process, with the folder and the broker."""
+        # The service's own values replace those of files, too.
+        inherited = {name: value for name, value in os.environ.items() if name not in _REPLACED_FILES}
         return {
-            **os.environ,
+            **inherited,
             "MULTICAP_DATA_DIR": str(self.path),
             "MULTICAP_BROKER_URL": self.broker_url,
             "TMPDIR": str(self.temporary_dir),

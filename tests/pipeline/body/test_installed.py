@@ -39,7 +39,7 @@ def test_the_body_is_made_of_the_package_with_the_same_bytes(fresh_home: Path) -
     path = installed.install()
     assert path.is_relative_to(fresh_home)
     assert installed.is_installed()
-    assert hashlib.sha256(path.read_bytes()).hexdigest() == installed._SHA256
+    assert hashlib.sha256(path.read_bytes()).hexdigest() in installed._SHA256
     assert path.stat().st_size < 600_000
 
 

@@ -17,6 +17,7 @@ from worker.jobs.errors import ArtifactsRefused, ArtifactsUnavailable, DamagedAr
 from worker.jobs.files.artifacts import require_key, require_prefix
 from worker.jobs.files.checksums import Verified, no_check, require_file, sha256_of
 from worker.jobs.files.file_cache import FileCache
+from worker.jobs.files.secret_files import S3_KEYS, file_variable
 
 # Size of the parts of a large file, and number of parts at once: the memory that a put takes.
 _MIN_PART_BYTES = 8 * 2**20
@@ -47,8 +48,9 @@ class S3Artifacts:
     """Artifacts as objects of a bucket.
 
     Keys and address come from the environment: ``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``, ``AWS_REGION``,
-    ``AWS_ENDPOINT_URL``. ``url`` is ``s3://bucket``, or ``s3://bucket/prefix``; else ``ValueError`` is raised.
-    ``cache`` has copies of files that have to be on this machine's disk.
+    ``AWS_ENDPOINT_URL``; keys also from files, such as ``AWS_SECRET_ACCESS_KEY_FILE``. ``url`` is ``s3://bucket``, or
+    ``s3://bucket/prefix``; else ``ValueError`` is raised. ``cache`` has copies of files that have to be on
+    this machine's disk.
     """
 
     def __init__(self, url: str, cache: FileCache) -> None:
@@ -63,7 +65,8 @@ class S3Artifacts:
             "pool_idle_timeout": _IDLE_TIMEOUT,
             "allow_http": plain,
         }
-        self._store = S3Store.from_url(url, client_options=client, retry_config=_RETRY)
+        keys: Any = {name.lower(): key for name in S3_KEYS if (key := file_variable(name)) is not None}
+        self._store = S3Store.from_url(url, config=keys, client_options=client, retry_config=_RETRY)
         self._cache = cache
         self._verified = Verified()
 
