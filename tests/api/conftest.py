@@ -25,6 +25,7 @@ from api.http.server import server_config
 from api.settings import Settings
 from pipeline.edits import PersonSpan
 from pipeline.findings import Finding
+from tests.warm_programs import WarmPrograms
 from worker.jobs.files.artifacts import result_key
 from worker.jobs.model.jobs import Result
 from worker.jobs.model.work import Claim
@@ -253,7 +254,7 @@ def preflight_command(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ..
 
 @pytest.fixture(scope="session")
 def make_settings(
-    tmp_path_factory: pytest.TempPathFactory, preflight_command: tuple[str, ...]
+    tmp_path_factory: pytest.TempPathFactory, preflight_command: tuple[str, ...], warm_programs: WarmPrograms
 ) -> Callable[..., Settings]:
     def make(**changes: Any) -> Settings:
         folder = tmp_path_factory.mktemp("service")
@@ -261,6 +262,7 @@ def make_settings(
             "data_dir": folder / "data",
             "broker_url": NO_BROKER,
             "preflight_command": preflight_command,
+            "character_command": warm_programs.command("pipeline.character.check"),
             "max_file_bytes": 100_000,
             "max_keypoints_bytes": 50_000,
             "max_session_bytes": 250_000,

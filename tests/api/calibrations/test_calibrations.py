@@ -11,6 +11,7 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
+from tests.warm_programs import WarmPrograms
 
 CAMERA = {
     "name": "cam_0",
@@ -25,9 +26,10 @@ CALIBRATION = json.dumps({"schema_version": 1, "cameras": [CAMERA, CAMERA | {"na
 
 
 @pytest.fixture(scope="module")
-def strict(make_settings: Callable[..., Settings]) -> Iterator[Live]:
+def strict(make_settings: Callable[..., Settings], warm_programs: WarmPrograms) -> Iterator[Live]:
     """Running service with the real check of files."""
-    with running(make_settings(preflight_command=Settings().preflight_command)) as live:
+    command = warm_programs.command("pipeline.capture.preflight")
+    with running(make_settings(preflight_command=command)) as live:
         yield live
 
 

@@ -21,6 +21,7 @@ from pipeline.simulation.scenes import Scene, Simulation, record
 from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses
 from tests.pipeline.media import write_pictures
+from tests.warm_programs import WarmPrograms
 from worker.execution import run_chunk
 from worker.runner import Runner
 
@@ -30,7 +31,7 @@ RIG = Rig(Layout.RING, 3, (2.0, 1.8), 2.0, size_px=(640, 360), focal_px=400.0)
 
 
 @pytest.fixture(scope="module")
-def making(make_settings: Callable[..., Settings]) -> Iterator[Live]:
+def making(make_settings: Callable[..., Settings], warm_programs: WarmPrograms) -> Iterator[Live]:
     """Running service with the real check of files, for larger files."""
     limits = {
         "max_file_bytes": 20_000_000,
@@ -39,7 +40,8 @@ def making(make_settings: Callable[..., Settings]) -> Iterator[Live]:
         "max_calibration_bytes": 1_000_000,
         "preflight_timeout_s": 120.0,
     }
-    with running(make_settings(preflight_command=Settings().preflight_command, **limits)) as live:
+    command = warm_programs.command("pipeline.capture.preflight")
+    with running(make_settings(preflight_command=command, **limits)) as live:
         yield live
 
 

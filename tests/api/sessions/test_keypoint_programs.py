@@ -21,6 +21,7 @@ from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.keypoint_programs import Files, freemocap_array, keypoint_files, write_session
+from tests.warm_programs import WarmPrograms
 
 # One form of each program; tests/pipeline/capture/keypoint_files has the others.
 # All go the same way through the service.
@@ -44,10 +45,11 @@ PROGRAMS = [
 
 
 @pytest.fixture(scope="module")
-def checking(make_settings: Callable[..., Settings]) -> Iterator[Live]:
+def checking(make_settings: Callable[..., Settings], warm_programs: WarmPrograms) -> Iterator[Live]:
     """Running service with the real check of files."""
     limits = {"max_keypoints_bytes": 20_000_000, "max_session_bytes": 60_000_000, "preflight_timeout_s": 120.0}
-    with running(make_settings(preflight_command=Settings().preflight_command, **limits)) as live:
+    command = warm_programs.command("pipeline.capture.preflight")
+    with running(make_settings(preflight_command=command, **limits)) as live:
         yield live
 
 

@@ -7,9 +7,13 @@ from pathlib import Path
 import psutil
 import pytest
 
+from pipeline.runtime import child_processes
+from tests.warm_programs import PYTHON_COMMAND
+
 
 def in_children(folder: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    """Run code at the start of each Python process that is started from now on."""
+    """Run code at the start of each Python process that is started from now on; none is forked."""
+    monkeypatch.setattr(child_processes, "python_command", PYTHON_COMMAND)
     (folder / "sitecustomize.py").write_text(text, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
 
