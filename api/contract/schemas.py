@@ -1,7 +1,7 @@
 """Parts that several bodies have."""
 
 import unicodedata
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 from pipeline.findings import Severity
 from pipeline.problem_codes.fields import CONTROL_CHARACTERS
 from pipeline.problem_codes.model import Code
+from pipeline.space import ForeseenSpace
 
 _UUID = {"format": "uuid"}
 Id = Annotated[str, Field(json_schema_extra=_UUID)]
@@ -42,6 +43,22 @@ class FindingOut(ResponseModel):
     evidence: dict[str, Any] = Field(
         default_factory=dict, description="What was measured, by name; docs/preflight.md describes it for each code."
     )
+
+
+class SpaceOut(ResponseModel):
+    """Space on disks that a reconstruction is foreseen to need, if it finds nothing of an earlier job to reuse."""
+
+    store_bytes: int = Field(description="Outputs of stages and result files, which stay in the store.")
+    scratch_bytes: int = Field(description="Temporary files of a worker meanwhile, in its folder for them.")
+    num_people: int = Field(
+        description="Number of people that was assumed: of keypoints as many as a camera shows at a time, of videos "
+        "three, and at most `people` of the spec."
+    )
+
+    @classmethod
+    def of(cls, space: ForeseenSpace) -> Self:
+        """Build the response from what was foreseen."""
+        return cls(store_bytes=space.store_bytes, scratch_bytes=space.scratch_bytes, num_people=space.num_people)
 
 
 def fields_of(record: object, model: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:

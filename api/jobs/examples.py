@@ -93,6 +93,7 @@ JOB: dict[str, Any] = {
     "waiting_for": None,
     "warnings": [],
     "result_warnings": [],
+    "space": {"store_bytes": 8800000, "scratch_bytes": 3700000, "num_people": 3},
     "links": {
         "self": f"/v1/jobs/{JOB_ID}",
         "session": f"/v1/sessions/{SESSION_ID}",

@@ -18,6 +18,7 @@ from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.jobs import examples
 from api.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
+from api.jobs.space import require_space
 from api.jobs.spec_checks import (
     body_errors,
     callback_errors,
@@ -96,6 +97,7 @@ def create_job(
             raise unprocessable(errors)
         services.disk.require_room()
         with copied_character(services, idempotent.records, spec) as moved:
+            require_space(services, session.preflight, spec, None if moved is None else moved[1])
             stages = _planned(services, session, spec, moved)
             with idempotent.records.transaction() as work:
                 retention_s = services.settings.retention_s
@@ -109,14 +111,16 @@ def create_job(
 def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session, and record both or neither."""
     settings, spec = services.settings, checked.spec
-    with copied_character(services, idempotent.records, spec) as moved, stored(services, checked) as new:
-        stages = _planned(services, new, spec, moved)
-        with idempotent.records.transaction() as work:
-            work.uploads.use(new.upload_ids)
-            work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
-            job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current(), moved=moved)
-            _queue_proxies(work, services, new)
-            answer = idempotent.store(work, _accepted(job))
+    with copied_character(services, idempotent.records, spec) as moved:
+        require_space(services, checked.preflight, spec, None if moved is None else moved[1])
+        with stored(services, checked) as new:
+            stages = _planned(services, new, spec, moved)
+            with idempotent.records.transaction() as work:
+                work.uploads.use(new.upload_ids)
+                work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
+                job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current(), moved=moved)
+                _queue_proxies(work, services, new)
+                answer = idempotent.store(work, _accepted(job))
     _announce(services, job)
     return answer
 

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field
 
-from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of
+from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, fields_of
 from pipeline.problem_codes.model import Code
 from pipeline.providers import ProviderName, provider_name
 from pipeline.stages.plan import STAGE_BY_NAME
@@ -210,6 +210,10 @@ class JobOut(ResponseModel):
     result_warnings: tuple[WarningOut, ...] = Field(
         description="Warnings about the result with codes, such as `nobody_found`; docs/problems.md lists all codes."
     )
+    space: SpaceOut | None = Field(
+        default=None,
+        description="Space that the reconstruction was foreseen to need before it started; null of other jobs.",
+    )
     links: JobLinks
 
     @classmethod
@@ -222,7 +226,7 @@ class JobOut(ResponseModel):
                 cls,
                 without=(
                     *("kind", "calibration_id", "provider", "stages", "error", "waiting_for"),
-                    *("result_warnings", "visuals_job", "links"),
+                    *("result_warnings", "visuals_job", "space", "links"),
                 ),
             ),
             kind=kind_of(job.making),
@@ -232,6 +236,7 @@ class JobOut(ResponseModel):
             error=JobError.of(job.problem) if job.problem else None,
             visuals_job=None if job.visuals_job is None else VisualsJobOut(**fields_of(job.visuals_job, VisualsJobOut)),
             waiting_for=JobError.of(job.waiting_for) if job.waiting_for else None,
+            space=None if job.space is None else SpaceOut.of(job.space),
             result_warnings=tuple(WarningOut(**fields_of(warning, WarningOut)) for warning in job.result_warnings),
             links=JobLinks(
                 self=address,

@@ -62,6 +62,7 @@ _SESSION: dict[str, Any] = {
     "preflight": _PREFLIGHT,
     "sync": "declared",
     "timeline": "take",
+    "space": {"store_bytes": 8800000, "scratch_bytes": 3700000, "num_people": 3},
     "metadata": {"scene": 12},
     "links": {"self": f"/v1/sessions/{SESSION_ID}", "jobs": f"/v1/sessions/{SESSION_ID}/jobs"},
 }

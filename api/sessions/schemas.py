@@ -9,11 +9,12 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
+from api.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, fields_of, printable_name
 from api.http.bodies.form_kinds import UploadedFootage
 from pipeline.capture.preflight_record import Clock
 from pipeline.job_choices import blurred_name, proxy_name
 from pipeline.problem_codes.fields import JSON_VALUE
+from pipeline.space import foreseen_space
 from worker.jobs.model.jobs import NewestJob
 from worker.jobs.model.sessions import Capture
 from worker.jobs.model.states import JobState
@@ -337,6 +338,11 @@ class SessionOut(ResponseModel):
     timeline: Literal["take", "person"] = Field(
         description="Frames of the files of jobs whose spec does not state `timeline`."
     )
+    space: SpaceOut | None = Field(
+        default=None,
+        description="Space that a reconstruction of the session with the default choices is foreseen to need; null of "
+        "a session that was sent for a calibration.",
+    )
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
     links: SessionLinks
 
@@ -345,6 +351,7 @@ class SessionOut(ResponseModel):
         """Build the response from a session and its jobs."""
         session = capture.session
         address = f"/v1/sessions/{session.id}"
+        is_whole = session.purpose != "calibration"
         return cls(
             id=session.id,
             name=session.name,
@@ -365,6 +372,7 @@ class SessionOut(ResponseModel):
             preflight=PreflightOut.of(capture),
             sync=session.preflight.sync,
             timeline=session.preflight.timeline,
+            space=SpaceOut.of(foreseen_space(session.preflight, JobSpec().config)) if is_whole else None,
             metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )

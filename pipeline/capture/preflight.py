@@ -32,7 +32,7 @@ from pipeline.calibration.checks.places import UP_AXIS_CODES, check_places
 from pipeline.calibration.contents import UNITS_M, Up
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encodings
-from pipeline.capture.keypoints import MAX_JOINTS, open_keypoints
+from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.pictures.look import Thumbnail, look_at_pictures
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
@@ -69,7 +69,7 @@ def report(
     up: Up = "z",
 ) -> Preflight:
     """Build the preflight record of a session; ``files`` are the names of each camera's files."""
-    media = _media(session, recordings)
+    media, detected = _media(session, recordings), session.detections if isinstance(session, KeypointSession) else {}
     starts_s = {name: float(times.time_s[0]) if len(times.time_s) else 0.0 for name, times in session.times.items()}
     return Preflight(
         cameras=tuple(
@@ -83,6 +83,8 @@ def report(
                 media_type=media[camera.name][0],
                 media_start_s=media[camera.name][1],
                 more_files=tuple(of_camera[1:]),
+                num_bodies=len(detected[camera.name].frame) if camera.name in detected else None,
+                num_joints=detected[camera.name].score.shape[1] if camera.name in detected else None,
             )
             for camera, of_camera in zip(session.cameras, files, strict=True)
         ),

@@ -42,6 +42,9 @@ class PreflightCamera:
     # places are the numbers in the evidence ``pictures`` of findings.
     thumbnails: tuple[PreflightThumbnail, ...] = ()
     more_files: tuple[str, ...] = ()  # Names of further files with the camera's video, whose parts they are, in order
+    # Bodies in all frames of keypoints, and joints of a body; ``None`` of videos and in records of earlier versions
+    num_bodies: int | None = None
+    num_joints: int | None = None
 
     @classmethod
     def from_json(cls, document: Any) -> "PreflightCamera":
@@ -52,9 +55,10 @@ class PreflightCamera:
         return cls(**{**document, **changed})
 
     def to_json(self) -> dict[str, Any]:
-        """JSON object."""
+        """JSON object; counts of keypoints are left out of videos."""
+        counts = {"num_bodies", "num_joints"}
         return {
-            **asdict(self),
+            **{name: value for name, value in asdict(self).items() if value is not None or name not in counts},
             "size_px": list(self.size_px),
             "thumbnails": [asdict(thumbnail) for thumbnail in self.thumbnails],
             "more_files": list(self.more_files),

@@ -264,6 +264,12 @@ STORAGE_FULL = ANSWERS.code(
     "The service's disk is full.",
     "Delete sessions that are no longer needed, then send the request again or retry the job.",
 )
+SPACE_MISSING = ANSWERS.code(
+    "space_missing",
+    ("507", "command"),
+    "A reconstruction is foreseen to need more space than is free; nothing of it was started.",
+    "Free space, ask for fewer files, or reconstruct fewer frames at a time by `frame_range`.",
+)
 RESULT_DAMAGED = ANSWERS.code(
     "result_damaged",
     ("500",),

@@ -40,6 +40,37 @@ def test_nothing_new_is_taken_in(make_settings: Callable[..., Settings]) -> None
         assert live.client.delete(f"/v1/sessions/{session}").status_code == 204
 
 
+def test_a_job_that_needs_more_space_than_is_free_is_refused(
+    make_settings: Callable[..., Settings], tmp_path: Path
+) -> None:
+    with small_disk(tmp_path / "disk", 64) as disk:
+        _refuse_jobs_on(make_settings(data_dir=disk / "data"))
+
+
+def _refuse_jobs_on(settings: Settings) -> None:
+    with running(settings) as live:
+        session = live.client.post("/v1/sessions", files=form()).raise_for_status().json()
+        foreseen = session["space"]
+        assert foreseen["num_people"] == 3
+        assert 0 < foreseen["scratch_bytes"] < foreseen["store_bytes"]
+        job = live.client.post(f"/v1/sessions/{session['id']}/jobs", json={"exports": ["bvh", "fbx"]}).json()
+        assert job["space"]["store_bytes"] > foreseen["store_bytes"]
+        free_bytes = live.services.disk.free_bytes
+    # Sessions and their files still fit beside the headroom, and the results of a job do not.
+    headroom_bytes = free_bytes - foreseen["store_bytes"] // 2
+    with running(settings.model_copy(update={"headroom_bytes": headroom_bytes})) as live:
+        for refused in (
+            live.client.post(f"/v1/sessions/{session['id']}/jobs"),
+            live.client.post("/v1/jobs", files=form()),
+        ):
+            problem = problem_of(refused, 507, "space_missing")
+            assert problem["detail"].startswith("The job needs about ")
+            assert "frame_range" in problem["hint"]
+            assert problem["retryable"]
+        assert len(live.client.get("/v1/sessions").json()["sessions"]) == 1
+        assert len(live.client.get("/v1/jobs").json()["jobs"]) == 1
+
+
 def test_the_api_starts_on_a_full_disk_where_nobody_else_has_the_database_open(
     make_settings: Callable[..., Settings], tmp_path: Path
 ) -> None:

@@ -56,6 +56,12 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
         "export": False,
     }
     assert served.downloads(again["id"]) == digests(results)
+    stored = served.data_dir / "artifacts"
+    outputs = stored / "sessions" / job["session_id"] / "stages"
+    used_bytes = sum(
+        file.stat().st_size for folder in (outputs, stored / "jobs" / job_id) for file in folder.rglob("*")
+    )
+    assert 0.7 < job["space"]["store_bytes"] / used_bytes < 1.5
 
 
 def test_a_killed_worker_and_a_killed_broker_change_no_byte(served: Served, sample: Sample, results: Path) -> None:

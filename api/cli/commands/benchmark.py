@@ -15,6 +15,7 @@ from api.cli.benchmark.clustering import clustering
 from api.cli.benchmark.export import export
 from api.cli.benchmark.fit import fit
 from api.cli.benchmark.identity import identity
+from api.cli.benchmark.length import length
 from api.cli.benchmark.load import load
 from api.cli.benchmark.profiles import profiles
 from api.cli.benchmark.providers import providers
@@ -42,6 +43,7 @@ app.command()(clustering)
 app.command()(export)
 app.command()(fit)
 app.command()(identity)
+app.command()(length)
 app.command()(load)
 app.command()(profiles)
 app.command()(providers)

@@ -24,6 +24,7 @@ from api.cli.options import (
     with_choices,
 )
 from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source, parameters
+from api.cli.space import document, require_space, session_space
 from pipeline.capture.preflight_record import Clock
 from pipeline.character.mapping import read_bone_table
 from pipeline.character.source import CharacterSource
@@ -177,6 +178,8 @@ def command(
             warn(warning)
         sources = (calibration, *([] if timestamps is None else [timestamps]))
         kept = None if no_cache else cache or users_cache()
+        space = session_space(session, config, character)
+        require_space(space, out, kept)
         written = reconstruct_to_files(
             session, out, config, bars.update, kept, sources=sources, on_file=paths.append, character=moved
         )
@@ -194,6 +197,7 @@ def command(
                 "sync": metrics["sync"],
                 "forced": metrics.get("forced", []),
                 "files": [str(path) for path in written.paths],
+                "space": document(space),
                 "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
                 "reused": bars.reused,
                 "warnings": [*session.warnings, *warnings],

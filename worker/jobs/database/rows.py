@@ -12,12 +12,13 @@ from pipeline.config import method_warnings
 from pipeline.edits import PeopleEdit, PersonSpan, edit_of
 from pipeline.findings import Finding
 from pipeline.job_choices import CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
+from pipeline.space import foreseen_space
 from pipeline.stages.stage import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model.calibrations import Calibration
 from worker.jobs.model.characters import Character, CharacterSummary, JobCharacter, StoredCharacterFile
-from worker.jobs.model.jobs import JobProblem, JobRecord, Making, NewestJob, Result, StageProgress
+from worker.jobs.model.jobs import JobProblem, JobRecord, Making, NewestJob, Result, StageProgress, config_of
 from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.spec import JobSpec
@@ -109,6 +110,7 @@ def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJo
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
     found = tuple(Finding(**warning) for warning in row.warnings)
+    making, character = making_of(row.kind, row.making), job_character_of(row.character)
     return JobRecord(
         id=row.id,
         session_id=row.session_id,
@@ -134,16 +136,19 @@ def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJo
             *(warning.message for warning in found),
         ),
         result_warnings=found,
-        making=making_of(row.kind, row.making),
+        making=making,
         edits=edits_of(row.edits),
         revision=row.revision,
         people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),
         results_revision=row.results_revision,
         has_old_visuals=row.visuals_old_at is not None,
         visuals_job=visuals_job,
-        character=job_character_of(row.character),
+        character=character,
         has_videos=row.videos_deleted_at is None,
         provider=row.provider,
+        space=None
+        if making is not None
+        else foreseen_space(preflight, config_of(spec), 0 if character is None else character.file.num_bytes),
     )
 
 

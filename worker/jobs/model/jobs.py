@@ -10,6 +10,7 @@ from pipeline.edits import PeopleEdit, PersonSpan
 from pipeline.findings import Finding
 from pipeline.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.problem_codes.model import Code
+from pipeline.space import ForeseenSpace
 from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.states import RETRYABLE, ChunkState, JobState
 from worker.jobs.spec import JobSpec
@@ -125,7 +126,8 @@ class JobRecord:
     one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of
     an earlier revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character
     that it moves. ``has_videos``: the videos of its session, if it has any, were not deleted. ``provider`` is the
-    identity of the execution provider of its networks, empty for the CPU.
+    identity of the execution provider of its networks, empty for the CPU. ``space`` is what a reconstruction was
+    foreseen to need; ``None`` of other jobs.
     """
 
     id: str
@@ -158,6 +160,7 @@ class JobRecord:
     character: JobCharacter | None = None
     has_videos: bool = True
     provider: str = ""
+    space: ForeseenSpace | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from api.cli.options import (
     with_choices,
 )
 from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source
+from api.cli.space import document, sentence, session_space
 from pipeline.capture.pictures.look import look_at_pictures
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.config import ReconstructionConfig
@@ -80,8 +81,9 @@ def command(
                 up=axis,
             )
         except InputError as error:
-            findings = [from_problem(problem) for problem in error.problems]
+            findings, space = [from_problem(problem) for problem in error.problems], None
         else:
+            space = session_space(session, choices)
             of_pictures = _look(session, thumbnails) if isinstance(session, CaptureSession) else []
             with StageBars(visible=not as_json) as bars:
                 people = (_on_measured_clocks if choices.sync == "auto" else _as_declared)(session, config, bars.update)
@@ -90,9 +92,11 @@ def command(
                 *_once([*of_pictures, *session_findings(session.cameras, people)]),
             ]
     if as_json:
-        emit({"findings": documents(findings)})
+        emit({"findings": documents(findings), "space": None if space is None else document(space)})
     else:
         show_findings(findings, "Nothing is wrong with the session.")
+        if space is not None:
+            console.print(sentence(space))
     if has_error(findings):
         raise typer.Exit(EXIT_BAD_INPUT)
 
