@@ -8,7 +8,7 @@ import argparse
 import contextlib
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numba.core import event
@@ -33,18 +33,21 @@ from pipeline.tracking.parameters import derive_parameters
 _NUM_FRAMES = 10
 _RATE_HZ = 25.0
 
+JOINT_SETS = (COCO_17, WHOLE_BODY, BODY_25)
+"""A joint set of each padded size. Fingers are not tracked: the size of ``WHOLE_BODY`` is that with heels and toes."""
+
 # Functions of Multicap that the warm-up compiles, each counted for every size of joint set that it is called with.
 NUM_COMPILED = 172
 # Multicap's functions are in packages under this one: `pipeline.`, or `multicap.pipeline.` in the wheel.
 _OWN_MODULES = f"{__package__}."
 
 
-def warm_up() -> None:
-    """Compile all kernels: track and fit a person, with a joint set of each padded size, and read a field.
+def warm_up(joint_sets: Sequence[JointSet] = JOINT_SETS) -> None:
+    """Compile kernels, or load compiled ones: track and fit a person with each joint set, and read a field.
 
-    Fingers are no part of tracking: the padded size of ``WHOLE_BODY`` is that of the body with heels and toes.
+    By default these are all kernels.
     """
-    for joints in (COCO_17, WHOLE_BODY, BODY_25):
+    for joints in joint_sets:
         _reconstruct_person(joints)
     ends = np.array([[0.0, 0.0], [1.0, 1.0]])
     connectivity(read_only(np.full((1, 2, 2, 2), 255, np.uint8)), np.zeros(1, int), ends[:1], ends[1:])

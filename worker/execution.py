@@ -17,14 +17,16 @@ from pipeline.capture.preflight_npz import decode_keypoints, decode_session
 from pipeline.capture.session import Session as OpenedSession
 from pipeline.character.source import CharacterSource
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
-from pipeline.detect.profiles.detection import open_detection
+from pipeline.detect.profiles.detection import detection_joints, open_detection
 from pipeline.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.problem_codes.jobs import INPUT_DAMAGED
 from pipeline.problem_codes.requests import VIDEOS_DELETED
 from pipeline.providers import ProviderName, provider_name
+from pipeline.runtime.kernel_cache import is_complete
 from pipeline.stages.context import Context, Origin
 from pipeline.stages.plan import STAGE_BY_NAME
 from pipeline.stages.stage import Output, SessionFacts
+from pipeline.warm_up import JOINT_SETS
 from pipeline.warm_up import warm_up as compile_kernels
 from worker.chunk import Work
 from worker.jobs.errors import DamagedArtifact, NotFound
@@ -41,10 +43,14 @@ def run_chunk(work: Work) -> Output:
 
 
 def warm_up() -> None:
-    """Load the default networks and the compiled kernels before they are needed; a chunk says what is missing."""
+    """Load the default networks and the kernels for their joints before they are needed; a chunk says what is missing.
+
+    Compiled kernels for other joints are loaded in tenths of a second, by the first chunk that needs them. Without a
+    folder for compiled kernels all are compiled.
+    """
     with contextlib.suppress(ModelError):
         open_detection(networks_of(JobSpec()), detected_joints(JobSpec()))
-    compile_kernels()
+    compile_kernels([detection_joints(JobSpec())] if is_complete() else JOINT_SETS)
 
 
 class KeptSession:

@@ -15,10 +15,13 @@ from pipeline.data.detections import Detections
 from pipeline.detect.look import CameraLook
 from pipeline.errors import InputError
 from pipeline.job_choices import ProxyChoices
+from pipeline.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointSet, without_hands
+from pipeline.runtime.jit import round_up
 from pipeline.stages.codec import decode, encode
 from pipeline.stages.stage import LOOK
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
+from pipeline.warm_up import JOINT_SETS
 from tests.cases import slow_but
 from tests.e2e.captures import video_capture
 from tests.worker.jobs.damage import overwrite
@@ -102,6 +105,20 @@ def stored(session: Session, tmp_path: Path) -> Path:
 def flip(path: Path) -> None:
     middle = path.stat().st_size // 2
     overwrite(path, middle, bytes(byte ^ 255 for byte in path.read_bytes()[middle : middle + 40]))
+
+
+@pytest.mark.parametrize("is_complete", [True, False])
+def test_compiled_kernels_of_the_default_joints_alone_are_loaded_at_start(
+    is_complete: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded: list[JointSet] = []
+    monkeypatch.setattr(execution, "open_detection", lambda *_: None)
+    monkeypatch.setattr(execution, "is_complete", lambda: is_complete)
+    monkeypatch.setattr(execution, "compile_kernels", loaded.extend)
+    execution.warm_up()
+    assert loaded == ([BODY_FEET] if is_complete else [COCO_17, WHOLE_BODY, BODY_25])
+    # Kernels are compiled for padded sizes.
+    assert round_up(len(BODY_FEET.names)) in {round_up(len(without_hands(joints).names)) for joints in JOINT_SETS}
 
 
 def test_a_whole_video_is_worked_on(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
