@@ -28,6 +28,7 @@ class NetworkClock:
     """Clock of the time that this process has spent in networks."""
 
     total_s: float = 0.0  # Seconds in all networks so far
+    core_s: float = 0.0  # Seconds of a core in them, which other programs do not lengthen
     num_passes: int = 0  # Number of passes so far
     _turn: threading.Lock = field(default_factory=threading.Lock, repr=False)  # Held during a pass
 
@@ -35,9 +36,10 @@ class NetworkClock:
     def running(self) -> Iterator[None]:
         """Count the time of a block as one pass of a network; other threads wait with their passes."""
         with self._turn:
-            started_s = time.perf_counter()
+            started_s, core_started_s = time.perf_counter(), time.thread_time()
             yield
             self.total_s += time.perf_counter() - started_s
+            self.core_s += time.thread_time() - core_started_s
             self.num_passes += 1
 
 

@@ -66,14 +66,15 @@ def _detect(provider: ProviderName, networks: Networks, config: ReconstructionCo
 
 def _detect_here(networks: Networks, config: ReconstructionConfig, videos: list[Path]) -> _Detected:
     detector = open_detection(networks, detected_joints(config))
-    pictures = [picture for video in videos for picture in _pictures(video)]
+    pictures = [picture for video in videos for picture in sample_pictures(video)]
     detector.detect(pictures[0])
     started_s = time.perf_counter()
     bodies = [detector.detect(picture) for picture in pictures]
     return _Detected(bodies, (time.perf_counter() - started_s) / len(pictures) * 1000)
 
 
-def _pictures(video: Path) -> list[UInt8[np.ndarray, "height width 3"]]:
+def sample_pictures(video: Path) -> list[UInt8[np.ndarray, "height width 3"]]:
+    """Pictures of a video, evenly spread over its beginning."""
     with av.open(str(video)) as container:
         decoded = (frame for number, frame in enumerate(container.decode(video=0)) if number % _STEP == 0)
         return [frame.to_ndarray(format="rgb24") for frame, _ in zip(decoded, range(_NUM_FRAMES), strict=False)]

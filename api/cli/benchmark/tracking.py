@@ -37,7 +37,7 @@ _DETECTOR = DetectorAccuracy(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def _crowd(num_cameras: int, num_people: int, duration_s: float) -> Simulation:
+def crowd(num_cameras: int, num_people: int, duration_s: float) -> Simulation:
     """Simulate people who improvise on 4 m^2 each, with cameras around them and ideal lenses."""
     side_m = 2.0 * np.sqrt(num_people)
     around_m = (side_m / 2 + 3.0, side_m / 2 + 3.0)
@@ -92,9 +92,9 @@ def measure_sizes() -> list[dict[str, Any]]:
     """Frames a second at each size; a frame counts when all cameras were updated once."""
     sizes = []
     for num_cameras, num_people, duration_s in _SIZES:
-        simulation = _crowd(num_cameras, num_people, duration_s)
+        simulation = crowd(num_cameras, num_people, duration_s)
         fps = simulation.timebase.num_frames / _track_s(simulation)
-        short = _crowd(num_cameras, num_people, 2.0)
+        short = crowd(num_cameras, num_people, 2.0)
         reference_fps = short.timebase.num_frames / _reference_s(short)
         sizes.append({"cameras": num_cameras, "people": num_people, "fps": fps, "reference_fps": reference_fps})
     return sizes

@@ -12,6 +12,7 @@ import typer
 
 from api.cli.benchmark.cancel import cancel
 from api.cli.benchmark.clustering import clustering
+from api.cli.benchmark.cost.command import all_costs
 from api.cli.benchmark.export import export
 from api.cli.benchmark.fit import fit
 from api.cli.benchmark.identity import identity
@@ -38,6 +39,7 @@ from pipeline.warm_up import warm_up
 from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
+app.command("all")(all_costs)
 app.command()(cancel)
 app.command()(clustering)
 app.command()(export)

@@ -1,0 +1,135 @@
+"""Costs of jobs: what is counted, and what is made of it."""
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from api.cli.benchmark.cost import command
+from api.cli.benchmark.cost.growth import simulated_session
+from api.cli.benchmark.cost.job import JobCost, measure_job
+from api.cli.benchmark.cost.machine import processor_name
+from api.cli.benchmark.cost.tables import CostTable, cost_tables
+from api.cli.benchmark.tracking import crowd
+from api.cli.main import app
+from pipeline.config import PROFILES, ReconstructionConfig
+from pipeline.detect import models
+from pipeline.runtime.packages import samples
+from pipeline.stages.stage import LOOK
+
+COST = JobCost(
+    cameras=4,
+    camera_frames=400,
+    people=3,
+    core_s=20.0,
+    networks_core_s=12.0,
+    decoding_core_s=3.0,
+    wall_s=16.0,
+    stages_core_s={"open": 0.5, LOOK: 1.5, "detect": 17.0, "fit": 0.999, "write": 0.001},
+    peak_mib=500.0,
+)
+
+
+def test_a_job_is_measured_in_a_process_of_its_own() -> None:
+    simulation = crowd(3, 1, 1.0)
+    cost = measure_job(partial(simulated_session, simulation), ReconstructionConfig(), "cpu")
+    assert (cost.cameras, cost.people) == (3, 1)
+    assert cost.camera_frames == 75
+    assert cost.networks_core_s == 0
+    assert cost.core_s > 0
+    assert sum(cost.stages_core_s.values()) == pytest.approx(cost.core_s, abs=0.2)
+    assert {"associate", "fit", "export"} <= cost.stages_core_s.keys()
+    assert cost.peak_mib > 50
+
+
+def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
+    """Document of the command, with nothing computed: every job costs the same."""
+    asked: list[tuple[int, int, str, str, int]] = []
+
+    def measure(opened: Any, config: ReconstructionConfig, provider: str) -> JobCost:
+        videos, _, num_frames = opened.args
+        asked.append((len(videos), num_frames, config.profile, provider, config.processes))
+        return COST
+
+    videos = {f"cam_{k}": tmp_path / f"cam_{k}.mp4" for k in range(4)}
+    sample = samples.Sample(tmp_path, videos, tmp_path / "rig.toml", "BSD", "A")
+    picture = {"profile": "fast", "bodies": 2, "pictures": 9, "core_ms": 21.04}
+    keypoint_job = {**COST.as_dict(), "simulated_people": 3, "duration_s": 20.0}
+    monkeypatch.setattr(command, "measure_job", measure)
+    monkeypatch.setattr(command, "_pictures", lambda profile, videos: [picture] if profile == "fast" else [])
+    monkeypatch.setattr(
+        command, "measure_keypoints", lambda: {key: [keypoint_job] for key in ("cameras", "people", "duration_s")}
+    )
+    monkeypatch.setattr(command, "_other_providers", lambda: ["openvino"])
+    monkeypatch.setattr(command, "warm_up", lambda: None)
+    monkeypatch.setattr(models, "install_networks", lambda config: None)
+    monkeypatch.setattr(samples, "install", lambda: sample)
+    result = CliRunner().invoke(app, ["benchmark", "all", "--json"])
+    assert result.exit_code == 0, result.output
+    # What was measured already is not measured again.
+    assert asked == [
+        *((4, 50, profile, "cpu", 1) for profile in PROFILES),
+        (4, 50, "balanced", "openvino", 1),
+        (4, 50, "balanced", "cpu", 2),
+        (4, 100, "fast", "cpu", 1),
+        (2, 50, "fast", "cpu", 1),
+    ]
+    document: dict[str, Any] = json.loads(result.stdout)
+    return document
+
+
+def tables(cost: dict[str, Any]) -> dict[str, CostTable]:
+    return {table.title: table for table in cost_tables(cost)}
+
+
+def test_a_minute_costs_its_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """2 s once, and 45 ms of a core for each of 7,200 and 14,400 camera frames."""
+    cost = measured(monkeypatch, tmp_path)
+    job = cost["profiles"][0]
+    assert job["minute_core_s"] == {"30": pytest.approx(326.0), "60": pytest.approx(650.0)}
+    of_minute = tables(cost)["A minute of four cameras"]
+    assert dict(zip(of_minute.columns, of_minute.rows[0], strict=True)) == {
+        "profile": "fast",
+        "provider": "cpu",
+        "30 Hz": "326 s",
+        "60 Hz": "650 s",
+        "networks": "60 %",
+        "decoding": "15 %",
+        "rest": "25 %",
+        "a camera frame": "50 ms",
+        "memory": "500 MiB",
+    }
+
+
+def test_stages_are_milliseconds_of_a_camera_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """17 s for 400 camera frames are 42.5 ms; what takes next to nothing is left out."""
+    stages = tables(measured(monkeypatch, tmp_path))["Stages"]
+    milliseconds = {"open": "1.25", LOOK: "3.75", "detect": "42.50", "fit": "2.50"}
+    assert stages.rows == [(stage, *[text] * 3) for stage, text in milliseconds.items()]
+
+
+def test_pictures_are_rows_by_bodies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures = tables(measured(monkeypatch, tmp_path))["People in a picture"]
+    assert pictures.columns == ("bodies", "`fast`")
+    assert pictures.rows == [("2", "21.0 (9)")]
+
+
+def test_the_processor_is_named_with_its_instructions(tmp_path: Path) -> None:
+    cpuinfo = tmp_path / "cpuinfo"
+    cpuinfo.write_text(
+        "processor\t: 0\nmodel name\t: Chip 3000\nflags\t\t: fpu avx2 avx512_vnni\n\nmodel name\t: Other\n"
+    )
+    assert processor_name(cpuinfo) == "Chip 3000, AVX2, VNNI"
+    assert processor_name(tmp_path / "missing")
+
+
+def test_every_key_is_documented(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cost = measured(monkeypatch, tmp_path)
+    keys = {*cost, *cost["machine"], *cost["keypoints"], *cost["pictures"][0]}
+    for jobs in (cost["profiles"], cost["processes"], cost["length"], cost["cameras"], *cost["keypoints"].values()):
+        keys |= {key for job in jobs for key in job}
+    text = (Path(__file__).parents[4] / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    assert [key for key in sorted(keys) if f"`{key}`" not in text] == []
