@@ -1,6 +1,7 @@
 """Settings and fixtures of all tests, and the list of the slow ones."""
 
 import gc
+import importlib
 import os
 import signal
 import sys
@@ -23,7 +24,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Shapes and types of every public call, checked at twice the time: `make test-slow` does.
 if os.environ.get("MULTICAP_CHECK_SHAPES"):
-    install_import_hook("pipeline", "beartype.beartype")
+    importlib.import_module("tests.type_checker")  # the hook looks the name up in packages that are loaded
+    install_import_hook("pipeline", "tests.type_checker.checked")
 
 
 # Longest text or bytes that name the case of a test.

@@ -29,8 +29,6 @@ from tests.faults.several_machines import SeveralMachines, several_machines
 from tests.pipeline.simulations import write_simulation
 from worker.jobs.spec import JobSpec
 
-pytestmark = pytest.mark.xdist_group("faults")
-
 ROUNDS = int(os.environ.get("MULTICAP_OUTAGE_ROUNDS", "100"))
 FIRST = int(os.environ.get("MULTICAP_OUTAGE_FIRST", "0"))
 SEED = int(os.environ.get("MULTICAP_SOAK_SEED", "0"))

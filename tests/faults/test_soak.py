@@ -1,7 +1,7 @@
 """Faults at random moments of real jobs on a real service: every job ends with the right bytes.
 
-A few runs are part of the suite; ``make soak`` makes 200, or ``MULTICAP_SOAK_RUNS``. The seed, ``MULTICAP_SOAK_SEED``,
-and a run's number decide its fault and its moment; every fault has its turn.
+The suite causes every fault once; ``make soak`` makes 200 runs, or ``MULTICAP_SOAK_RUNS``. The seed,
+``MULTICAP_SOAK_SEED``, and a run's number decide its fault and its moment; every fault has its turn.
 """
 
 import os
@@ -35,11 +35,10 @@ from tests.faults.faults import (
 from tests.faults.service import CLOCK, SmallDiskService, receiving
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.xdist_group("faults")
-
-FEW_RUNS = len(FAULTS)
 RUNS = int(os.environ.get("MULTICAP_SOAK_RUNS", "200"))
 SEED = int(os.environ.get("MULTICAP_SOAK_SEED", "0"))
+# Services among which the suite's faults are shared out: they mostly wait.
+SERVICES = 4
 # About the duration of a job: some faults come before its start, some after its end.
 LONGEST_WAIT_S = 5.0
 # Time in which a lost message is replaced.
@@ -118,29 +117,36 @@ def one_run(
     return end
 
 
-def disturb(service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]], runs: int) -> None:
-    """Make a number of runs, and print their outcomes."""
+@pytest.mark.parametrize(
+    "fault",
+    [
+        pytest.param(fault, id=fault.__name__, marks=pytest.mark.xdist_group(f"faults {number % SERVICES}"))
+        for number, fault in enumerate(FAULTS)
+    ],
+)
+def test_every_fault(
+    service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]], fault: Fault
+) -> None:
+    if not is_possible(fault, service):
+        pytest.skip("this machine mounts no small disk")
+    chance = random.Random(f"{SEED}/{fault.__name__}")  # noqa: S311 - no secret
+    one_run(service, files(capture), undisturbed, fault, chance)
+    assert service.receiver.forged == []
+
+
+@pytest.mark.soak
+def test_soak(service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
     content = files(capture)
     print(f"seed {SEED}", flush=True)  # noqa: T201
     ends: Counter[tuple[str, str]] = Counter()
     faults = [fault for fault in FAULTS if is_possible(fault, service)]
-    for number in range(runs):
+    for number in range(RUNS):
         started_s = time.monotonic()
         turn, place = divmod(number, len(faults))
         fault = random.Random(f"{SEED}/{turn}").sample(faults, len(faults))[place]  # noqa: S311 - no secret
         end = one_run(service, content, undisturbed, fault, random.Random(f"{SEED}/{number}"))  # noqa: S311
         ends[fault.__name__, end] += 1
-        print(f"{number + 1}/{runs}: {fault.__name__}: {end}, {time.monotonic() - started_s:.1f} s", flush=True)  # noqa: T201
+        print(f"{number + 1}/{RUNS}: {fault.__name__}: {end}, {time.monotonic() - started_s:.1f} s", flush=True)  # noqa: T201
     for (name, end), count in sorted(ends.items()):
         print(f"{count:4d} x {name}: {end}")  # noqa: T201
     assert service.receiver.forged == []
-
-
-@pytest.mark.timeout(3600)
-def test_every_fault_once(service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
-    disturb(service, capture, undisturbed, FEW_RUNS)
-
-
-@pytest.mark.soak
-def test_soak(service: SmallDiskService, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
-    disturb(service, capture, undisturbed, RUNS)

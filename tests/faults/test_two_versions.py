@@ -13,7 +13,6 @@ from subprocess import Popen
 
 import httpx2
 import psutil
-import pytest
 
 from pipeline.config import Method
 from tests.e2e.serving import Served, serving
@@ -22,8 +21,6 @@ from tests.faults.conftest import METHODS
 from tests.faults.service import ROOT, other_version
 from tests.waiting import wait_for
 from worker.process.embedded import DataDirectory
-
-pytestmark = pytest.mark.xdist_group("faults")
 
 
 @contextmanager

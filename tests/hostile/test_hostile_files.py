@@ -21,7 +21,7 @@ from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
 from tests.hostile.programs import of_programs, packed, spoilt_programs
 
 SEED = 18
-MAX_S = 10.0  # time limit of a check on a busy machine
+MAX_S = 10.0  # processor time of a check
 MAX_PROBLEMS = 61
 
 
@@ -40,10 +40,10 @@ def check(folder: Path, files: Mapping[str, bytes]) -> dict[str, Any]:
     words = ["--keypoints", *archives, "--calibration", str(folder / calibration)]
     words += ["--timestamps", str(folder / "timestamps.csv"), "--record", str(folder / "record.npz")]
     output = io.StringIO()
-    started_s = time.monotonic()
+    started_s = time.process_time()
     with redirect_stdout(output):
         exit_code = preflight.main(words)
-    assert time.monotonic() - started_s < MAX_S
+    assert time.process_time() - started_s < MAX_S
     found: dict[str, Any] = json.loads(output.getvalue())
     assert exit_code == (2 if "problems" in found else 0)
     return found

@@ -37,6 +37,8 @@ schema.config.generation.update(with_security_parameters=False)
 # A body that is wrong and too large is refused for its size.
 schema.config.checks.negative_data_rejection.expected_statuses.append("413")
 INTAKES = {"/v1/calibrations", "/v1/characters", "/v1/jobs", "/v1/sessions"}
+# Processes among which the operations are shared out.
+PARTS = 3
 SETTINGS = settings(
     max_examples=75,
     deadline=None,
@@ -110,7 +112,10 @@ def inapplicable_checks(case: schemathesis.Case[Any]) -> list[Any]:
     return [positive_data_acceptance] if asks_more else []
 
 
-def test_contract_is_kept(service: Live, known: dict[str, str]) -> None:
+@pytest.mark.parametrize(
+    "part", [pytest.param(part, marks=pytest.mark.xdist_group(f"contract {part}")) for part in range(PARTS)]
+)
+def test_contract_is_kept(service: Live, known: dict[str, str], part: int) -> None:
     cases = 0
 
     def check(case: schemathesis.Case[Any]) -> None:
@@ -127,12 +132,13 @@ def test_contract_is_kept(service: Live, known: dict[str, str]) -> None:
                 excluded = [*excluded, negative_data_rejection]
         case.call_and_validate(base_url=str(service.client.base_url), headers=key_of(service), excluded_checks=excluded)
 
-    for operation in schema.get_all_operations():
+    operations = list(schema.get_all_operations())[part::PARTS]
+    for operation in operations:
         assert isinstance(operation, Ok)
         for mode in GenerationMode:
             with contextlib.suppress(Unsatisfiable):  # some operations have no parameter that can be invalid
                 SETTINGS(given(operation.ok().as_strategy(generation_mode=mode))(check))()
-    assert cases >= 2000
+    assert cases >= 2000 / PARTS
 
 
 def test_calls_that_follow_from_each_other(service: Live, known: dict[str, str]) -> None:
