@@ -96,12 +96,15 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
 
 
 def _rows_of(track: Track3D, rows: slice) -> Track3D:
-    """Positions of some frames of a track, with their sources and uncertainties."""
+    """Some frames of a track."""
     sigma_m = track.uncertainty_m
     return replace(
         track,
         xyz_m=track.xyz_m[rows],
+        score=track.score[rows],
         source=track.source[rows],
+        error_px=track.error_px[rows],
+        views=track.views[rows],
         uncertainty_m=None if sigma_m is None else sigma_m[rows],
     )
 

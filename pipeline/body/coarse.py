@@ -20,7 +20,7 @@ _BORDER_WEIGHT = 10.0
 # Least cosine between the normals of a triangle before and after a collapse.
 _MIN_COSINE = 0.2
 
-Vector = tuple[float, float, float]
+Vector = Sequence[float]  # of three
 Quadric = list[float]
 Entry = tuple[float, int, int, int, int]
 

@@ -90,8 +90,8 @@ def test_without_heels_and_fingers_feet_and_hands_have_no_angles() -> None:
 
 
 def test_gaps_are_unknown_for_the_joints_that_they_concern() -> None:
-    motion = replace(posed({}), root_m=np.zeros((10, 3)))
-    motion = replace(motion, parent_from_joint=np.tile(motion.parent_from_joint, (10, 1, 1)))
+    turns = np.tile(posed({}).parent_from_joint, (10, 1, 1))
+    motion = replace(posed({}), root_m=np.zeros((10, 3)), parent_from_joint=turns)
     xyz_m = walker(10)
     xyz_m[3:6, COCO_17.index("left_knee")] = np.nan
     angles = joint_angles(motion, track_of(xyz_m), COCO_17)
@@ -109,8 +109,8 @@ def test_gaps_are_unknown_for_the_joints_that_they_concern() -> None:
 
 
 def test_hands_that_nobody_saw_have_no_angles() -> None:
-    motion = replace(posed({}), root_m=np.zeros((4, 3)))
-    motion = replace(motion, parent_from_joint=np.tile(motion.parent_from_joint, (4, 1, 1)))
+    turns = np.tile(posed({}).parent_from_joint, (4, 1, 1))
+    motion = replace(posed({}), root_m=np.zeros((4, 3)), parent_from_joint=turns)
     bent_m = walker(4)
     rng = np.random.default_rng(0)
     wrists = [bent_m[:, [COCO_17.index(f"{side}_wrist")]] for side in ("left", "right")]
