@@ -13,8 +13,10 @@ from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from numba.core.caching import _CacheLocator
 from standardwebhooks import Webhook
 
+from pipeline.runtime.kernel_cache import cache_folder
 from pipeline.stages.code import digests_of_stages, stage_codes
 from tests.e2e.serving import Served, serving
 from worker.jobs.database.tables import DEFAULT_TENANT
@@ -23,6 +25,8 @@ from worker.jobs.store import JobStore
 ROOT = Path(__file__).parents[2]
 CLOCK_FOLDER = Path(__file__).parent / "clock"
 PACKAGES = ("api", "pipeline", "worker")
+# Module of what all stages read, which no kernel is compiled from.
+READ_BY_ALL_STAGES = "pipeline/errors.py"
 # Offset of the service's clock in seconds; see ``clock/sitecustomize.py``.
 CLOCK = "clock"
 ENVIRONMENT = {
@@ -123,12 +127,29 @@ class SmallDiskService:
 
 
 def other_version(folder: Path) -> Path:
-    """Copy of the code in which all stages have another version and the same results."""
+    """Copy of the code in which all stages have another version and the same results.
+
+    Its kernels are the same, and are not compiled again: numba's cache holds those of each folder of sources apart.
+    """
     if not folder.exists():
         for package in PACKAGES:
             shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
-        with (folder / "pipeline" / "data" / "arrays.py").open("a", encoding="utf-8") as file:
+        with (folder / READ_BY_ALL_STAGES).open("a", encoding="utf-8") as file:
             file.write("\nUNUSED = 1\n")
+        _copy_kernels(folder)
         codes = digests_of_stages(folder)
         assert all(codes[stage] != code for stage, code in stage_codes().items())
     return folder
+
+
+def _copy_kernels(folder: Path) -> None:
+    """Copy the compiled kernels of our sources to where those of a copy of them are looked for."""
+    cache = cache_folder()
+    assert cache is not None
+    for source in {path.parent for path in (ROOT / "pipeline").rglob("*.py")}:
+        ours, others = (
+            cache / _CacheLocator.get_suitable_cache_subpath(str(place / "module.py"))  # type: ignore[no-untyped-call]
+            for place in (source, folder / source.relative_to(ROOT))
+        )
+        if ours.is_dir():
+            shutil.copytree(ours, others, dirs_exist_ok=True)
