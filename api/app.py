@@ -32,8 +32,9 @@ from api.jobs.webhooks import declare_webhooks
 from api.resources import RESOURCES
 from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
-from api.uploads.files import UploadSpool
+from api.uploads.files import FolderUploads
 from api.uploads.routes import VERSION as TUS_VERSION
+from api.uploads.spool import UploadSpool, sweep_forever
 from pipeline.stages.code import stage_codes
 from worker.jobs.backup.linked import release_abandoned
 from worker.jobs.errors import DamagedDatabase
@@ -131,13 +132,22 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     tasks = [
         asyncio.create_task(services.changes.poll()),
         asyncio.create_task(services.keys_in_use.poll()),
-        asyncio.create_task(services.uploads.sweep_forever(services.store)),
+        asyncio.create_task(sweep_forever(services.uploads, services.disk, services.store)),
     ]
     yield
     for task in tasks:
         task.cancel()
     services.queue.close()
     services.store.close()
+
+
+def _open_uploads(settings: Settings, disk: DiskSpace) -> UploadSpool:
+    if not settings.shared_uploads:
+        return FolderUploads(settings.uploads_dir, disk)
+    # The library of S3 is loaded only where it is needed.
+    from api.uploads.objects import SharedUploads  # noqa: PLC0415
+
+    return SharedUploads(settings.artifacts_url, settings.spool_dir / "uploads", disk, settings.upload_keep_s)
 
 
 def _start(settings: Settings) -> Services:
@@ -151,8 +161,7 @@ def _start(settings: Settings) -> Services:
     disk.using_reserve(store.migrate)
     require_keys_if_exposed(settings, store)
     release_abandoned(settings.data_dir)
-    uploads = UploadSpool(settings.uploads_dir, disk)
-    uploads.remove_pieces()
+    uploads = _open_uploads(settings, disk)
     disk.set_aside()
     return Services(
         settings=settings,

@@ -14,7 +14,7 @@ from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
 from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
-from api.uploads.files import UploadSpool
+from api.uploads.spool import UploadSpool
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import ArtifactStore

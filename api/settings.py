@@ -3,7 +3,7 @@
 import ipaddress
 from pathlib import Path
 
-from pydantic import Field, IPvAnyNetwork
+from pydantic import Field, IPvAnyNetwork, ValidationInfo, field_validator
 
 from pipeline.runtime.child_processes import module_command
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
@@ -155,6 +155,11 @@ class Settings(StorageSettings):
         default=1000.0, ge=0, description="Smallest average rate of a client's body, checked from client_idle_s on."
     )
 
+    shared_uploads: bool = Field(
+        default=False,
+        description="Whether uploads are kept in the bucket of artifacts_url, so that every API process continues "
+        "them; otherwise they are in data_dir of the process that began them.",
+    )
     upload_hours: float = Field(
         default=48.0, gt=0, le=24 * 365, description="Time for which an unused upload is kept after its last piece."
     )
@@ -203,6 +208,13 @@ class Settings(StorageSettings):
         description="Largest number of preflights at the same time. A tenant, or without keys a client's address, has "
         "at most one fewer.",
     )
+
+    @field_validator("shared_uploads")
+    @classmethod
+    def _require_bucket(cls, shared: bool, given: ValidationInfo) -> bool:
+        if shared and not given.data.get("artifacts_url"):
+            raise ValueError("shared uploads need a bucket: set MULTICAP_ARTIFACTS_URL to s3://bucket/prefix too")
+        return shared
 
     @property
     def is_exposed(self) -> bool:

@@ -188,7 +188,7 @@ def adopted(services: Services, records: TenantRecords, sent: Sent, names: Uploa
             message = f"Of this upload {num_bytes} of {upload.num_bytes} bytes have come."
             parts.lack(part, UPLOAD_UNFINISHED, message, "Send the rest of it first.", upload.name)
         else:
-            parts.adopt(part, upload.name, services.uploads.path(upload.id))
+            parts.adopt(part, upload.name, services.uploads.file(upload))
     if (source_id := names.source_id()) is not None:
         _copy_footage(services, records, source_id, parts)
     return parts.form(names.named(), _num_stated_parts(records, names))

@@ -22,7 +22,7 @@ from api.errors import ApiError
 from api.http.bodies.form import name_error, too_large
 from api.http.bodies.reading import announced_bytes, drain
 from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
-from api.uploads.files import Checksum
+from api.uploads.receiving import Checksum
 from pipeline.problem_codes.requests import (
     CHECKSUM_INVALID,
     HEADER_INVALID,
@@ -238,8 +238,7 @@ def _begin(services: Services, idempotent: IdempotentRequest, length: int, name:
     if (earlier := idempotent.begin([length, metadata])) is not None:
         return earlier
     with idempotent.working():
-        services.disk.require_room(length)
-        upload_id = services.uploads.create()
+        upload_id = services.uploads.create(length)
         try:
             with idempotent.records.transaction() as work:
                 keep_s = services.settings.upload_keep_s

@@ -175,7 +175,8 @@ UPLOAD_ELSEWHERE = ANSWERS.code(
     "upload_elsewhere",
     ("421", "422"),
     "The bytes of this upload are at another API process.",
-    "The operator routes all requests of a client to one API process (sticky sessions); or begin the upload again.",
+    "The operator sets MULTICAP_SHARED_UPLOADS, or routes all requests of a client to one API process (sticky "
+    "sessions); or begin the upload again.",
 )
 UPLOAD_LOCKED = ANSWERS.code(
     "upload_locked", ("423",), "Another request is writing to this upload.", "Send the piece again in a moment."

@@ -32,7 +32,7 @@ def proxy() -> Iterator[UnreliableProxy]:
     ):
         for name, value in (s3.environment | {"AWS_ENDPOINT_URL": proxy.endpoint}).items():
             patch.setenv(name, value)
-        patch.setattr("worker.jobs.files.s3_artifacts._READ_TIMEOUT", "1s")
+        patch.setattr("worker.jobs.files.s3._READ_TIMEOUT", "1s")
         proxy.url = s3.new_url()  # type: ignore[attr-defined]
         yield proxy
 

@@ -44,7 +44,7 @@ def on_s3(bench: RunnerBench, s3: S3, proxy: UnreliableProxy, monkeypatch: pytes
     """Bench whose artifacts are behind the proxy."""
     for name, value in (s3.environment | {"AWS_ENDPOINT_URL": proxy.endpoint}).items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr("worker.jobs.files.s3_artifacts._READ_TIMEOUT", "1s")
+    monkeypatch.setattr("worker.jobs.files.s3._READ_TIMEOUT", "1s")
     monkeypatch.setattr("worker.runner._LONGEST_PAUSE_S", 1.0)
     bench.artifacts = open_artifacts(s3.new_url(), bench.data_dir)  # type: ignore[assignment]
     return bench

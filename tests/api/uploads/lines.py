@@ -4,7 +4,8 @@ import contextlib
 import random
 import socket
 import threading
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Sequence
 
 _BLOCK_BYTES = 2**16
 
@@ -14,17 +15,17 @@ class BreakingLine:
 
         Parameters
         ----------
-        port
-    Port of the service, which may be stopped.
+        ports
+    Ports of the processes of the service, which take turns at connections and may be stopped.
         cuts
     Number of connections that are cut, each after a part of the client's bytes; other connections are not cut.
         most_bytes
     Largest number of bytes before a cut.
     """
 
-    def __init__(self, port: int, cuts: int, most_bytes: int, seed: int) -> None:
+    def __init__(self, ports: Sequence[int], cuts: int, most_bytes: int, seed: int) -> None:
         self.cuts_made = 0
-        self._port, self._cuts, self._most_bytes = port, cuts, most_bytes
+        self._ports, self._cuts, self._most_bytes = deque(ports), cuts, most_bytes
         self._random = random.Random(seed)  # noqa: S311 - it is to be repeated
         self._lock = threading.Lock()
         self._listening = socket.create_server(("127.0.0.1", 0), backlog=128)
@@ -38,7 +39,7 @@ class BreakingLine:
         with contextlib.suppress(OSError):
             while True:
                 client, _ = self._listening.accept()
-                threading.Thread(target=self._pass_on, args=[client], daemon=True).start()
+                threading.Thread(target=self._pass_on, args=[client, self._turn()], daemon=True).start()
 
     def close(self) -> None:
         self._listening.shutdown(socket.SHUT_RDWR)
@@ -46,10 +47,17 @@ class BreakingLine:
         for one in list(self._open):
             self._cut(one)
 
-    def _pass_on(self, client: socket.socket) -> None:
-        try:
-            service = socket.create_connection(("127.0.0.1", self._port), timeout=180)
-        except OSError:
+    def _turn(self) -> list[int]:
+        """Ports in the order in which they are tried, another one first each time."""
+        self._ports.rotate(-1)
+        return list(self._ports)
+
+    def _pass_on(self, client: socket.socket, ports: Sequence[int]) -> None:
+        for port in ports:  # as a balancer does: a process that is down is passed over
+            with contextlib.suppress(OSError):
+                service = socket.create_connection(("127.0.0.1", port), timeout=180)
+                break
+        else:
             client.close()
             return
         both = {client, service}
@@ -93,8 +101,8 @@ class BreakingLine:
 
 
 @contextlib.contextmanager
-def breaking_line(port: int, cuts: int, most_bytes: int, seed: int = 0) -> Iterator[BreakingLine]:
-    line = BreakingLine(port, cuts, most_bytes, seed)
+def breaking_line(ports: Sequence[int], cuts: int, most_bytes: int, seed: int = 0) -> Iterator[BreakingLine]:
+    line = BreakingLine(ports, cuts, most_bytes, seed)
     thread = threading.Thread(target=line.serve, daemon=True)
     thread.start()
     try:

@@ -22,7 +22,9 @@ import pytest
 from starlette.requests import ClientDisconnect
 
 from api.settings import Settings
-from api.uploads import files as uploads
+from api.uploads import receiving
+from api.uploads.files import FolderUploads
+from api.uploads.spool import Writers
 from tests.api.conftest import Live, problem_of, raw, running
 from tests.waiting import wait_for
 from worker.jobs.files.disk import DiskSpace
@@ -260,12 +262,12 @@ def piece_request(live: Live, address: str, length: int, content: bytes, **heade
     return "\r\n".join(lines).encode() + content
 
 
-@pytest.mark.parametrize(("compared", "kept"), [(None, 1234), (uploads.Checksum("sha1", b""), 0)])
+@pytest.mark.parametrize(("compared", "kept"), [(None, 1234), (receiving.Checksum("sha1", b""), 0)])
 def test_bytes_before_a_broken_connection_are_kept(
-    tmp_path: Path, compared: uploads.Checksum | None, kept: int
+    tmp_path: Path, compared: receiving.Checksum | None, kept: int
 ) -> None:
-    spool = uploads.UploadSpool(tmp_path, DiskSpace(tmp_path))
-    upload = Upload(spool.create(), "cam_0.mp4", 5000, "", datetime.now(UTC), spool.name)
+    spool = FolderUploads(tmp_path, DiskSpace(tmp_path))
+    upload = Upload(spool.create(5000), "cam_0.mp4", 5000, "", datetime.now(UTC), spool.name)
 
     async def breaking() -> AsyncIterator[bytes]:
         yield CONTENT[:1000]
@@ -286,11 +288,12 @@ def test_an_interrupted_piece_with_a_checksum_is_dropped(live: Live, tus: Upload
 
 
 def test_a_reconnected_client_does_not_wait_for_its_old_request(live: Live, tus: Uploader) -> None:
-    address = tus.begin(5000)
+    address, uploads = tus.begin(5000), live.services.uploads
+    assert isinstance(uploads, Writers)
     with socket.create_connection(live.address[:2], timeout=180) as stalled:
         stalled.sendall(piece_request(live, address, 5000, CONTENT[:1234]))
         deadline_s = time.monotonic() + 120
-        while not live.services.uploads.has_writer(address.rpartition("/")[2]):
+        while not uploads.has_writer(address.rpartition("/")[2]):
             assert time.monotonic() < deadline_s
         problem_of(tus.send(address, 4000, CONTENT[4000:]), 409, "offset_mismatch")
         assert stalled.recv(65536).startswith(b"HTTP/1.1 423 ")
@@ -453,7 +456,7 @@ class TestSessions:
 
 def test_blocks_are_written_on_the_way(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bytes of a slow client are written within about a second."""
-    monkeypatch.setattr(uploads, "_BLOCK_S", 0.0)
+    monkeypatch.setattr(receiving, "_BLOCK_S", 0.0)
     address = tus.begin(5000)
     with socket.create_connection(live.address[:2], timeout=180) as dripping:
         dripping.sendall(piece_request(live, address, 5000, CONTENT[:1234]))

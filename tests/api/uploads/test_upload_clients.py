@@ -9,9 +9,11 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import httpx2
+import obstore
 import psutil
 import pytest
 from tusclient.client import TusClient
@@ -20,6 +22,9 @@ from api.settings import GIB, MIB, Settings
 from tests.api.processes import peak_bytes, serving
 from tests.api.uploads.lines import BreakingLine, breaking_line
 from tests.e2e.foreign import upload_with_tus_js
+from tests.s3 import running_s3
+from tests.waiting import wait_for
+from worker.jobs.files.s3 import open_bucket
 
 Send = Callable[[str, Sequence[Path], int], list[str]]
 
@@ -84,7 +89,7 @@ def test_lines_break_and_the_service_is_killed(
     paths = make_files(tmp_path / "take", 3, 12 * MIB)
     (tmp_path / "calibration.toml").write_text("[cam_0]")
     # The proxy ends before the pool, so that a client that waits forever is disconnected and the test ends.
-    with ThreadPoolExecutor(1) as pool, breaking_line(port, cuts=9, most_bytes=6 * MIB) as line:
+    with ThreadPoolExecutor(1) as pool, breaking_line([port], cuts=9, most_bytes=6 * MIB) as line:
         endpoint = f"http://127.0.0.1:{line.port}/v1/uploads"
         with serving(settings, port) as (_, process):
             sending = pool.submit(send, endpoint, paths, 5 * MIB)
@@ -111,7 +116,7 @@ def test_five_gigabytes_in_eight_streams_with_fifty_cuts(
     settings, port = make_settings(max_session_bytes=8 * GIB), free_port()
     paths = make_files(tmp_path / "take", 8, 640 * MIB)
     (tmp_path / "calibration.toml").write_text("[cam_0]")
-    with serving(settings, port) as (client, process), breaking_line(port, 50, 60 * MIB) as line:
+    with serving(settings, port) as (client, process), breaking_line([port], 50, 60 * MIB) as line:
         endpoint, over = f"http://127.0.0.1:{line.port}/v1/uploads", threading.Event()
         watcher = threading.Thread(target=watch, args=[line, process, over])
         watcher.start()
@@ -126,3 +131,51 @@ def test_five_gigabytes_in_eight_streams_with_fifty_cuts(
         assert peak_bytes(process) < 200 * MIB
     for folder in (settings.data_dir, tmp_path / "take"):
         shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize(
+    ("num_files", "file_bytes", "cuts"),
+    [(3, 12 * MIB, 9), pytest.param(8, 640 * MIB, 50, marks=pytest.mark.benchmark)],
+)
+def test_one_of_two_processes_that_share_uploads_is_killed(
+    make_settings: Callable[..., Settings],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    num_files: int,
+    file_bytes: int,
+    cuts: int,
+) -> None:
+    here, there = make_settings(), make_settings()
+    ports = [free_port(), free_port()]
+    paths = make_files(tmp_path / "take", num_files, file_bytes)
+    (tmp_path / "calibration.toml").write_text("[cam_0]")
+    with ExitStack() as stack:
+        s3 = stack.enter_context(running_s3())
+        for name, value in s3.environment.items():
+            monkeypatch.setenv(name, value)
+        shared = {"ARTIFACTS_URL": s3.new_url(), "DATABASE_URL": here.resolved_database_url, "SHARED_UPLOADS": "true"}
+        client, process = stack.enter_context(serving(here, ports[0], None, **shared))
+        _, other = stack.enter_context(serving(there, ports[1], None, **shared))
+        pool = stack.enter_context(ThreadPoolExecutor(1))
+        line = stack.enter_context(breaking_line(ports, cuts, file_bytes // 10))
+        endpoint = f"http://127.0.0.1:{line.port}/v1/uploads"
+        started_s = time.monotonic()
+        sending = pool.submit(upload_with_tuspy, endpoint, paths, file_bytes // 10)
+        bucket = open_bucket(shared["ARTIFACTS_URL"])
+        wait_for(lambda: stored_bytes(bucket) > num_files * file_bytes / 2)
+        other.send_signal(signal.SIGKILL)
+        addresses = sending.result(1200)
+        print(f"{num_files * file_bytes / MIB / (time.monotonic() - started_s):.0f} MiB a second")  # noqa: T201
+        (calibration,) = upload_with_tuspy(endpoint, [tmp_path / "calibration.toml"], MIB)
+        assert session_of(client, addresses, calibration) == {path.name: sha256(path) for path in paths}
+        assert line.cuts_made == cuts
+        print(f"{peak_bytes(process) / MIB:.0f} MiB at most")  # noqa: T201
+        assert peak_bytes(process) < 400 * MIB
+        assert stored_bytes(bucket) == 0
+    for folder in (here.data_dir, there.data_dir, tmp_path / "take"):
+        shutil.rmtree(folder)
+
+
+def stored_bytes(bucket: obstore.store.S3Store) -> int:
+    """Bytes of uploads in a bucket."""
+    return sum(found["size"] for some in obstore.list(bucket, "uploads") for found in some)

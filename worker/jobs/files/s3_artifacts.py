@@ -2,22 +2,20 @@
 
 import contextlib
 import io
-import os
-import re
 from collections.abc import Callable, Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import obstore
-from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
+from obstore.exceptions import BaseError
 from obstore.store import S3Store
 
-from worker.jobs.errors import ArtifactsRefused, ArtifactsUnavailable, DamagedArtifact, NotFound
+from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.artifacts import require_key, require_prefix
 from worker.jobs.files.checksums import Verified, no_check, require_file, sha256_of
 from worker.jobs.files.file_cache import FileCache
-from worker.jobs.files.secret_files import S3_KEYS, file_variable
+from worker.jobs.files.s3 import list_any, open_bucket, reached
 
 # Size of the parts of a large file, and number of parts at once: the memory that a put takes.
 _MIN_PART_BYTES = 8 * 2**20
@@ -26,47 +24,16 @@ _PARTS_AT_ONCE = 4
 _MAX_PARTS = 9_000
 _READ_BYTES = 2**20
 
-# Callers try again by themselves, so the library need not try for longer.
-_RETRY: Any = {"max_retries": 4, "retry_timeout": timedelta(seconds=10)}
-# Times without a connection, and without a byte of a response. A part of a large file is sent meanwhile.
-_CONNECT_TIMEOUT, _READ_TIMEOUT = "5s", "20s"
-# Time of a whole request, a large part on a slow line.
-_TIMEOUT = "120s"
-# Firewalls forget idle connections after minutes: a new one costs less than one that is dead.
-_IDLE_TIMEOUT = "30s"
-
-_STATUS = re.compile(r"status code: (\d{3})")
-# Statuses of a store that asks to try again later, or whose object was replaced meanwhile.
-_TRY_AGAIN = frozenset({408, 409, 412, 425, 429})
-_MISSING = 404
-# Message of the library for a bucket of another region.
-_REDIRECT = "Received redirect"
-_NO_BUCKET = "NoSuchBucket"
-
 
 class S3Artifacts:
     """Artifacts as objects of a bucket.
 
-    Keys and address come from the environment: ``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``, ``AWS_REGION``,
-    ``AWS_ENDPOINT_URL``; keys also from files, such as ``AWS_SECRET_ACCESS_KEY_FILE``. ``url`` is ``s3://bucket``, or
-    ``s3://bucket/prefix``; else ``ValueError`` is raised. ``cache`` has copies of files that have to be on
-    this machine's disk.
+    ``url`` is that of ``worker.jobs.files.s3.open_bucket``. ``cache`` has copies of files that have to be on this
+    machine's disk.
     """
 
     def __init__(self, url: str, cache: FileCache) -> None:
-        if not url.startswith("s3://"):
-            raise ValueError(f"{url!r} does not begin with s3://")
-        # An address without TLS was set on purpose.
-        plain = os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")
-        client: Any = {
-            "connect_timeout": _CONNECT_TIMEOUT,
-            "read_timeout": _READ_TIMEOUT,
-            "timeout": _TIMEOUT,
-            "pool_idle_timeout": _IDLE_TIMEOUT,
-            "allow_http": plain,
-        }
-        keys: Any = {name.lower(): key for name in S3_KEYS if (key := file_variable(name)) is not None}
-        self._store = S3Store.from_url(url, config=keys, client_options=client, retry_config=_RETRY)
+        self._store = open_bucket(url)
         self._cache = cache
         self._verified = Verified()
 
@@ -74,7 +41,7 @@ class S3Artifacts:
         """Send a file, in parts if it is large, and remove ``path``."""
         require_key(key)
         num_bytes = path.stat().st_size
-        with _reached(self._store, key):
+        with reached(self._store, key):
             obstore.put(
                 self._store,
                 key,
@@ -88,7 +55,7 @@ class S3Artifacts:
     def put_bytes(self, key: str, data: bytes) -> None:
         """Send bytes."""
         require_key(key)
-        with _reached(self._store, key):
+        with reached(self._store, key):
             obstore.put(self._store, key, data, attributes=_attributes(key), max_concurrency=_PARTS_AT_ONCE)
 
     def open(self, key: str, sha256: str | None = None) -> BinaryIO:
@@ -132,27 +99,27 @@ class S3Artifacts:
     def delete(self, key: str) -> None:
         """Remove an object, and its copy on this machine."""
         require_key(key)
-        with contextlib.suppress(NotFound), _reached(self._store, key):
+        with contextlib.suppress(NotFound), reached(self._store, key):
             obstore.delete(self._store, key)
         self._cache.drop(key)
 
     def delete_prefix(self, prefix: str) -> None:
         """Remove objects, some hundreds at a time."""
         require_prefix(prefix)
-        with _reached(self._store, prefix):
+        with reached(self._store, prefix):
             for some in obstore.list(self._store, prefix.removesuffix("/"), chunk_size=1000):
                 obstore.delete(self._store, [listed["path"] for listed in some])
 
     def signed_url(self, key: str, lifetime_s: float) -> str | None:
         """Address at which the object can be downloaded for a while without a key."""
         require_key(key)
-        with _reached(self._store, key):
+        with reached(self._store, key):
             return obstore.sign(self._store, "GET", key, timedelta(seconds=lifetime_s))
 
     def ping(self) -> bool:
         """Whether the bucket answers."""
         try:
-            _list_any(self._store)
+            list_any(self._store)
         except (BaseError, OSError):
             return False
         return True
@@ -163,14 +130,14 @@ class S3Artifacts:
 
     def _head(self, key: str) -> Any:
         require_key(key)
-        with _reached(self._store, key):
+        with reached(self._store, key):
             return obstore.head(self._store, key)
 
     def _copy(self, key: str, num_bytes: int) -> contextlib.AbstractContextManager[Path]:
         return self._cache.copy(key, num_bytes, lambda path: self._download(key, path))
 
     def _download(self, key: str, path: Path) -> None:
-        with _reached(self._store, key), path.open("wb") as file:
+        with reached(self._store, key), path.open("wb") as file:
             for block in obstore.get(self._store, key).stream(min_chunk_size=_READ_BYTES):
                 file.write(block)
 
@@ -198,7 +165,7 @@ class _Object(io.RawIOBase):
         if stop <= self._offset:
             return 0
         options: Any = {"range": (self._offset, stop), "if_match": self._etag}
-        with _reached(self._store, self._key):
+        with reached(self._store, self._key):
             data = obstore.get(self._store, self._key, options=options).bytes()
         buffer[: len(data)] = memoryview(data)
         self._offset += len(data)
@@ -208,41 +175,3 @@ class _Object(io.RawIOBase):
 def _attributes(key: str) -> Any:
     # For downloads from a signed address.
     return {"Content-Disposition": f'attachment; filename="{key.rpartition("/")[2]}"'}
-
-
-@contextlib.contextmanager
-def _reached(store: S3Store, key: str) -> Iterator[None]:
-    """Turn errors of the library into those of the job store."""
-    try:
-        yield
-    except FileNotFoundError as error:  # raised by the library for a missing object, and for a missing bucket
-        if _NO_BUCKET in str(error) or _is_bucket_missing(store):
-            raise ArtifactsRefused("The bucket of the artifact store is missing.") from error
-        raise NotFound(f"There is no artifact {key}.") from error
-    except (BaseError, PermissionError) as error:
-        if _is_refusal(error):
-            raise ArtifactsRefused(f"The artifact store refuses {key}.") from error
-        raise ArtifactsUnavailable(f"The artifact store does not respond at {key}.") from error
-
-
-def _is_refusal(error: Exception) -> bool:
-    """Whether the store has understood a request and refuses it; else it does not respond, or asks to try again."""
-    if isinstance(error, PermissionError | PermissionDeniedError | UnauthenticatedError) or _REDIRECT in str(error):
-        return True
-    status = _STATUS.search(str(error))
-    return status is not None and status[1].startswith("4") and int(status[1]) not in _TRY_AGAIN
-
-
-def _is_bucket_missing(store: S3Store) -> bool:
-    """Whether the bucket is missing; a response to HEAD does not say so."""
-    try:
-        _list_any(store)
-    except (BaseError, OSError) as error:
-        status = _STATUS.search(str(error))
-        return status is not None and int(status[1]) == _MISSING
-    return False
-
-
-def _list_any(store: S3Store) -> None:
-    for _ in obstore.list(store, "ping", chunk_size=1):
-        break
