@@ -15,8 +15,9 @@ from jaxtyping import install_import_hook
 from pipeline.runtime import child_processes
 from tests.warm_programs import WarmPrograms
 
-# The machines are shared: how long an example takes says nothing.
-settings.register_profile("shared", deadline=None)
+# The machines are shared: how long an example takes says nothing. Laws have the usual 100 examples in `make test-slow`,
+# where shapes are checked.
+settings.register_profile("shared", deadline=None, max_examples=100 if os.environ.get("MULTICAP_CHECK_SHAPES") else 40)
 settings.load_profile("shared")
 
 # A shell starts background programs with SIGINT ignored, and their children inherit it.
@@ -70,6 +71,7 @@ SLOW = (
     "e2e/test_simulated.py",
     "e2e/test_stop.py",
     "e2e/test_traces.py",
+    "e2e/test_viewer_tables.py",
     "e2e/test_wheel.py",
     "faults/",
     "hostile/",

@@ -71,6 +71,7 @@ def send(live: Live, paths: list[Path], **spec: Any) -> Any:
     return live.client.post("/v1/calibrations", files=[*parts, ("spec", (None, json.dumps(spec).encode()))])
 
 
+@pytest.mark.slow
 def test_a_job_makes_a_calibration_from_a_board(making: Live, videos: list[Path]) -> None:
     answer = send(making, videos, method="board", board=SPEC, name="Studio B")
     assert answer.status_code == 202, answer.text
@@ -199,7 +200,6 @@ def test_a_board_that_is_not_there_fails_the_job_with_the_cameras(making: Live, 
     assert "calibration_unmade" in {one["code"] for one in problem["errors"]}
 
 
-@pytest.mark.slow
 def test_a_canceled_calibration_can_be_tried_again(making: Live, videos: list[Path]) -> None:
     answer = send(making, videos[:1], method="board", board=SPEC)
     assert answer.status_code == 202, answer.text

@@ -59,12 +59,13 @@ def test_scales_that_overflow_are_refused(tmp_path: Path, capsys: pytest.Capture
     assert (code, [problem["code"] for problem in printed["problems"]]) == (2, ["character_unreadable"])
 
 
-def test_mutated_files_are_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Of 200 mutated files each is described or refused; nothing is raised, and nothing but JSON is printed."""
+@pytest.mark.parametrize("num_files", [50, pytest.param(200, marks=pytest.mark.slow)])
+def test_mutated_files_are_answered(num_files: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of mutated files each is described or refused; nothing is raised, and nothing but JSON is printed."""
     rng = np.random.default_rng(39)
     document, binary = parts(MIXAMO)
     codes = []
-    for number in range(200):
+    for number in range(num_files):
         path = tmp_path / "robot.glb"
         path.write_bytes(mutated(number, document, binary, rng))
         with np.errstate(all="ignore"):
@@ -75,7 +76,7 @@ def test_mutated_files_are_answered(tmp_path: Path, capsys: pytest.CaptureFixtur
         else:
             assert printed["problems"]
     assert set(codes) == {0, 2}
-    assert codes.count(2) > 50
+    assert codes.count(2) > num_files // 4
 
 
 @pytest.mark.parametrize("num_files", [40, pytest.param(200, marks=pytest.mark.slow)])

@@ -128,13 +128,14 @@ def test_what_can_not_be_is_refused(damage: Callable[[dict[str, Any]], None], co
     assert code_of(glb(document, binary)) == code
 
 
-def test_mutated_files_are_read_or_refused() -> None:
-    """Of 200 mutated files none raises anything else, or takes more memory than a small multiple of its size."""
+@pytest.mark.parametrize("num_files", [50, pytest.param(200, marks=pytest.mark.slow)])
+def test_mutated_files_are_read_or_refused(num_files: int) -> None:
+    """Of mutated files none raises anything else, or takes more memory than a small multiple of its size."""
     rng = np.random.default_rng(7)
     sources = (MIXAMO, vrm("1.0"))
     document, binary = parts(MIXAMO)
     refused = 0
-    for number in range(200):
+    for number in range(num_files):
         if number % 2:
             content = bytearray(sources[number // 2 % 2])
             head = 20 + struct.unpack_from("<I", content, 12)[0]
@@ -153,7 +154,7 @@ def test_mutated_files_are_read_or_refused() -> None:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 64 * len(mutated)
-    assert refused > 50
+    assert refused > num_files // 4
 
 
 def changed(document: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:

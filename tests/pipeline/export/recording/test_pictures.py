@@ -64,15 +64,15 @@ def test_heads_are_blurred(tmp_path: Path) -> None:
 
 
 def test_pictures_that_compress_badly_are_fewer(tmp_path: Path) -> None:
-    session, timebase = noisy_session(tmp_path, 20), Timebase(0.0, 10.0, 20)
+    session, timebase = noisy_session(tmp_path, 10), Timebase(0.0, 10.0, 10)
     all_of_them = list(small_pictures(session, timebase, "front", 2**30, ignore))
-    assert len(all_of_them) == 20
+    assert len(all_of_them) == 10
     usual = len(all_of_them[0].jpeg)
     assert usual > 2**15
-    max_bytes = 20 * 2**15
+    max_bytes = 10 * 2**15
     kept = list(small_pictures(session, timebase, "front", max_bytes, ignore))
-    assert 0 < len(kept) < 20
+    assert 0 < len(kept) < 10
     assert sum(len(picture.jpeg) for picture in kept) <= max_bytes
     # They are spread over the take.
-    assert kept[-1].time_s > 1.0
+    assert kept[-1].time_s > 0.4
     assert list(small_pictures(session, timebase, "front", usual // 2, ignore)) == []
