@@ -9,13 +9,14 @@ CLIENTS := tests/e2e/clients
 BLENDER := .venv-blender
 LITERT := .venv-litert
 PEERS := .venv-peers
+SPEED := .venv-speed
 UFBX := .venv-ufbx
 
 # Tests start many programs, which load what the first of them has compiled.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean blender-extension
+.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration verify-speed soak hostile check benchmark format lock clean blender-extension
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -143,6 +144,15 @@ $(PEERS)/.installed: tests/pipeline/calibration/board/peers/peers.lock
 verify-calibration: setup $(PEERS)/.installed  ## Compare calibration from a board with aniposelib and Caliscope
 	$(BIN)/python -P -m pytest -s tests/pipeline/calibration/board/test_peers.py
 
+$(SPEED)/.installed: tests/pipeline/speed/peers/speed.lock
+	$(PYTHON) -m venv --clear $(SPEED)
+	$(SPEED)/bin/python -P -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
+		--only-binary :all: -r $<
+	touch $@
+
+verify-speed: setup $(SPEED)/.installed  ## Compare speed and error with MediaPipe and Pose2Sim (installs 700 MB); DATA=FOLDER of rendered people
+	MULTICAP_RENDERED=$(abspath $(DATA)) $(BIN)/python -P -m pytest -s tests/pipeline/speed
+
 test-data: setup
 	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
@@ -201,4 +211,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
