@@ -158,6 +158,7 @@ def test_captures_are_searched_renamed_and_deleted(page: Page, served: Served, k
     assert names == ["Walk <i>C</i>"]
 
 
+@pytest.mark.slow
 def test_videos_are_deleted_and_the_results_stay(page: Page, served: Served, tmp_path: Path) -> None:
     video_capture(tmp_path, 5)
     files = [("videos", (path.name, path.read_bytes())) for path in sorted((tmp_path / "videos").iterdir())]

@@ -57,6 +57,7 @@ def is_seen(part: Locator) -> bool:
     return box["y"] >= 0 and box["y"] + box["height"] <= viewport["height"]
 
 
+@pytest.mark.slow
 def test_send_is_in_reach_on_a_phone_and_opens_the_job(page: Page, videos: dict[str, Path]) -> None:
     assert is_seen(send(page))
     choose(page, *videos.values())

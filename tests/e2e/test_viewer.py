@@ -429,6 +429,7 @@ def test_all_pixels_are_drawn_again_at_rest(shown: Shown) -> None:
     page.wait_for_function(f"() => {{ const [width, full] = ({widths})(); return width < 0.8 * full; }}", polling=5)
 
 
+@pytest.mark.slow
 def test_two_jobs_side_by_side_share_the_play_head(shown: Shown) -> None:
     shown.mount(2)
     page = shown.page
@@ -460,6 +461,7 @@ def test_a_missing_motion_is_told(shown: Shown) -> None:
     assert told == "The job has no motion to look at."
 
 
+@pytest.mark.slow
 def test_sheets_that_scroll_are_reached_by_the_keyboard(live: Live, job_ids: list[str]) -> None:
     with opened(str(live.client.base_url), {"width": 390, "height": 844}) as page:
         page.emulate_media(color_scheme="dark", reduced_motion="reduce")

@@ -100,6 +100,7 @@ def test_a_board_is_described_by_fields_with_a_picture(page: Page, tmp_path: Pat
     assert (board.kind, board.cols, board.rows, board.square_m) == ("chessboard", 9, 6, 0.0375)
 
 
+@pytest.mark.slow
 def test_the_clocks_are_measured_where_the_start_of_the_videos_stands(page: Page, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     page.goto("/#/new")

@@ -78,6 +78,7 @@ def test_frames_outside_of_the_take_are_black(video: VideoInfo, tmp_path: Path) 
     assert [image.mean() < 5 for image in pictures(nothing).values()] == [True]
 
 
+@pytest.mark.slow
 def test_overlays_are_drawn_over_blurred_heads(video: VideoInfo, tmp_path: Path) -> None:
     session = CaptureSession((CAMERA,), (video,), {"front": FrameTimes(video.time_s)}, ())
     take = take_of(CAMERA, Timebase(0.0, RATE_HZ, NUM_FRAMES), runner(NUM_FRAMES))
