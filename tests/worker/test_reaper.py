@@ -1,6 +1,7 @@
 """Reaper: it publishes messages for unclaimed work, and survives an unreachable database."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import sqlalchemy as sa
@@ -9,6 +10,7 @@ from pipeline.stages.stage import DETECT
 from tests.worker.conftest import RunnerBench
 from worker.jobs.database.connection import Database
 from worker.jobs.database.tables import removals
+from worker.jobs.database.totals import Total
 from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import record_key, result_key, stage_key
 from worker.jobs.files.disk import DiskSpace
@@ -50,6 +52,19 @@ def test_leases_of_silent_workers_are_freed(bench: RunnerBench) -> None:
     time.sleep(0.1)
     Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S).reap()
     assert publish.count == 1
+    bench.runner().work(60.0)
+    assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
+
+
+def test_several_reapers_free_a_lease_once(bench: RunnerBench) -> None:
+    job = bench.create_job()
+    assert bench.store.leases.claim("gone", 0.05)
+    time.sleep(0.1)
+    reapers = [Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S) for _ in range(3)]
+    with ThreadPoolExecutor(len(reapers)) as pool:
+        list(pool.map(lambda reaper: [reaper.reap() for _ in range(5)], reapers))
+    totals = bench.store.figures().totals
+    assert sum(value for (name, _), value in totals.items() if name == Total.LEASES_LOST) == 1
     bench.runner().work(60.0)
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 

@@ -1,4 +1,10 @@
-# Workers and reaper. From the repository's root: docker build --file docker/worker.Dockerfile --tag multicap-worker .
+# The image of all programs: web API, workers, reaper, command line. From the repository's root:
+# docker build --file docker/multicap.Dockerfile --tag multicap .
+FROM node:24-bookworm-slim AS portal
+WORKDIR /portal
+COPY api/portal/package.json api/portal/package-lock.json api/portal/vendor.mjs ./
+RUN npm ci --no-audit --no-fund
+
 FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
 RUN python -m venv /opt/multicap
@@ -6,6 +12,7 @@ COPY docker/requirements.lock .
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
 COPY hatch_build.py pyproject.toml README.md ./
 COPY api api
+COPY --from=portal /portal/vendor api/portal/vendor
 COPY multicap multicap
 COPY pipeline pipeline
 COPY worker worker
@@ -17,6 +24,9 @@ RUN /opt/multicap/bin/multicap models install movenet-multipose movenet-multipos
         openpose-mobilenet-thin \
     && /opt/multicap/bin/multicap bodies install \
     && /opt/multicap/bin/python -P -m multicap.pipeline.warm_up
+# Packages of networks, and tests of libraries: a seventh of the image.
+RUN rm -rf /opt/multicap-home/downloads /opt/multicap/lib/python3.11/site-packages/onnx/backend/test \
+    && find /opt/multicap/lib -type d -name tests -prune -exec rm -rf {} +
 
 FROM python:3.11-slim-bookworm
 RUN useradd --uid 10001 --create-home multicap && install --directory --owner multicap /data
@@ -25,7 +35,9 @@ COPY --from=build /opt/multicap /opt/multicap
 COPY --from=build --chown=10001:10001 /opt/multicap-home /opt/multicap-home
 ENV PATH=/opt/multicap/bin:$PATH \
     MULTICAP_DATA_DIR=/data \
-    MULTICAP_HOME=/opt/multicap-home
+    MULTICAP_HOME=/opt/multicap-home \
+    MULTICAP_HOST=0.0.0.0
 USER 10001
 VOLUME /data
-CMD ["python", "-P", "-m", "multicap.worker", "--workers", "2"]
+EXPOSE 8000
+CMD ["python", "-P", "-m", "multicap.api"]
