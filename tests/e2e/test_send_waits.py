@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Locator, Page, Request, Route, expect
+from playwright.sync_api import TimeoutError as PageTimeoutError
 
 from pipeline.calibration.write import encode, encode_toml
 from pipeline.runtime.packages.samples import Sample
@@ -47,6 +48,9 @@ SHOWN = """() => {
     rate_hz: Number([...document.querySelectorAll(".clock")].find((one) => one.innerText.startsWith("Frame rate"))?.querySelector("input").value ?? 0) || null,
   };
 }"""  # noqa: E501
+
+# Id of the calibration in the draft that the browser keeps.
+STORED = """() => JSON.parse(localStorage.getItem("multicap.draft"))?.calibrationId ?? null"""
 
 SESSIONS, JOBS = "POST /v1/sessions", "POST /v1/sessions/ID/jobs"
 # The refusal of a file, the icon of the address that clears the browser's memory, and too many requests in a minute.
@@ -138,10 +142,18 @@ class Run:
         """Choose a calibration; not before the list of them is there."""
         options = self.page.get_by_label("Stored calibration")
         self.wait(lambda: self.held or name in options.inner_text())
-        if name in options.inner_text():
+        self.is_as_meant &= name in options.inner_text() and self._is_chosen(options, name)
+
+    def _is_chosen(self, options: Locator, name: str) -> bool:
+        """Choose an option; whether that was possible: once Send was pressed, the form may be locked."""
+        if self.is_pressed and not options.is_enabled():
+            return False
+        try:
             choose_option(options, name)
-        else:
-            self.is_as_meant = False
+        except PageTimeoutError:
+            assert self.is_pressed
+            return False
+        return True
 
     def choose(self, *paths: Path) -> None:
         self.page.get_by_label("Choose files").set_input_files(paths)
@@ -193,7 +205,14 @@ def actions_of(name: str, files: dict[str, Path]) -> tuple[list[Action], str]:
         run.page.get_by_label("Unit of length").select_option("cm")
 
     def reload(run: Run) -> None:
-        run.page.wait_for_timeout(500)  # the draft is stored
+        # The draft is stored with its calibration, if one was chosen and is not kept back.
+        run.wait(
+            lambda: (
+                not run.is_as_meant
+                or run.page.evaluate(STORED)
+                or (run.held and kind_of(run.held.request).startswith("GET /v1/calibrations"))
+            )
+        )
         run.page.reload()
 
     def exchange(run: Run) -> None:
