@@ -103,7 +103,7 @@ def shown_bytes(num_bytes: float) -> str:
 
 
 def foreseen_space(preflight: Preflight, config: ReconstructionConfig, character_bytes: int = 0) -> ForeseenSpace:
-    """Space that a job of a session needs in the service: with the files for viewers.
+    """Space that a job of a session needs in the service: with files for viewers, and pieces for edits.
 
     ``character_bytes`` is the size of the character that moves as each person, if there is one.
     """
@@ -133,7 +133,7 @@ def space_of(
     num_frames, frame_rate_hz, stretches
         Output frames of the session, and those that have to be worked on.
     has_viewers
-        Whether files for viewers are made.
+        Whether files for viewers are made, and pieces are kept for edits of people.
     character_bytes
         Size of the character that moves as each person, if there is one.
     """
@@ -153,19 +153,21 @@ def space_of(
         output_bytes += share * sum(camera.num_frames for camera in cameras) * _detected(config, num_people, num_joints)
     rate = 1.0 if config.output_rate_hz is None else config.output_rate_hz / frame_rate_hz
     in_files = rate * num_people * (num_worked if config.timeline == "person" else len(wanted))
-    result_bytes = (
-        _METRICS_OF_TAKE
-        + _METRICS_OF_PERSON * num_people
-        + rate * rows * num_joints * _SKELETON_OF_JOINT
-        + sum(_export_bytes(config.exports, num_people, in_files, num_joints, turns))
-        + (_pictures(cameras, config, share, frame_rate_hz, rows, num_joints) if not counted else 0)
-    )
+    of_people = _export_bytes(config.exports, num_people, in_files, num_joints, turns)
+    kept_bytes = _METRICS_OF_TAKE + _METRICS_OF_PERSON * num_people + rate * rows * num_joints * _SKELETON_OF_JOINT
+    kept_bytes += sum(of_people.values())
+    result_bytes = kept_bytes + sum(of_people[export] for export in of_people if _FILES[export].in_take)
+    if not counted:
+        result_bytes += _pictures(cameras, config, share, frame_rate_hz, rows, num_joints)
     if character_bytes:
         num_files = sum(export in _OF_CHARACTERS for export in config.exports)
         result_bytes += num_files * (num_people * character_bytes + in_files * _CHARACTER_OF_FRAME)
     if has_viewers:
-        result_bytes += _VIEWER_OF_TAKE + _VIEWER_OF_PERSON * num_people
-        result_bytes += rows * (_VIEWER_OF_FRAME + _VIEWER_OF_JOINT * num_joints)
+        viewer_bytes = _VIEWER_OF_TAKE + _VIEWER_OF_PERSON * num_people
+        viewer_bytes += rows * (_VIEWER_OF_FRAME + _VIEWER_OF_JOINT * num_joints)
+        result_bytes += viewer_bytes
+        # Copies of these files are kept as pieces, for edits of people.
+        output_bytes += kept_bytes + viewer_bytes
     scratch_bytes = people_bytes + max(people_bytes, result_bytes)
     return ForeseenSpace(round(output_bytes), round(result_bytes), round(scratch_bytes), num_people)
 
@@ -194,12 +196,13 @@ def _detected(config: ReconstructionConfig, num_people: int, num_joints: int) ->
 
 def _export_bytes(
     exports: Iterable[Export], num_people: int, num_rows: float, num_joints: int, turns: float
-) -> Iterable[float]:
-    """Bytes of the files of each format."""
-    for export in exports:
-        if (size := _FILES.get(export)) is not None:
-            of_people = num_people * size.of_file + num_rows * (turns * size.of_frame + num_joints * size.of_joint)
-            yield of_people * (2 if size.in_take else 1)
+) -> dict[Export, float]:
+    """Bytes of all people's files of each format."""
+    return {
+        export: num_people * size.of_file + num_rows * (turns * size.of_frame + num_joints * size.of_joint)
+        for export in exports
+        if (size := _FILES.get(export)) is not None
+    }
 
 
 def _pictures(
