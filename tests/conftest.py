@@ -15,8 +15,8 @@ from jaxtyping import install_import_hook
 from pipeline.runtime import child_processes
 from tests.warm_programs import WarmPrograms
 
-# The machines are shared: how long an example takes says nothing. Laws have the usual 100 examples in `make test-slow`,
-# where shapes are checked.
+# The machines are shared: how long an example takes says nothing. Laws of the pipeline have the usual 100 examples in
+# `make test-slow`, where shapes are checked.
 settings.register_profile("shared", deadline=None, max_examples=100 if os.environ.get("MULTICAP_CHECK_SHAPES") else 40)
 settings.load_profile("shared")
 
