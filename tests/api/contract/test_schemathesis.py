@@ -4,7 +4,7 @@ import contextlib
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import schemathesis
@@ -24,7 +24,7 @@ from schemathesis.specs.openapi.checks import (
 from api.contract.openapi import COMMITTED
 from api.settings import KIB, Settings
 from api.uploads.routes import PIECE_TYPE
-from pipeline.config import NETWORKS, NETWORKS_OF_PROFILES
+from pipeline.config import NETWORKS, NETWORKS_OF_PROFILES, Export
 from tests.api.conftest import Live, running
 from worker.jobs.model.rights import Scope
 from worker.jobs.worker_status import WorkerState, WorkerStatus
@@ -67,7 +67,14 @@ def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 def known(service: Live) -> Iterator[dict[str, str]]:
     """Ids of an existing session, job and upload, so that not all ids are unknown; the service is ready."""
     installed = (*NETWORKS, *NETWORKS_OF_PROFILES)
-    worker = WorkerStatus(process_name(), WorkerState.READY, "A worker works", detectors=installed)
+    worker = WorkerStatus(
+        process_name(),
+        WorkerState.READY,
+        "A worker works",
+        detectors=installed,
+        bodies=("human",),
+        formats=get_args(Export),
+    )
     presence = Presence(service.services.store.workers, lambda: worker)
     presence.start()
     service.services.queue.ping = lambda: True  # type: ignore[method-assign]
