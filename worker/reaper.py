@@ -158,14 +158,15 @@ def main() -> None:
     require_usable_database(store)
     artifacts = settings.open_artifacts()
     disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
-    # A thread of its own, because receivers of webhooks may be slow.
-    threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     reaper = Reaper(
         store, artifacts, disk, queue.publish, settings.lease_s, settings.chunk_frames, settings.visuals_rest_s
     )
     exit_code = 0
     try:
+        _wait_for_schema(store, settings.reap_interval_s)
+        # A thread of its own, because receivers of webhooks may be slow.
+        threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
         while True:
             reaper.reap()
             time.sleep(settings.reap_interval_s)
@@ -177,6 +178,15 @@ def main() -> None:
         exit_code = 1
     # End without waiting for webhooks that are being sent: they are sent again when their leases end.
     os._exit(exit_code)
+
+
+def _wait_for_schema(store: JobStore, interval_s: float) -> None:
+    """Wait until the database responds and an API process has made its tables: it may start later."""
+    if store.ping():
+        return
+    log.info("waiting_for_database", hint="The API makes its tables when it starts.")
+    while not store.ping():
+        time.sleep(interval_s)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,19 @@
 """Reaper: it publishes messages for unclaimed work, and survives an unreachable database."""
 
+import os
+import sqlite3
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
 
+from pipeline.runtime.parent_watch import tied_to_parent
 from pipeline.stages.stage import DETECT
+from tests.waiting import wait_for
 from tests.worker.conftest import RunnerBench
 from worker.jobs.database.connection import Database
 from worker.jobs.database.tables import removals
@@ -142,3 +149,21 @@ def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: RunnerBe
     assert bench.artifacts.exists(record_key(recorded))
     with pytest.raises(Conflict):
         bench.store.sessions.add("take", [], bench.session.preflight, arriving)
+
+
+def test_the_tables_may_be_made_later(tmp_path: Path) -> None:
+    environment = os.environ | {"MULTICAP_DATA_DIR": str(tmp_path), "MULTICAP_REAP_INTERVAL_S": "0.05"}
+    command = tied_to_parent([sys.executable, "-P", "-m", "worker.reaper"])
+    log = tmp_path / "log"
+    with log.open("w") as output, subprocess.Popen(command, env=environment, stdout=output, stderr=output) as reaper:
+        wait_for(lambda: "waiting_for_database" in log.read_text())
+        store = JobStore(f"sqlite:///{tmp_path / 'multicap.db'}")
+        store.migrate()
+        with sqlite3.connect(tmp_path / "multicap.db") as database:
+            database.execute("INSERT INTO removals (prefix, due_at) VALUES ('sessions/gone/', 0)")
+        wait_for(lambda: store.removals.due() == [])
+        reaper.terminate()
+        assert reaper.wait(60) == 0
+        store.close()
+    assert log.read_text().count("waiting_for_database") == 1
+    assert "Traceback" not in log.read_text()
