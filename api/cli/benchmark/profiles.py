@@ -49,7 +49,7 @@ def profiles(
         for config in compared.values():
             models.install_networks(config)
         sample = samples.install()
-        videos = _looped(sample, loops, Path(folder))
+        videos = looped_sample(sample, loops, Path(folder))
         warm_up()
         measured: dict[str, list[dict[str, float]]] = {name: [] for name in compared}
         for _ in range(rounds):
@@ -65,7 +65,7 @@ def profiles(
     print_table(("profile", *names), ((name, *(f"{row[key]:.2f}" for key in names)) for name, row in result.items()))
 
 
-def _looped(sample: Sample, loops: int, folder: Path) -> list[Path]:
+def looped_sample(sample: Sample, loops: int, folder: Path) -> list[Path]:
     """Videos of the sample, repeated; made in a child process, so that its memory does not count."""
     videos = list(sample.videos.values())
     if loops == 1:

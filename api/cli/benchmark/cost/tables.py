@@ -31,7 +31,7 @@ def cost_tables(cost: _Row) -> list[CostTable]:
         _stages(cost["profiles"]),
         _jobs(
             "Length of videos",
-            "The beginning of the sample, profile `fast`.",
+            "The sample, once and repeated, profile `fast`.",
             {"frames of a camera": lambda job: f"{job['camera_frames'] // job['cameras']}"},
             cost["length"],
         ),
@@ -66,12 +66,12 @@ def _minutes(jobs: Sequence[_Row]) -> CostTable:
         "networks": _share("networks_core_s"),
         "decoding": _share("decoding_core_s"),
         "rest": lambda job: _percent(1 - (job["networks_core_s"] + job["decoding_core_s"]) / job["core_s"]),
-        "a camera frame": _camera_frame,
+        "a further camera frame": lambda job: f"{job['added_camera_frame_core_ms']:.3g} ms",
         "memory": _memory,
     }
     about = (
-        "Seconds of a core at two frame rates; of the job that was measured the shares, milliseconds of a core for a "
-        "camera frame, and the largest memory."
+        "Seconds of a core at two frame rates: the longer of two jobs that were measured, and what each further camera "
+        "frame costs from the shorter to the longer one. Shares and the largest memory are those of the longer job."
     )
     return _table("A minute of four cameras", about, columns, jobs)
 

@@ -1,6 +1,7 @@
 """Costs of jobs: what is counted, and what is made of it."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -50,15 +51,18 @@ def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
     asked: list[tuple[int, int, str, str, int]] = []
 
     def measure(opened: Any, config: ReconstructionConfig, provider: str) -> JobCost:
-        videos, _, num_frames = opened.args
-        asked.append((len(videos), num_frames, config.profile, provider, config.processes))
-        return COST
+        videos, _ = opened.args
+        loops = 1 if videos[0].parent == tmp_path else 2
+        asked.append((len(videos), loops, config.profile, provider, config.processes))
+        # A job of twice as many frames costs three quarters more: a quarter of the shorter one is done once.
+        return COST if loops == 1 else replace(COST, camera_frames=800, core_s=35.0)
 
     videos = {f"cam_{k}": tmp_path / f"cam_{k}.mp4" for k in range(4)}
     sample = samples.Sample(tmp_path, videos, tmp_path / "rig.toml", "BSD", "A")
     picture = {"profile": "fast", "bodies": 2, "pictures": 9, "core_ms": 21.04}
     keypoint_job = {**COST.as_dict(), "simulated_people": 3, "duration_s": 20.0}
     monkeypatch.setattr(command, "measure_job", measure)
+    monkeypatch.setattr(command, "looped_sample", lambda sample, loops, folder: None)
     monkeypatch.setattr(command, "_pictures", lambda profile, videos: [picture] if profile == "fast" else [])
     monkeypatch.setattr(
         command, "measure_keypoints", lambda: {key: [keypoint_job] for key in ("cameras", "people", "duration_s")}
@@ -71,11 +75,10 @@ def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
     assert result.exit_code == 0, result.output
     # What was measured already is not measured again.
     assert asked == [
-        *((4, 50, profile, "cpu", 1) for profile in PROFILES),
-        (4, 50, "balanced", "openvino", 1),
-        (4, 50, "balanced", "cpu", 2),
-        (4, 100, "fast", "cpu", 1),
-        (2, 50, "fast", "cpu", 1),
+        *((4, loops, profile, "cpu", 1) for profile in PROFILES for loops in (1, 2)),
+        *((4, loops, "balanced", "openvino", 1) for loops in (1, 2)),
+        (4, 1, "balanced", "cpu", 2),
+        (2, 1, "fast", "cpu", 1),
     ]
     document: dict[str, Any] = json.loads(result.stdout)
     return document
@@ -86,28 +89,28 @@ def tables(cost: dict[str, Any]) -> dict[str, CostTable]:
 
 
 def test_a_minute_costs_its_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """2 s once, and 45 ms of a core for each of 7,200 and 14,400 camera frames."""
+    """35 s for 800 camera frames, and 37.5 ms of a core for each further one."""
     cost = measured(monkeypatch, tmp_path)
     job = cost["profiles"][0]
-    assert job["minute_core_s"] == {"30": pytest.approx(326.0), "60": pytest.approx(650.0)}
+    assert job["minute_core_s"] == {"30": pytest.approx(275.0), "60": pytest.approx(545.0)}
     of_minute = tables(cost)["A minute of four cameras"]
     assert dict(zip(of_minute.columns, of_minute.rows[0], strict=True)) == {
         "profile": "fast",
         "provider": "cpu",
-        "30 Hz": "326 s",
-        "60 Hz": "650 s",
-        "networks": "60 %",
-        "decoding": "15 %",
-        "rest": "25 %",
-        "a camera frame": "50 ms",
+        "30 Hz": "275 s",
+        "60 Hz": "545 s",
+        "networks": "34 %",
+        "decoding": "9 %",
+        "rest": "57 %",
+        "a further camera frame": "37.5 ms",
         "memory": "500 MiB",
     }
 
 
 def test_stages_are_milliseconds_of_a_camera_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """17 s for 400 camera frames are 42.5 ms; what takes next to nothing is left out."""
+    """17 s for 800 camera frames are 21.25 ms; what takes next to nothing is left out."""
     stages = tables(measured(monkeypatch, tmp_path))["Stages"]
-    milliseconds = {"open": "1.25", LOOK: "3.75", "detect": "42.50", "fit": "2.50"}
+    milliseconds = {"open": "0.62", LOOK: "1.88", "detect": "21.25", "fit": "1.25"}
     assert stages.rows == [(stage, *[text] * 3) for stage, text in milliseconds.items()]
 
 
