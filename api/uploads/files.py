@@ -94,9 +94,7 @@ class FolderUploads(Writers):
 
         A file is created just before its row in the database and removed after it, so only old files are removed.
         """
-        for upload_id in store.uploads.expired():
-            if not self.has_writer(upload_id):
-                store.uploads.delete_expired(upload_id)
+        self.delete_expired(store)
         old_ids = {path.name.removesuffix(_PIECE_SUFFIX) for path in self._folder.iterdir() if _is_old(path)}
         for upload_id in old_ids - store.uploads.known(old_ids):
             self.remove(upload_id)

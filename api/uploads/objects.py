@@ -147,9 +147,7 @@ class SharedUploads(Writers):
 
     def sweep(self, store: JobStore) -> None:
         """Remove expired uploads, blocks without an upload, and files that no session took, once."""
-        expired = {one for one in store.uploads.expired() if not self.has_writer(one)}
-        for upload_id in expired:
-            store.uploads.delete_expired(upload_id)
+        expired = self.delete_expired(store)
         for path in self._folder.iterdir():
             with contextlib.suppress(FileNotFoundError):
                 if time.time() - path.stat().st_mtime > UNRECORDED_S:

@@ -1,4 +1,4 @@
-"""What routes ask of the place that holds the bytes of uploads."""
+"""Place of the bytes of uploads, as routes see it, and the requests that write to it."""
 
 import asyncio
 import contextlib
@@ -108,6 +108,13 @@ class Writers:
     def has_writer(self, upload_id: str) -> bool:
         """Return whether a request is writing to an upload."""
         return upload_id in self._scopes
+
+    def delete_expired(self, store: JobStore) -> set[str]:
+        """Delete the rows of expired uploads to which no request writes; return their ids."""
+        expired = {upload_id for upload_id in store.uploads.expired() if not self.has_writer(upload_id)}
+        for upload_id in expired:
+            store.uploads.delete_expired(upload_id)
+        return expired
 
 
 async def sweep_forever(spool: UploadSpool, disk: DiskSpace, store: JobStore) -> None:

@@ -78,7 +78,7 @@ def sent(
 
 
 def keys(url: str) -> list[str]:
-    return sorted(one["path"] for some in obstore.list(open_bucket(url)) for one in some)
+    return sorted(found["path"] for some in obstore.list(open_bucket(url)) for found in some)
 
 
 def test_processes_take_turns_at_an_upload_and_any_makes_the_session(two: tuple[Live, Live]) -> None:
@@ -95,7 +95,7 @@ def test_processes_take_turns_at_an_upload_and_any_makes_the_session(two: tuple[
     body = {"videos": [address.rpartition("/")[2]], "calibration": calibration}
     answer = two[1].client.post("/v1/sessions", json=body)
     assert answer.status_code == 201, answer.text
-    (video,) = [one for one in answer.json()["files"] if one["kind"] == "video"]
+    (video,) = [file for file in answer.json()["files"] if file["kind"] == "video"]
     assert video["sha256"] == hashlib.sha256(CONTENT).hexdigest()
     for live in two:
         assert live.client.head(address, headers=TUS).status_code == 404

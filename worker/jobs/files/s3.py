@@ -75,7 +75,7 @@ def list_any(store: S3Store) -> None:
 
 
 def _is_refusal(error: Exception) -> bool:
-    """Whether the store has understood a request and refuses it; else it does not respond, or asks to try again."""
+    """Return whether the store refuses a request that it understood; else it is away, or asks to try again."""
     if isinstance(error, PermissionError | PermissionDeniedError | UnauthenticatedError) or _REDIRECT in str(error):
         return True
     status = _STATUS.search(str(error))
@@ -83,7 +83,7 @@ def _is_refusal(error: Exception) -> bool:
 
 
 def _is_bucket_missing(store: S3Store) -> bool:
-    """Whether the bucket is missing; a response to HEAD does not say so."""
+    """Return whether the bucket is missing; a response to HEAD does not say so."""
     try:
         list_any(store)
     except (BaseError, OSError) as error:

@@ -73,7 +73,7 @@ def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
     monkeypatch.setattr(samples, "install", lambda: sample)
     result = CliRunner().invoke(app, ["benchmark", "all", "--json"])
     assert result.exit_code == 0, result.output
-    # What was measured already is not measured again.
+    # Jobs that were measured already are not measured again.
     assert asked == [
         *((4, loops, profile, "cpu", 1) for profile in PROFILES for loops in (1, 2)),
         *((4, loops, "balanced", "openvino", 1) for loops in (1, 2)),
