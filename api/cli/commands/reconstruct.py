@@ -32,6 +32,7 @@ from pipeline.config import method_warnings
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.characters import BONES_INVALID
 from pipeline.quality.report import all_checks
+from pipeline.rules import config_problems, require
 from pipeline.stages.local import reconstruct_to_files
 from pipeline.stages.plan import STAGE_BY_NAME
 
@@ -178,6 +179,7 @@ def command(
             warn(warning)
         sources = (calibration, *([] if timestamps is None else [timestamps]))
         kept = None if no_cache else cache or users_cache()
+        require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))
         space = session_space(session, config, character)
         require_space(space, out, kept)
         written = reconstruct_to_files(

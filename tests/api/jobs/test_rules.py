@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -29,6 +30,7 @@ from worker.jobs.spec import JobSpec
 
 Sentences = list[tuple[str, str, str | None]]
 runner = CliRunner()
+FULL_DISK = SimpleNamespace(total=1 << 40, used=1 << 40, free=0)
 
 
 @pytest.fixture(scope="module")
@@ -141,4 +143,6 @@ def test_choices_that_do_not_suit_a_session(
     assert of_python(long, chosen) == said
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sources, "open_keypoints", lambda *arguments, **options: long)
+        # Wrong choices are said before the space of what they would ask for, however full the disk is.
+        patch.setattr("api.cli.space.shutil.disk_usage", lambda folder: FULL_DISK)
         assert of_command(chosen, tmp_path_factory.mktemp("command")) == said
