@@ -4,7 +4,7 @@ import contextlib
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 import schemathesis
@@ -24,7 +24,7 @@ from schemathesis.specs.openapi.checks import (
 from api.contract.openapi import COMMITTED
 from api.settings import KIB, Settings
 from api.uploads.routes import PIECE_TYPE
-from pipeline.config import NETWORKS, NETWORKS_OF_PROFILES, Export
+from pipeline.config import FILE_FORMATS, NETWORKS, NETWORKS_OF_PROFILES
 from tests.api.conftest import Live, running
 from worker.jobs.model.rights import Scope
 from worker.jobs.worker_status import WorkerState, WorkerStatus
@@ -73,13 +73,14 @@ def known(service: Live) -> Iterator[dict[str, str]]:
         "A worker works",
         detectors=installed,
         bodies=("human",),
-        formats=get_args(Export),
+        formats=tuple(FILE_FORMATS),
     )
     presence = Presence(service.services.store.workers, lambda: worker)
     presence.start()
     service.services.queue.ping = lambda: True  # type: ignore[method-assign]
     job_id = service.job_id()
     service.finish(job_id)
+    assert service.client.get("/readyz").status_code == 200
     yield {"job_id": job_id, "session_id": service.client.get(f"/v1/jobs/{job_id}").json()["session_id"]}
     presence.stop()
 
