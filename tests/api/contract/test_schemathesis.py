@@ -75,7 +75,9 @@ def known(service: Live) -> Iterator[dict[str, str]]:
         bodies=("human",),
         formats=tuple(FILE_FORMATS),
     )
-    presence = Presence(service.services.store.workers, lambda: worker)
+    workers = service.services.store.workers
+    workers.report(worker)  # the thread's first report may come after the first request
+    presence = Presence(workers, lambda: worker)
     presence.start()
     service.services.queue.ping = lambda: True  # type: ignore[method-assign]
     job_id = service.job_id()
