@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from pipeline.detect.models import install_networks
     from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
     from pipeline.export.results import WrittenResults, write_results
+    from pipeline.live.capture import LiveCapture
+    from pipeline.live.recorded import recorded_frames
+    from pipeline.live.settings import LiveSettings
     from pipeline.opensim.installed import install as install_opensim_model
     from pipeline.progress import Progress
     from pipeline.runtime.packages.samples import install as install_sample
@@ -47,6 +50,8 @@ __all__ = [
     "InputError",
     "Job",
     "KeypointSession",
+    "LiveCapture",
+    "LiveSettings",
     "ModelError",
     "PipelineError",
     "Problem",
@@ -66,6 +71,7 @@ __all__ = [
     "open_session",
     "reconstruct",
     "reconstruct_to_files",
+    "recorded_frames",
     "write_results",
 ]
 
@@ -78,6 +84,8 @@ _REFERENCES = {
     "InputError": "pipeline.errors:InputError",
     "Job": "api.cli.client:Job",
     "KeypointSession": "pipeline.capture.keypoints:KeypointSession",
+    "LiveCapture": "pipeline.live.capture:LiveCapture",
+    "LiveSettings": "pipeline.live.settings:LiveSettings",
     "ModelError": "pipeline.errors:ModelError",
     "PipelineError": "pipeline.errors:PipelineError",
     "Problem": "pipeline.errors:Problem",
@@ -97,6 +105,7 @@ _REFERENCES = {
     "open_session": "pipeline.capture.session:open_session",
     "reconstruct": "pipeline.stages.local:reconstruct",
     "reconstruct_to_files": "pipeline.stages.local:reconstruct_to_files",
+    "recorded_frames": "pipeline.live.recorded:recorded_frames",
     "write_results": "pipeline.export.results:write_results",
 }
 

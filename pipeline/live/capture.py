@@ -1,20 +1,60 @@
-"""A live capture in progress."""
+"""A live capture in progress: frames of cameras in, people at instants out."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.data.cameras import Camera
+from pipeline.errors import InputError, Problem
 from pipeline.joints import JointSet
-from pipeline.live.records import LiveCounts, LiveInstant
+from pipeline.live.frames import FrameQueue, LiveFrame, make_frame
+from pipeline.live.records import LiveCounts, LiveInstant, LivePerson
 from pipeline.live.settings import LiveSettings
+from pipeline.live.tracking import LiveTracker
+from pipeline.problem_codes.fields import OUT_OF_RANGE, VALUE_NOT_ALLOWED, WRONG_LENGTH
+from pipeline.tracking.parameters import derive_parameters
+
+_MOST_BODIES = 128
+# Times that keep the instants apart: seconds since 1970, with room to spare.
+_LONGEST_S = 1e11
+# Instants without frames are left out, except those in a pause up to this long.
+_LONGEST_PAUSE_S = 1.0
 
 
 class LiveCapture:
-    """Live capture in progress."""
+    """Live capture in progress.
 
-    def __init__(self, cameras: Sequence[Camera], joints: JointSet, settings: LiveSettings) -> None: ...
+    The identities are those that ``tracking`` gives to the same frames of a finished session, as far as they don't need
+    later frames. Memory does not grow with the length of the capture.
+
+    Parameters
+    ----------
+    cameras
+        Cameras with different names, at least two.
+    joints
+        Joint set of the detector.
+    settings
+        Rates and times.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two cameras, or two of the same name.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], joints: JointSet, settings: LiveSettings) -> None:
+        self._names = {camera.name: number for number, camera in enumerate(cameras)}
+        if len(self._names) < max(2, len(cameras)):
+            message = "A live capture needs at least two cameras, with different names."
+            raise InputError([Problem(VALUE_NOT_ALLOWED, message, field="cameras")])
+        self._cameras, self._joints, self._settings = tuple(cameras), joints, settings
+        self._queue = FrameQueue(len(cameras), settings)
+        rate_hz = settings.frame_rate_hz
+        self._tracker = LiveTracker(cameras, len(joints.names), derive_parameters(cameras, rate_hz), rate_hz)
+        self._start_s: float | None = None
+        self._num_instants = 0
 
     def push(
         self,
@@ -23,14 +63,91 @@ class LiveCapture:
         points_px: Float[np.ndarray, "people joints 2"],
         score: Float[np.ndarray, "people joints"],
     ) -> list[LiveInstant]:
-        """Take a frame of a camera; return the instants that became final by it, in time order."""
-        raise NotImplementedError
+        """Take a frame of a camera; return the instants that became final by it, in time order.
+
+        Parameters
+        ----------
+        camera
+            Position or name of the camera.
+        time_s
+            Time of the frame on the clock that all cameras share.
+        points_px
+            Joints of each body in pixels of the full image (distorted, as seen), NaN where a joint was not found. No
+            body: the frame is empty.
+        score
+            The detector's confidence in each joint, 0 to 1.
+
+        Raises
+        ------
+        InputError
+            If the camera is unknown, or a value is not allowed; the capture goes on without the frame.
+        """
+        number = self._names.get(camera, -1) if isinstance(camera, str) else camera
+        if problems := tuple(self._problems(camera, number, time_s, points_px, score)):
+            raise InputError(problems)
+        points_px, score = np.asarray(points_px, np.float64), np.asarray(score, np.float64)
+        self._queue.add(make_frame(self._cameras[number], number, float(time_s), points_px, score))
+        return self._process(self._queue.release())
 
     def flush(self) -> list[LiveInstant]:
         """Process the frames that wait; return the instants that became final."""
-        raise NotImplementedError
+        return self._process(self._queue.release_all())
 
     @property
     def counts(self) -> LiveCounts:
         """Numbers of frames so far."""
-        raise NotImplementedError
+        return self._queue.counts
+
+    @property
+    def num_kept(self) -> int:
+        """Number of frames, detections and people that are kept; it does not grow with the length of the capture."""
+        return len(self._queue) + self._tracker.num_kept()
+
+    def _process(self, frames: Sequence[LiveFrame]) -> list[LiveInstant]:
+        """Process frames up to each instant, and return the instants."""
+        rate_hz, instants, num_done = self._settings.instants_hz, [], 0
+        within_s = self._settings.same_instant_s / 2
+        if self._start_s is None and frames:
+            self._start_s = frames[0].time_s
+        while self._start_s is not None:
+            time_s = self._start_s + self._num_instants / rate_hz
+            if time_s + within_s > self._queue.settled_s:
+                break
+            upcoming_s = frames[num_done].time_s if num_done < len(frames) else self._queue.settled_s
+            if upcoming_s - time_s > _LONGEST_PAUSE_S:
+                self._num_instants = math.ceil((upcoming_s - _LONGEST_PAUSE_S - self._start_s) * rate_hz)
+                continue
+            first = num_done
+            while num_done < len(frames) and frames[num_done].time_s <= time_s + within_s:
+                num_done += 1
+            self._tracker.advance(frames[first:num_done])
+            instants.append(self._instant(time_s))
+            self._num_instants += 1
+        self._tracker.advance(frames[num_done:])
+        return instants
+
+    def _instant(self, time_s: float) -> LiveInstant:
+        people = [LivePerson(seen.number, seen.xyz_m, None) for seen in self._tracker.people_at(time_s)]
+        return LiveInstant(time_s, tuple(people), max(0.0, self._queue.newest_s - time_s))
+
+    def _problems(
+        self, camera: int | str, number: int, time_s: float, points_px: np.ndarray, score: np.ndarray
+    ) -> Iterator[Problem]:
+        """Find everything that is wrong with a frame."""
+        if not 0 <= number < len(self._cameras):
+            message = f"camera must be one of {', '.join(self._names)}, or its position."
+            yield Problem(VALUE_NOT_ALLOWED, message, field="camera")
+        if not (math.isfinite(time_s) and abs(time_s) <= _LONGEST_S):
+            yield Problem(OUT_OF_RANGE, "time_s must be a finite number of seconds.", field="time_s")
+        num_joints = len(self._joints.names)
+        shape, num_people = np.shape(points_px), len(points_px)
+        if shape != (num_people, num_joints, 2) or np.shape(score) != (num_people, num_joints):
+            message = (
+                f"points_px must be of shape (people, {num_joints}, 2), and score of shape (people, {num_joints})."
+            )
+            yield Problem(WRONG_LENGTH, message, field="points_px")
+        elif not np.all((np.asarray(score) >= 0) & (np.asarray(score) <= 1)):
+            yield Problem(OUT_OF_RANGE, "score must be from 0 to 1.", field="score")
+        if num_people > _MOST_BODIES:
+            message = f"points_px must have at most {_MOST_BODIES} bodies."
+            yield Problem(WRONG_LENGTH, message, field="points_px")

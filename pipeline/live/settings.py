@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import PARAMETER_RANGE
 
+# Part of a period.
+_SAME_INSTANT = 1e-3
 _LIMITS = {
     "frame_rate_hz": (1.0, 1000.0),
     "output_rate_hz": (0.1, 1000.0),
-    "window_s": (0.0, 10.0),
+    "window_s": (0.001, 10.0),
     "learn_s": (0.2, 60.0),
 }
 
@@ -53,6 +55,11 @@ class LiveSettings:
     def instants_hz(self) -> float:
         """Rate of the instants."""
         return self.frame_rate_hz if self.output_rate_hz is None else self.output_rate_hz
+
+    @property
+    def same_instant_s(self) -> float:
+        """Difference of the times of frames that show the same instant."""
+        return _SAME_INSTANT / self.frame_rate_hz
 
     def _problems(self) -> Iterator[Problem]:
         for name, (lowest, highest) in _LIMITS.items():

@@ -38,7 +38,7 @@ def gather(
     """Copy the detections of all cameras into arrays. The cameras are in the order of ``Detections2D.camera``."""
     ordered = [detections[camera.name] for camera in cameras]
     seen_px = np.concatenate(
-        [_within_view(camera, of_camera.keypoints_px) for camera, of_camera in zip(cameras, ordered, strict=True)]
+        [within_view(camera, of_camera.keypoints_px) for camera, of_camera in zip(cameras, ordered, strict=True)]
     )
     score = np.concatenate([of_camera.score for of_camera in ordered])
     clear_unfound(seen_px, score)
@@ -52,7 +52,7 @@ def gather(
     )
 
 
-def _within_view(
+def within_view(
     camera: Camera, seen_px: Float[np.ndarray, "detections joints 2"]
 ) -> Float[np.ndarray, "detections joints 2"]:
     """Joints of a camera; NaN beyond the angle to which a fisheye lens is used."""

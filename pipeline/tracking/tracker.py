@@ -1,4 +1,7 @@
-"""Cross-view tracker over all frames of a session: compiled loops over frames, targets started in between."""
+"""Cross-view tracker: compiled loops over frames, targets started in between.
+
+``TrackerState`` takes frames as they come, ``Tracker`` all frames of a session.
+"""
 
 from collections.abc import Callable, Sequence
 
@@ -26,6 +29,7 @@ from pipeline.tracking.observations import NOBODY, Detections2D
 from pipeline.tracking.parameters import TrackingParameters
 
 _FIRST_SLOTS = 16
+_FIRST_DETECTIONS = 8
 # Most targets at once, tentative and lost targets included. Matching grows with the square of their number.
 _MAX_TARGETS = 512
 # Frames between two reports of progress; a frame of a hundred people and 512 targets takes a twentieth of a second.
@@ -82,80 +86,117 @@ def make_frames(
     )
 
 
-class Tracker:
-    """Gives every detection of a session the identity of a person.
+class TrackerState:
+    """State of the tracker between two frames, which gives detections the numbers of targets.
 
-    ``frames`` are those of ``make_frames``, ``parameters`` of ``derive_parameters``.
+    ``parameters`` are those of ``derive_parameters``; ``most_detections`` in a frame are expected, more are taken.
     """
 
-    def __init__(self, cameras: Sequence[Camera], frames: Frames, parameters: TrackingParameters) -> None:
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        num_joints: int,
+        parameters: TrackingParameters,
+        most_detections: int = _FIRST_DETECTIONS,
+    ) -> None:
         self._cameras = cameras
-        self._frames = frames
+        self._num_joints = num_joints
         self._parameters = parameters
         self._limits = make_limits(parameters)
         self._rig = make_rig(cameras)
-        most = int((frames.last - frames.first).max(initial=1))
-        self._targets = make_targets(_FIRST_SLOTS, len(cameras), frames.score.shape[1], most)
-        self._workspace = make_workspace(_FIRST_SLOTS, most)
+        self._targets = make_targets(_FIRST_SLOTS, len(cameras), num_joints, most_detections)
+        self._workspace = make_workspace(_FIRST_SLOTS, most_detections)
         self._pool = Pool(
-            np.zeros((len(cameras), most), np.int64), np.zeros(len(cameras), np.int64), np.full(len(cameras), -np.inf)
+            np.zeros((len(cameras), most_detections), np.int64),
+            np.zeros(len(cameras), np.int64),
+            np.full(len(cameras), -np.inf),
         )
         self._outcome = Outcome(
-            np.full(len(frames.score), NOBODY),
-            np.full(_FIRST_SLOTS, -1),
-            np.zeros(_FIRST_SLOTS, bool),
-            np.full(1, -np.inf),
+            np.full(0, NOBODY), np.full(_FIRST_SLOTS, -1), np.zeros(_FIRST_SLOTS, bool), np.full(1, -np.inf)
         )
         self._num_born = 0
 
-    def run(
-        self, on_share: OnShare = ignore, on_approximate: Callable[[float], object] = ignore
-    ) -> Int[np.ndarray, " detections"]:
-        """Process all frames in time order.
+    def advance(
+        self,
+        frames: Frames,
+        identity: Int[np.ndarray, " detections"],
+        on_share: OnShare = ignore,
+        on_approximate: Callable[[float], object] = ignore,
+    ) -> None:
+        """Process frames in time order, none before those of earlier calls.
 
         Parameters
         ----------
+        frames
+            Frames; the detections that ``carry`` returned are the first rows of their detections.
+        identity
+            Output: number of each detection's target; unchanged where a detection belongs to no target. Detections that
+            were carried may get a target, too.
         on_share
             Called with the completed share of the frames, at least every 64 frames.
         on_approximate
             Called with each time at which new people were not grouped exactly, or exceeded the limit of targets.
-
-        Returns
-        -------
-            Identity of each detection; ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
         """
-        event, num_frames = 0, len(self._frames.time_s)
+        event, num_frames = 0, len(frames.time_s)
+        self._make_room(int((frames.last - frames.first).max(initial=1)))
+        self._outcome = self._outcome._replace(identity=identity)
         while event < num_frames:
             stop = min(event + _FRAMES_AT_ONCE, num_frames)
-            frames = self._frames._replace(time_s=self._frames.time_s[:stop])
+            some = frames._replace(time_s=frames.time_s[:stop])
             event = kernels.track(
-                event, frames, self._rig, self._limits, self._targets, self._pool, self._outcome, self._workspace
+                event, some, self._rig, self._limits, self._targets, self._pool, self._outcome, self._workspace
             )
             if event < stop:
-                time_s = float(self._frames.time_s[event])
-                if not self._start_targets(time_s):
+                time_s = float(frames.time_s[event])
+                if not self._start_targets(frames, time_s):
                     on_approximate(time_s)
                 event += 1
             on_share(event / num_frames)
-        final = np.append(self._final_identities(), NOBODY)
-        return final[self._outcome.identity]
+
+    def carry(self) -> Int[np.ndarray, " rows"]:
+        """Rows of the detections that may start a target with those of later frames: they must be kept.
+
+        They are unmatched detections of each camera's most recent frame. The next call of ``advance`` finds them in
+        this order in the first rows.
+        """
+        waiting = np.arange(self._pool.rows.shape[1]) < self._pool.num_rows[:, None]
+        rows = self._pool.rows[waiting]
+        self._pool.rows[waiting] = np.arange(len(rows))
+        return rows
+
+    @property
+    def num_born(self) -> int:
+        """Number of targets, ended ones included unless they were forgotten."""
+        return self._num_born
 
     def states(self) -> np.ndarray:
         """State of the living targets in order of creation; records of ``state.target_dtype``."""
         return self._targets.state[self._targets.order[: self._targets.alive[0]]]
 
-    def _final_identities(self) -> Int[np.ndarray, " targets"]:
-        """Identity of each target after the merge of duplicates; ``NOBODY`` if the target was never confirmed."""
+    def final_identities(self) -> Int[np.ndarray, " targets"]:
+        """Number of each target after the merge of duplicates; ``NOBODY`` if the target was never confirmed."""
         final = np.arange(self._num_born)
         twins = self._outcome.replaced_by[: self._num_born]
         while (moved := twins[final] >= 0).any():
             final[moved] = twins[final[moved]]
         return np.where(self._outcome.earned[final], final, NOBODY)
 
-    def _start_targets(self, time_s: float) -> bool:
+    def forget_ended(self) -> Int[np.ndarray, " targets"]:
+        """Forget targets that ended, and number the living ones from 0; returns their numbers until now, ascending."""
+        slots = self._targets.order[: self._targets.alive[0]]
+        former = np.sort(self._targets.state["target_id"][slots])
+        self._targets.state["target_id"][slots] = np.searchsorted(former, self._targets.state["target_id"][slots])
+        # No living target was merged into another one.
+        self._outcome.earned[: len(former)] = self._outcome.earned[former]
+        self._outcome.earned[len(former) :] = False
+        self._outcome.replaced_by[:] = -1
+        self._num_born = len(former)
+        return former
+
+    def _start_targets(self, frames: Frames, time_s: float) -> bool:
         """Start targets from the unmatched detections of every camera's most recent frame; return whether exactly."""
         pool = [
-            Unmatched(camera, row, float(self._pool.time_s[camera]), self._points_px(row), self._frames.score[row])
+            Unmatched(camera, row, float(self._pool.time_s[camera]), _points_px(frames, row), frames.score[row])
             for camera in range(len(self._cameras))
             if time_s - self._pool.time_s[camera] < self._parameters.instant_s
             for row in self._pool.rows[camera, : self._pool.num_rows[camera]].tolist()
@@ -178,7 +219,7 @@ class Tracker:
             else:
                 is_exact = False
                 continue
-            self._place(slot, group, xyz_m, time_s)
+            self._place(slot, frames, group, xyz_m, time_s)
         return is_exact
 
     def _lost_slots(self, time_s: float) -> Int[np.ndarray, " lost"]:
@@ -187,16 +228,12 @@ class Tracker:
         return alive[self._targets.state["confirmed"][alive] & (unseen_s > self._parameters.velocity_window_s)]
 
     def _lost(self, slots: Int[np.ndarray, " lost"], time_s: float) -> Lost:
-        state, num_joints = self._targets.state[slots], self._frames.score.shape[1]
+        state, num_joints = self._targets.state[slots], self._num_joints
         return Lost(
             state["xyz_m"][..., :num_joints].swapaxes(-1, -2),
             state["velocity_m_s"][..., :num_joints].swapaxes(-1, -2),
             time_s - state["moved_s"],
         )
-
-    def _points_px(self, row: int) -> Float[np.ndarray, "joints 2"]:
-        """Undistorted joints of a detection, NaN where a joint is not used."""
-        return np.where(self._frames.score[row][:, None] > 0, self._frames.points_px[row], np.nan)
 
     def _locate(self, group: Sequence[Unmatched]) -> Float[np.ndarray, "joints 3"]:
         return triangulate_frames(
@@ -222,13 +259,18 @@ class Tracker:
         return slot
 
     def _place(
-        self, slot: int, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"], time_s: float
+        self,
+        slot: int,
+        frames: Frames,
+        group: Sequence[Unmatched],
+        xyz_m: Float[np.ndarray, "joints 3"],
+        time_s: float,
     ) -> None:
         """Give a cleared target its first detections, and locate it."""
         targets = self._targets
         targets.state["expected_m"][slot, :, : len(xyz_m)] = xyz_m.T
         for body in group:
-            kernels.prepare(targets, self._frames, body.row, 1, self._rig.world_ray_from_image[body.camera])
+            kernels.prepare(targets, frames, body.row, 1, self._rig.world_ray_from_image[body.camera])
             kernels.observe(targets, slot, body.camera, body.time_s, 0, self._rig.image_from_world, self._limits)
             self._outcome.identity[body.row] = targets.state["target_id"][slot]
             self._forget(body)
@@ -245,19 +287,60 @@ class Tracker:
         """Double the slots if all are taken, and the identities if all are used."""
         num_slots = len(self._targets.state)
         if self._targets.alive[0] == num_slots:
-            larger = make_targets(
-                2 * num_slots, len(self._cameras), self._frames.score.shape[1], len(self._targets.bodies)
-            )
-            larger.alive[0] = num_slots
-            larger.order[:num_slots] = self._targets.order
-            for old, new in zip(self._targets[2:], larger[2:], strict=True):
-                new[: len(old)] = old
-            self._targets = larger
-            self._workspace = make_workspace(2 * num_slots, len(self._targets.bodies))
+            self._enlarge(2 * num_slots, len(self._targets.bodies))
         if self._num_born == len(self._outcome.earned):
             self._outcome = self._outcome._replace(
                 replaced_by=_doubled(self._outcome.replaced_by, -1), earned=_doubled(self._outcome.earned, False)
             )
+
+    def _make_room(self, most_detections: int) -> None:
+        """Make room for frames with more detections than before."""
+        if most_detections > len(self._targets.bodies):
+            self._enlarge(len(self._targets.state), max(most_detections, 2 * len(self._targets.bodies)))
+            rows = np.zeros((len(self._cameras), len(self._targets.bodies)), np.int64)
+            rows[:, : self._pool.rows.shape[1]] = self._pool.rows
+            self._pool = self._pool._replace(rows=rows)
+
+    def _enlarge(self, num_slots: int, most_detections: int) -> None:
+        """Move the targets to larger arrays."""
+        num_taken = len(self._targets.state)
+        larger = make_targets(num_slots, len(self._cameras), self._num_joints, most_detections)
+        larger.alive[0] = self._targets.alive[0]
+        larger.order[:num_taken] = self._targets.order
+        for old, new in zip(self._targets[2:], larger[2:], strict=True):
+            new[: len(old)] = old
+        self._targets = larger
+        self._workspace = make_workspace(num_slots, most_detections)
+
+
+class Tracker:
+    """Gives every detection of a session the identity of a person.
+
+    ``frames`` are those of ``make_frames``, ``parameters`` of ``derive_parameters``.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], frames: Frames, parameters: TrackingParameters) -> None:
+        self._frames = frames
+        self.state = TrackerState(
+            cameras, frames.score.shape[1], parameters, int((frames.last - frames.first).max(initial=1))
+        )
+
+    def run(
+        self, on_share: OnShare = ignore, on_approximate: Callable[[float], object] = ignore
+    ) -> Int[np.ndarray, " detections"]:
+        """Process all frames in time order.
+
+        ``on_share`` and ``on_approximate`` are as of ``TrackerState.advance``. Returns the identity of each detection;
+        ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
+        """
+        identity = np.full(len(self._frames.score), NOBODY)
+        self.state.advance(self._frames, identity, on_share, on_approximate)
+        return np.append(self.state.final_identities(), NOBODY)[identity]
+
+
+def _points_px(frames: Frames, row: int) -> Float[np.ndarray, "joints 2"]:
+    """Undistorted joints of a detection, NaN where a joint is not used."""
+    return np.where(frames.score[row][:, None] > 0, frames.points_px[row], np.nan)
 
 
 def _doubled(values: Int[np.ndarray, " n"] | Bool[np.ndarray, " n"], fill: int) -> np.ndarray:

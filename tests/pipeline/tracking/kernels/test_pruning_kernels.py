@@ -49,8 +49,8 @@ def tracker_of(camera: Camera, seen_px: np.ndarray, score: np.ndarray, parameter
 def place_targets(tracker: Tracker, people_m: np.ndarray, shift_m: float, rng: np.random.Generator) -> None:
     """Add targets some way off the people, with joints of different ages; the camera has seen most people before."""
     for person_m in people_m:
-        slot = tracker._new_slot()
-        target = tracker._targets.state[slot]
+        slot = tracker.state._new_slot()
+        target = tracker.state._targets.state[slot]
         target["xyz_m"][:, :NUM_JOINTS] = (person_m + rng.normal(0.0, shift_m, 3)).T
         known = np.isfinite(person_m[:, 0])
         ages_s = rng.choice([0.0, 0.04, 0.4, 1.5], NUM_JOINTS, p=[0.4, 0.3, 0.2, 0.1]) * (rng.random() < 0.5)
@@ -58,14 +58,14 @@ def place_targets(tracker: Tracker, people_m: np.ndarray, shift_m: float, rng: n
         target["velocity_m_s"][:, :NUM_JOINTS] = rng.normal(0.0, 0.1, (3, NUM_JOINTS))
         target["moved_s"] = NOW_S - ages_s[known].min(initial=np.inf)
         if rng.random() < 0.8:
-            last_px = project(tracker._cameras[0], person_m) + rng.normal(0.0, 0.5, (NUM_JOINTS, 2))
-            tracker._targets.views[slot, 0]["last_px"][:, :NUM_JOINTS] = last_px.T
-            tracker._targets.matched_s[slot, 0] = NOW_S - rng.choice([0.04, 0.2])
+            last_px = project(tracker.state._cameras[0], person_m) + rng.normal(0.0, 0.5, (NUM_JOINTS, 2))
+            tracker.state._targets.views[slot, 0]["last_px"][:, :NUM_JOINTS] = last_px.T
+            tracker.state._targets.matched_s[slot, 0] = NOW_S - rng.choice([0.04, 0.2])
 
 
 def all_affinities(tracker: Tracker, camera: Camera, seen_px: np.ndarray, score: np.ndarray) -> np.ndarray:
     """Affinities of all pairs by the reference, (targets, detections)."""
-    parameters, targets = tracker._parameters, tracker._targets
+    parameters, targets = tracker.state._parameters, tracker.state._targets
     slots = targets.order[: targets.alive[0]]
     state = targets.state[slots]
     xyz_m = state["xyz_m"][..., :NUM_JOINTS].swapaxes(-1, -2)
@@ -78,16 +78,16 @@ def all_affinities(tracker: Tracker, camera: Camera, seen_px: np.ndarray, score:
     last_px = targets.views[slots, 0]["last_px"][..., :NUM_JOINTS].swapaxes(-1, -2)
     with np.errstate(invalid="ignore"):
         terms_2d = correspondence_2d(points_px, last_px, NOW_S - targets.matched_s[slots, 0], parameters)
-        center_m = tracker._rig.center_m[0]
+        center_m = tracker.state._rig.center_m[0]
         terms_3d = correspondence_3d(rays_in_world(camera, points_px), center_m, expected_m, age_s, parameters)
         return affinity(terms_2d, terms_3d)
 
 
 def listed_pairs(tracker: Tracker, num_detections: int) -> set[tuple[int, int]]:
     """Pairs whose affinities the compiled tracker computes."""
-    targets, room, rig = tracker._targets, tracker._workspace, tracker._rig
+    targets, room, rig = tracker.state._targets, tracker.state._workspace, tracker.state._rig
     kernels.prepare(targets, tracker._frames, 0, num_detections, rig.world_ray_from_image[0])
-    num_pairs = kernels.find_pairs(targets, 0, NOW_S, num_detections, rig, tracker._limits, room)
+    num_pairs = kernels.find_pairs(targets, 0, NOW_S, num_detections, rig, tracker.state._limits, room)
     return set(zip(room.pair_target[:num_pairs].tolist(), room.pair_detection[:num_pairs].tolist(), strict=True))
 
 
@@ -131,12 +131,12 @@ def test_a_target_is_skipped_only_out_of_reach(axis: int) -> None:
     is_positive, is_listed = [], []
     for off_m in np.arange(0.0, 0.4, 0.01):
         tracker = tracker_of(camera, seen_px, score, parameters)
-        slot = tracker._new_slot()
-        target = tracker._targets.state[slot]
+        slot = tracker.state._new_slot()
+        target = tracker.state._targets.state[slot]
         target["xyz_m"][:, :NUM_JOINTS] = (person_m + off_m * camera.cam_from_world.rotation[axis]).T
         target["updated_s"][:NUM_JOINTS] = target["moved_s"] = NOW_S
-        tracker._targets.views[slot, 0]["last_px"][:, :NUM_JOINTS] = undistort_px(camera, seen_px[0]).T
-        tracker._targets.matched_s[slot, 0] = NOW_S - 0.04
+        tracker.state._targets.views[slot, 0]["last_px"][:, :NUM_JOINTS] = undistort_px(camera, seen_px[0]).T
+        tracker.state._targets.matched_s[slot, 0] = NOW_S - 0.04
         is_positive.append(bool(all_affinities(tracker, camera, seen_px, score)[0, 0] > 0))
         is_listed.append(bool(listed_pairs(tracker, 1)))
     assert is_positive.index(False) > 25

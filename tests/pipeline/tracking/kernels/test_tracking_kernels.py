@@ -43,7 +43,7 @@ def test_tracks_are_those_of_the_reference(scene: str, seed: int) -> None:
     tracker = Tracker(simulation.cameras, frames, parameters)
     np.testing.assert_array_equal(tracker.run(), identity)
     assert len(np.unique(identity[identity >= 0])) >= len(simulation.truth_m) // 2
-    state = tracker.states()
+    state = tracker.state.states()
     assert [target.target_id for target in plain.targets] == state["target_id"].tolist()
     num_joints = bodies.score.shape[1]
     for target, found in zip(plain.targets, state, strict=True):

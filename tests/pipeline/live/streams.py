@@ -1,0 +1,21 @@
+"""Frames of a simulated scene sent to a live capture."""
+
+from collections.abc import Iterable
+
+from pipeline.live.capture import LiveCapture
+from pipeline.live.recorded import RecordedFrame, recorded_frames
+from pipeline.live.records import LiveInstant
+from pipeline.simulation.scenes import Simulation
+
+
+def sent_frames(simulation: Simulation) -> list[RecordedFrame]:
+    """Frames of all cameras in time order."""
+    return recorded_frames(simulation.cameras, simulation.times, simulation.detections)
+
+
+def play(capture: LiveCapture, frames: Iterable[RecordedFrame]) -> list[LiveInstant]:
+    """Send frames, then end."""
+    instants = []
+    for frame in frames:
+        instants += capture.push(*frame)
+    return instants + capture.flush()
