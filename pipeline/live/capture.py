@@ -8,11 +8,13 @@ from jaxtyping import Float
 
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
+from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.joints import JointSet
 from pipeline.live.frames import FrameQueue, LiveFrame, make_frame
 from pipeline.live.records import LiveCounts, LiveInstant, LivePerson
 from pipeline.live.settings import LiveSettings
-from pipeline.live.tracking import LiveTracker
+from pipeline.live.skeleton import LiveBody
+from pipeline.live.tracking import LiveTracker, Sighting
 from pipeline.problem_codes.fields import OUT_OF_RANGE, VALUE_NOT_ALLOWED, WRONG_LENGTH
 from pipeline.tracking.parameters import derive_parameters
 
@@ -53,6 +55,9 @@ class LiveCapture:
         self._queue = FrameQueue(len(cameras), settings)
         rate_hz = settings.frame_rate_hz
         self._tracker = LiveTracker(cameras, len(joints.names), derive_parameters(cameras, rate_hz), rate_hz)
+        self._center_m = np.array([center_in_world(camera) for camera in cameras])
+        self._ray_from_image = np.linalg.inv(projection_matrices(cameras)[:, :, :3])
+        self._bodies: dict[int, LiveBody] = {}
         self._start_s: float | None = None
         self._num_instants = 0
 
@@ -101,7 +106,8 @@ class LiveCapture:
     @property
     def num_kept(self) -> int:
         """Number of frames, detections and people that are kept; it does not grow with the length of the capture."""
-        return len(self._queue) + self._tracker.num_kept()
+        of_bodies = sum(1 + body.num_kept for body in self._bodies.values())
+        return len(self._queue) + self._tracker.num_kept() + of_bodies
 
     def _process(self, frames: Sequence[LiveFrame]) -> list[LiveInstant]:
         """Process frames up to each instant, and return the instants."""
@@ -127,8 +133,26 @@ class LiveCapture:
         return instants
 
     def _instant(self, time_s: float) -> LiveInstant:
-        people = [LivePerson(seen.number, seen.xyz_m, None) for seen in self._tracker.people_at(time_s)]
+        self._bodies = {number: body for number, body in self._bodies.items() if number in self._tracker.numbers}
+        people = [self._person(time_s, seen) for seen in self._tracker.people_at(time_s)]
         return LiveInstant(time_s, tuple(people), max(0.0, self._queue.newest_s - time_s))
+
+    def _person(self, time_s: float, seen: Sighting) -> LivePerson:
+        """A person with the skeleton, once bones are learnt."""
+        if seen.number not in self._bodies:
+            rate_hz, learn_s = self._settings.instants_hz, self._settings.learn_s
+            self._bodies[seen.number] = LiveBody(self._joints, self._center_m, rate_hz, learn_s)
+        num_cameras, num_joints = seen.score.shape
+        points_px = seen.flat_px.reshape(num_cameras, num_joints, 2)
+        homogeneous = np.concatenate([points_px, np.ones((num_cameras, num_joints, 1))], axis=-1)
+        rays = homogeneous @ self._ray_from_image.swapaxes(-1, -2)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        body = self._bodies[seen.number]
+        followed = body.follow(time_s, seen.xyz_m, rays.swapaxes(0, 1), seen.score.T)
+        if followed is None:
+            return LivePerson(seen.number, seen.xyz_m, None)
+        skeleton, xyz_m = followed
+        return LivePerson(seen.number, np.where(np.isfinite(xyz_m), xyz_m, seen.xyz_m), skeleton)
 
     def _problems(
         self, camera: int | str, number: int, time_s: float, points_px: np.ndarray, score: np.ndarray

@@ -21,8 +21,10 @@ class LivePerson:
     """A person at an instant."""
 
     id: int  # Number of the person, from 1 in order of first appearance; the same for the whole capture
-    xyz_m: Float[np.ndarray, "joints 3"]  # World positions of the detector's joints, NaN where unknown
-    skeleton: LiveSkeleton | None  # ``None`` until the person's bones are learnt
+    # World positions of the detector's joints, NaN where unknown: of the skeleton, or located before there is one
+    xyz_m: Float[np.ndarray, "joints 3"]
+    # ``None`` until the person's bones are learnt, and behind a gap until hips and shoulders are located
+    skeleton: LiveSkeleton | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

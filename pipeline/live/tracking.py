@@ -64,6 +64,11 @@ class LiveTracker:
         self._carried_px, self._carried_score = np.empty((0, num_joints, 2)), np.empty((0, num_joints))
         self._carried_camera, self._carried_s = np.empty(0, np.int64), np.empty(0)
 
+    @property
+    def numbers(self) -> frozenset[int]:
+        """Numbers of the people who are followed, in sight or hidden for a short time."""
+        return frozenset(target.number for target in self._targets.values() if target.number)
+
     def num_kept(self) -> int:
         """Number of targets and detections that are kept."""
         return len(self._targets) + len(self._carried_score)

@@ -37,14 +37,14 @@ _DETECTOR = DetectorAccuracy(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def crowd(num_cameras: int, num_people: int, duration_s: float) -> Simulation:
+def crowd(num_cameras: int, num_people: int, duration_s: float, rate_hz: float = RATE_HZ) -> Simulation:
     """Simulate people who improvise on 4 m^2 each, with cameras around them and ideal lenses."""
     side_m = 2.0 * np.sqrt(num_people)
     around_m = (side_m / 2 + 3.0, side_m / 2 + 3.0)
     layout = Layout.RING if num_cameras <= 6 else Layout.CEILING
     rig = Rig(layout, num_cameras, around_m, 2.6, distortion=_NO_DISTORTION)
     cast = Cast(num_people, (side_m, side_m))
-    return record(Scene(rig, cast, Clock(RATE_HZ), _DETECTOR, duration_s=duration_s), seed=0)
+    return record(Scene(rig, cast, Clock(rate_hz), _DETECTOR, duration_s=duration_s), seed=0)
 
 
 def _dome(num_cameras: int, duration_s: float) -> Simulation:

@@ -17,6 +17,7 @@ from api.cli.benchmark.export import export
 from api.cli.benchmark.fit import fit
 from api.cli.benchmark.identity import identity
 from api.cli.benchmark.length import length
+from api.cli.benchmark.live import live
 from api.cli.benchmark.load import load
 from api.cli.benchmark.profiles import profiles
 from api.cli.benchmark.providers import providers
@@ -46,6 +47,7 @@ app.command()(export)
 app.command()(fit)
 app.command()(identity)
 app.command()(length)
+app.command()(live)
 app.command()(load)
 app.command()(profiles)
 app.command()(providers)

@@ -1,0 +1,137 @@
+"""`multicap benchmark live`: time from a frame's arrival to people and their skeletons, and their error."""
+
+import time
+from dataclasses import replace
+from itertools import pairwise
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from api.cli.benchmark.tracking import crowd
+from api.cli.console import JsonOption, emit, print_table, reporting
+from pipeline.config import ReconstructionConfig
+from pipeline.data.people import Track3D
+from pipeline.live.capture import LiveCapture
+from pipeline.live.recorded import recorded_frames
+from pipeline.live.records import LiveInstant
+from pipeline.live.settings import LiveSettings
+from pipeline.simulation.scenes import SCENES, Simulation, record
+from pipeline.skeleton.animate import animate
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+from pipeline.warm_up import warm_up
+
+# Cameras, people and rate.
+_SIZES = ((5, 4, 60.0), (12, 4, 60.0), (28, 16, 25.0))
+_PERCENTILES = (50, 95, 99)
+# Skeletons are timed from the first bones on; none are learnt where tracks are timed.
+_LEARN_S, _NEVER_S = 2.0, 60.0
+_ROOM_S = 20.0
+# A person who is farther from everybody of the finished session is nobody of it.
+_SAME_PERSON_M = 0.5
+
+
+def latencies_ms(simulation: Simulation, learn_s: float) -> tuple[np.ndarray, int]:
+    """Time from the arrival of the frame that makes an instant final to the instant, and the number of dropped frames.
+
+    Frames arrive at their times, and one core processes them in turn. Its processor time counts, so that other programs
+    do not.
+    """
+    capture = LiveCapture(
+        simulation.cameras, simulation.joints, LiveSettings(simulation.timebase.frame_rate_hz, learn_s=learn_s)
+    )
+    taken_ms, free_s = [], -np.inf
+    for frame in recorded_frames(simulation.cameras, simulation.times, simulation.detections):
+        started_s = time.thread_time()
+        instants = capture.push(*frame)
+        free_s = max(free_s, frame.time_s) + time.thread_time() - started_s
+        is_timed = learn_s == _NEVER_S or any(
+            person.skeleton is not None for instant in instants for person in instant.people
+        )
+        if instants and is_timed:
+            taken_ms.append(1e3 * (free_s - frame.time_s))
+    return np.array(taken_ms), capture.counts.dropped
+
+
+def measure_sizes(duration_s: float) -> list[dict[str, Any]]:
+    """Latencies at each size; ``p50_ms`` and so on are those of skeletons."""
+    sizes = []
+    for num_cameras, num_people, rate_hz in _SIZES:
+        simulation = crowd(num_cameras, num_people, duration_s, rate_hz)
+        size: dict[str, Any] = {"cameras": num_cameras, "people": num_people, "rate_hz": rate_hz, "dropped": 0}
+        for prefix, learn_s in (("", _LEARN_S), ("tracks_", _NEVER_S)):
+            taken_ms, num_dropped = latencies_ms(simulation, learn_s)
+            values = np.percentile(taken_ms, _PERCENTILES).tolist()
+            size |= {f"{prefix}p{share}_ms": value for share, value in zip(_PERCENTILES, values, strict=True)}
+            size["dropped"] += num_dropped
+        sizes.append(size)
+    return sizes
+
+
+def compare_with_finished(simulation: Simulation) -> dict[str, Any]:
+    """Mean errors of live skeletons and of the finished fit at the same joints and instants, and identity switches.
+
+    A switch is a change of the live number of a person of the finished session.
+    """
+    cameras, timebase, joints = simulation.cameras, simulation.timebase, simulation.joints
+    capture = LiveCapture(cameras, joints, LiveSettings(timebase.frame_rate_hz))
+    frames = recorded_frames(cameras, simulation.times, simulation.detections)
+    instants = [instant for frame in frames for instant in capture.push(*frame)] + capture.flush()
+    parameters = derive_parameters(cameras, timebase.frame_rate_hz)
+    people = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
+    finished = animate(*people, cameras, timebase, joints, ReconstructionConfig()).tracks
+    live_mm, fit_mm, numbers = [], [], {track.track_id: list[int]() for track in finished}
+    for instant in instants:
+        frame = round((instant.time_s - timebase.start_time_s) * timebase.frame_rate_hz)
+        for live_m, number, has_skeleton, track in _paired(instant, finished, frame):
+            numbers[track.track_id].append(number)
+            truth_m = simulation.truth_m[:, frame]
+            error_m = np.linalg.norm(
+                np.stack([live_m, track.xyz_m[frame - track.start_frame]])[:, None] - truth_m, axis=-1
+            )
+            nearest_m = error_m[:, np.nanargmin(np.nanmean(error_m[1], axis=-1))]
+            is_known = np.isfinite(nearest_m).all(0)
+            if has_skeleton:
+                live_mm += (1e3 * nearest_m[0, is_known]).tolist()
+                fit_mm += (1e3 * nearest_m[1, is_known]).tolist()
+    switches = sum(before != after for of_track in numbers.values() for before, after in pairwise(of_track))
+    figures = {"live_mm": float(np.mean(live_mm)), "fit_mm": float(np.mean(fit_mm))}
+    return {**figures, "ratio": figures["live_mm"] / figures["fit_mm"], "switches": switches}
+
+
+def _paired(
+    instant: LiveInstant, finished: tuple[Track3D, ...], frame: int
+) -> list[tuple[np.ndarray, int, bool, Track3D]]:
+    """People of an instant with the nearest person of the finished session: positions, number, has skeleton, track."""
+    paired = []
+    there = [track for track in finished if frame in track.frames]
+    for person in instant.people:
+        apart_m = [
+            np.nanmean(np.linalg.norm(person.xyz_m - track.xyz_m[frame - track.start_frame], axis=-1))
+            for track in there
+        ]
+        if apart_m and min(apart_m) < _SAME_PERSON_M:
+            nearest = there[int(np.argmin(apart_m))]
+            paired.append((person.xyz_m, person.id, person.skeleton is not None, nearest))
+    return paired
+
+
+def live(
+    duration_s: Annotated[float, typer.Option("--duration", min=3.0, max=600.0, help="Seconds of each size.")] = 20.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Time people and skeletons from a frame's arrival on one core, and compare them with a finished session."""
+    with reporting(as_json):
+        warm_up()
+        sizes = measure_sizes(duration_s)
+        room = compare_with_finished(record(replace(SCENES["room"], duration_s=_ROOM_S), 0))
+    if as_json:
+        emit({"sizes": sizes, "room": room})
+        return
+    columns = [name.replace("_", " ") for name in sizes[0]]
+    print_table(columns, ([f"{value:.3g}" for value in size.values()] for size in sizes))
+    typer.echo(
+        f"Simulated room: error {room['live_mm']:.1f} mm live and {room['fit_mm']:.1f} mm of the finished fit, "
+        f"{room['ratio']:.2f} times; {room['switches']} switches of identity."
+    )

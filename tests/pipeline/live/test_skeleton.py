@@ -1,0 +1,145 @@
+"""Skeletons while people move: bones, poses, and the error beside that of the finished fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data.animation import Animation, SkeletonMotion
+from pipeline.live.capture import LiveCapture
+from pipeline.live.pose_steps import PoseSteps, quat_xyzw_of
+from pipeline.live.records import LiveInstant
+from pipeline.live.settings import LiveSettings
+from pipeline.live.skeleton import PoseEvidence
+from pipeline.simulation.scenes import SCENES, Simulation, record
+from pipeline.skeleton.animate import animate
+from pipeline.skeleton.fitting.articulated import Posed, refine, start_from
+from pipeline.skeleton.fitting.articulation import articulate
+from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+from tests.pipeline.live.streams import play, sent_frames
+
+RATE_HZ = 25.0
+
+
+@pytest.fixture(scope="module")
+def room() -> Simulation:
+    return record(replace(SCENES["room"], duration_s=8.0), 1)
+
+
+@pytest.fixture(scope="module")
+def instants(room: Simulation) -> list[LiveInstant]:
+    return play(LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ)), sent_frames(room))
+
+
+@pytest.fixture(scope="module")
+def finished(room: Simulation) -> Animation:
+    people = reconstruct_tracks(
+        room.cameras, room.times, room.detections, room.timebase, derive_parameters(room.cameras, RATE_HZ)
+    )
+    return animate(*people, room.cameras, room.timebase, room.joints, ReconstructionConfig())
+
+
+def errors_m(xyz_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
+    """Errors of the joints to the nearest of the true people."""
+    return min((np.linalg.norm(person_m - xyz_m, axis=-1) for person_m in truth_m), key=np.nanmean)
+
+
+def test_error_is_near_that_of_the_finished_fit(
+    room: Simulation, instants: list[LiveInstant], finished: Animation
+) -> None:
+    """The same joints at the same instants; a skeleton cannot be as good as one that knows what follows."""
+    live_m, finished_m = [], []
+    for frame, instant in enumerate(instants):
+        for person in instant.people:
+            if person.skeleton is not None:
+                live_m.append(errors_m(person.xyz_m, room.truth_m[:, frame]))
+                tracks_m = [t.xyz_m[frame - t.start_frame] for t in finished.tracks if frame in t.frames]
+                there_m = min(tracks_m, key=lambda xyz_m: np.nanmean(np.linalg.norm(xyz_m - person.xyz_m, axis=-1)))
+                finished_m.append(errors_m(there_m, room.truth_m[:, frame]))
+    live, fit = np.array(live_m), np.array(finished_m)
+    is_known = np.isfinite(live) & np.isfinite(fit)
+    assert is_known.sum() > 3 * 17 * 4.5 * RATE_HZ
+    assert fit[is_known].mean() < 0.009
+    assert live[is_known].mean() < 1.6 * fit[is_known].mean()
+
+
+def test_skeletons_come_after_the_time_of_learning(instants: list[LiveInstant]) -> None:
+    first_s: dict[int, float] = {}
+    for instant in instants:
+        for person in instant.people:
+            if person.skeleton is not None:
+                first_s.setdefault(person.id, instant.time_s)
+    assert set(first_s) == {1, 2, 3}
+    assert all(3.0 <= time_s <= 3.4 for time_s in first_s.values())
+
+
+def test_a_skeleton_is_a_pose_of_the_animation_skeleton(instants: list[LiveInstant]) -> None:
+    """Forward kinematics of root, rotations and lengths gives the joints; lengths stay, rotations are continuous."""
+    lengths_m: dict[int, np.ndarray] = {}
+    before: dict[int, np.ndarray] = {}
+    for instant in instants:
+        for person in instant.people:
+            skeleton = person.skeleton
+            if skeleton is None:
+                continue
+            motion = SkeletonMotion(
+                1, "", 0, RATE_HZ, skeleton.bone_length_m, skeleton.root_m[None], skeleton.parent_from_joint[None], ()
+            )
+            np.testing.assert_allclose(forward_kinematics(motion)[0], skeleton.joint_m, atol=1e-9)
+            assert lengths_m.setdefault(person.id, skeleton.bone_length_m) is skeleton.bone_length_m
+            if person.id in before:
+                assert ((before[person.id] * skeleton.parent_from_joint).sum(-1) > 0.7).all()
+            before[person.id] = skeleton.parent_from_joint
+    assert set(before) == {1, 2, 3}
+
+
+def test_lengths_are_those_of_the_finished_fit(instants: list[LiveInstant], finished: Animation) -> None:
+    lengths_m = {p.id: p.skeleton.bone_length_m for i in instants for p in i.people if p.skeleton is not None}
+    fitted_m = [motion.bone_length_m for motion in finished.motions]
+    limbs = [INDEX[f"{side}{bone}"] for side in ("Left", "Right") for bone in ("ForeArm", "Hand", "Leg", "Foot")]
+    for length_m in lengths_m.values():
+        assert min(np.abs(length_m[limbs] / other_m[limbs] - 1.0).max() for other_m in fitted_m) < 0.05
+
+
+def test_quaternions_are_those_of_scipy() -> None:
+    """Also of half turns, about any axis."""
+    rng = np.random.default_rng(0)
+    axes = rng.normal(size=(200, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    angle_rad = np.append(rng.uniform(0.0, np.pi, 150), np.full(50, np.pi))
+    rotations = Rotation.concatenate([Rotation.from_rotvec(angle_rad[:, None] * axes), Rotation.identity(1)])
+    again = Rotation.from_quat(quat_xyzw_of(rotations.as_matrix()))
+    assert (again * rotations.inv()).magnitude().max() < 1e-7
+
+
+def test_steps_are_those_of_the_finished_fit(room: Simulation) -> None:
+    """One frame without accelerations: the same energy, so the same pose after the same number of steps."""
+    rng = np.random.default_rng(4)
+    length_m = np.array([1.7 * joint.stature_share for joint in SKELETON])
+    skeleton = articulate(length_m, room.joints, {"nose": np.array([0.0, -0.11, 0.0]), "left_ear": np.zeros(3)})
+    count = len(skeleton.landmark)
+    for _ in range(20):
+        quat = Rotation.from_rotvec(rng.normal(0.0, 0.5, (len(SKELETON), 3))).as_quat()[None]
+        by_fit, by_steps = (start_from(np.zeros((1, 3)), quat, skeleton) for _ in range(2))
+        target_m = Posed(by_fit, skeleton).landmark_m[0] + rng.normal(0.0, 0.1, (count, 3))
+        nothing = np.zeros((count, 1))
+        evidence = PoseEvidence(np.zeros((count, 1, 3)), nothing, np.zeros((1, 3)), target_m, np.full(count, 1e-4))
+        refine(by_fit, skeleton, evidence, np.full(count, np.inf), RATE_HZ, 3)
+        PoseSteps(skeleton).take(by_steps, evidence, 3)
+        np.testing.assert_allclose(by_steps.local, by_fit.local, atol=1e-7)
+        np.testing.assert_allclose(by_steps.root_m, by_fit.root_m, atol=1e-7)
+
+
+def test_a_skeleton_keeps_still_in_memory(room: Simulation) -> None:
+    """What is kept is the same after learning, however long people stay."""
+    capture = LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ, learn_s=1.0))
+    kept = []
+    for frame in sent_frames(room):
+        capture.push(*frame)
+        kept.append(capture.num_kept)
+    assert max(kept) > 60
+    assert max(kept[len(kept) // 4 :]) < 30
