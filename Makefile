@@ -16,7 +16,7 @@ UFBX := .venv-ufbx
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration verify-speed soak hostile check benchmark format lock clean blender-extension
+.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration verify-speed verify-containers soak hostile check benchmark format lock clean blender-extension
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -152,6 +152,9 @@ $(SPEED)/.installed: tests/pipeline/speed/peers/speed.lock
 
 verify-speed: setup $(SPEED)/.installed  ## Compare speed and error with MediaPipe and Pose2Sim (installs 700 MB); DATA=FOLDER of rendered people
 	MULTICAP_RENDERED=$(abspath $(DATA)) $(BIN)/python -P -m pytest -s tests/pipeline/speed
+
+verify-containers:  ## Bring both compose files up by podman, with kills, an upgrade and a restore (as root, on Debian; 10 GB)
+	bash docker/verify/containers.sh
 
 test-data: setup
 	$(BIN)/multicap models install

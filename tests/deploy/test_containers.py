@@ -72,6 +72,33 @@ def test_one_image_is_built_once(path: Path) -> None:
     assert len([name for name, service in services.items() if "build" in service]) == 1
 
 
+def test_verification_has_the_bases_of_all_files() -> None:
+    """What the script pulls or makes stand-ins for is what the Dockerfile and the compose files name."""
+    built = re.findall(r"^FROM (\S+)", (DOCKER / "multicap.Dockerfile").read_text(), re.MULTILINE)
+    services = [service for path in COMPOSE for service in yaml.safe_load(path.read_text())["services"].values()]
+    named = {service["image"] for service in services if not service["image"].startswith("multicap:")}
+    script = (DOCKER / "verify" / "containers.sh").read_text()
+    (bases,) = re.findall(r"^BASES=\(([^)]*)\)", script, re.MULTILINE)
+    assert sorted(bases.split()) == sorted({*built} | named)
+    # The stand-in of the S3 server has the image's version.
+    standins = (DOCKER / "verify" / "standins.sh").read_text()
+    (version,) = re.findall(r"^STANDIN_WEED=\S+==(\S+)$", standins, re.MULTILINE)
+    assert f"chrislusf/seaweedfs:{version}" in named
+
+
+def test_api_processes_share_uploads_as_the_proxy_takes_turns() -> None:
+    services = yaml.safe_load((DOCKER / "compose.cluster.yml").read_text())["services"]
+    names = [name for name in services if name.startswith("api-")]
+    assert len(names) >= 2
+    assert {services[name]["environment"]["MULTICAP_SHARED_UPLOADS"] for name in names} == {"true"}
+    proxy = (DOCKER / "Caddyfile").read_text()
+    assert re.findall(r"lb_policy (.*)", proxy) == ["round_robin"]
+    assert re.findall(r"reverse_proxy (.*) \{", proxy) == [" ".join(f"{name}:8000" for name in names)]
+    by_kind = {document["kind"]: document for _, document in documents()}
+    assert by_kind["ConfigMap"]["data"]["MULTICAP_SHARED_UPLOADS"] == "true"
+    assert not [name for name in by_kind["Ingress"]["metadata"]["annotations"] if "hash" in name or "affinity" in name]
+
+
 @pytest.mark.parametrize(("path", "name"), SERVICES)
 def test_variables_are_settings_and_programs_exist(path: Path, name: str) -> None:
     service = yaml.safe_load(path.read_text())["services"][name]
