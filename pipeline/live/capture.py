@@ -58,6 +58,8 @@ class LiveCapture:
         self._center_m = np.array([center_in_world(camera) for camera in cameras])
         self._ray_from_image = np.linalg.inv(projection_matrices(cameras)[:, :, :3])
         self._bodies: dict[int, LiveBody] = {}
+        # Whether nobody's bones were learnt at the current instant: those of several people would delay it.
+        self._may_learn = True
         self._start_s: float | None = None
         self._num_instants = 0
 
@@ -134,6 +136,7 @@ class LiveCapture:
 
     def _instant(self, time_s: float) -> LiveInstant:
         self._bodies = {number: body for number, body in self._bodies.items() if number in self._tracker.numbers}
+        self._may_learn = True
         people = [self._person(time_s, seen) for seen in self._tracker.people_at(time_s)]
         return LiveInstant(time_s, tuple(people), max(0.0, self._queue.newest_s - time_s))
 
@@ -148,7 +151,9 @@ class LiveCapture:
         rays = homogeneous @ self._ray_from_image.swapaxes(-1, -2)
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         body = self._bodies[seen.number]
-        followed = body.follow(time_s, seen.xyz_m, rays.swapaxes(0, 1), seen.score.T)
+        had_bones = body.has_bones
+        followed = body.follow(time_s, seen.xyz_m, rays.swapaxes(0, 1), seen.score.T, self._may_learn)
+        self._may_learn &= body.has_bones == had_bones
         if followed is None:
             return LivePerson(seen.number, seen.xyz_m, None)
         skeleton, xyz_m = followed

@@ -246,6 +246,11 @@ class LiveBody:
         self._filter: PoseFilter | None = None
 
     @property
+    def has_bones(self) -> bool:
+        """Whether bones are learnt."""
+        return self._filter is not None
+
+    @property
     def num_kept(self) -> int:
         """Number of instants that are kept."""
         return len(self._learnt)
@@ -256,6 +261,7 @@ class LiveBody:
         xyz_m: Float[np.ndarray, "joints 3"],
         ray: Float[np.ndarray, "joints cameras 3"],
         score: Float[np.ndarray, "joints cameras"],
+        may_learn: bool,
     ) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]] | None:
         """Skeleton at an instant, and positions of the joints by it; ``None`` until bones are learnt.
 
@@ -265,17 +271,22 @@ class LiveBody:
             Located joints, world positions in metres, NaN where unknown.
         ray, score
             Viewing rays of the joints as unit vectors, NaN where unseen, and the detector's confidence.
+        may_learn
+            Whether there is time to learn bones now, which takes as long as some poses; the first pose follows at the
+            next instant.
 
         Returns
         -------
             ``None`` also while hips and shoulders were not all located since the person came back into sight.
             Positions are NaN for joints that the skeleton does not carry.
         """
-        if self._filter is None and self._is_learnt(time_s, xyz_m):
+        if self._filter is not None:
+            return self._filter.follow(time_s, xyz_m, ray, score)
+        if self._is_learnt(time_s, xyz_m) and may_learn:
             bones = learn_bones(np.array(self._learnt), self._joints)
             self._filter = PoseFilter(bones, self._joints, self._center_m, self._rate_hz)
             self._learnt.clear()
-        return self._filter.follow(time_s, xyz_m, ray, score) if self._filter else None
+        return None
 
     def _is_learnt(self, time_s: float, xyz_m: Float[np.ndarray, "joints 3"]) -> bool:
         """Keep located joints; return whether they suffice."""

@@ -68,6 +68,7 @@ def test_error_is_near_that_of_the_finished_fit(
 
 
 def test_skeletons_come_after_the_time_of_learning(instants: list[LiveInstant]) -> None:
+    """Bones of one person an instant, so that no instant waits for all of them."""
     first_s: dict[int, float] = {}
     for instant in instants:
         for person in instant.people:
@@ -75,6 +76,7 @@ def test_skeletons_come_after_the_time_of_learning(instants: list[LiveInstant]) 
                 first_s.setdefault(person.id, instant.time_s)
     assert set(first_s) == {1, 2, 3}
     assert all(3.0 <= time_s <= 3.4 for time_s in first_s.values())
+    assert len(set(first_s.values())) == 3
 
 
 def test_a_skeleton_is_a_pose_of_the_animation_skeleton(instants: list[LiveInstant]) -> None:
