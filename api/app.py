@@ -28,7 +28,9 @@ from api.http.middleware import (
     TusProtocol,
 )
 from api.http.rates import RATE_HEADERS, Rates, WrongKeys
+from api.http.websockets import WebSocketGuard
 from api.jobs.webhooks import declare_webhooks
+from api.live.places import LivePlaces
 from api.resources import RESOURCES
 from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
@@ -90,11 +92,9 @@ def create_app(settings: Settings) -> FastAPI:
         allow_headers=["*"],
         expose_headers=_EXPOSED_HEADERS,
     )
-    app.add_middleware(
-        ForeignPageGuard,
-        allowed_hosts=_LOOPBACK_NAMES | settings.allowed_hosts | {settings.host},
-        allowed_origins=settings.allowed_origins,
-    )
+    allowed_hosts = _LOOPBACK_NAMES | settings.allowed_hosts | {settings.host}
+    app.add_middleware(ForeignPageGuard, allowed_hosts=allowed_hosts, allowed_origins=settings.allowed_origins)
+    app.add_middleware(WebSocketGuard, guard=ForeignPageGuard(app, allowed_hosts, settings.allowed_origins))
     app.add_middleware(TusProtocol, prefix="/v1/uploads", version=TUS_VERSION)
     app.add_middleware(SlowClientGuard, idle_s=settings.client_idle_s, min_bytes_per_s=settings.client_min_bytes_per_s)
     app.add_middleware(RequestContext, metrics=app.state.metrics)
@@ -186,4 +186,5 @@ def _start(settings: Settings) -> Services:
         rates=Rates(settings.max_requests_per_minute),
         wrong_keys=WrongKeys(settings.max_wrong_keys_per_minute),
         readiness=LimitedChecks(_READINESS_LIMIT_S),
+        live_places=LivePlaces(settings.max_live_captures, settings.max_tenant_live_captures),
     )

@@ -14,7 +14,9 @@ from typing import Annotated
 from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyCookie, APIKeyQuery, HTTPBearer
 from fastapi.security.http import HTTPAuthorizationCredentials
+from fastapi.security.utils import get_authorization_scheme_param
 from starlette.requests import HTTPConnection
+from starlette.websockets import WebSocket
 
 from api.dependencies import Services, ServicesDep
 from api.errors import ApiError
@@ -84,7 +86,7 @@ class Caller:
         return Credential("key", self.key.id if self.key else None)
 
 
-def wrong_key(request: Request, services: Services) -> ApiError:
+def wrong_key(request: HTTPConnection, services: Services) -> ApiError:
     """Count a wrong key of a client; return the error to raise: 401, or 429 after too many."""
     try:
         rate_limit = services.wrong_keys.count(client_network(request))
@@ -93,7 +95,7 @@ def wrong_key(request: Request, services: Services) -> ApiError:
     return _key_required("This key is not known, has expired or was revoked.", rate_limit)
 
 
-def _ended_session(request: Request) -> ApiError:
+def _ended_session(request: HTTPConnection) -> ApiError:
     """Error for a cookie that is not valid; the browser forgets it, and its page asks for a key.
 
     It is not counted as a wrong key: nobody guesses a cookie, and a browser that slept sends an old one.
@@ -117,12 +119,31 @@ def _find_caller(
     cookie: Annotated[str | None, Security(_cookie)],
 ) -> Caller:
     """Identify the caller; raise 401 without a valid key, 429 if the tenant calls too often."""
+    is_reading = request.method in _READING
+    return _identify(request, services, bearer.credentials if bearer else None, cookie, is_reading=is_reading)
+
+
+def websocket_caller(websocket: WebSocket, services: Services) -> Caller:
+    """Identify the caller who opens a WebSocket, by which things are made; errors as of routes that change something.
+
+    Browsers send no headers of a page's own with a WebSocket, but their cookie: the service's own page needs no more.
+    """
+    scheme, credentials = get_authorization_scheme_param(websocket.headers.get("authorization"))
+    cookie = websocket.cookies.get(cookie_name(websocket))
+    bearer = credentials if scheme.lower() == "bearer" else None
+    return _require(_identify(websocket, services, bearer, cookie, is_reading=False), Scope.WRITE)
+
+
+def _identify(
+    request: HTTPConnection, services: Services, bearer: str | None, cookie: str | None, *, is_reading: bool
+) -> Caller:
     if "authorization" in request.headers:
-        key = services.store.keys.find(bearer.credentials) if bearer else None
+        key = services.store.keys.find(bearer) if bearer else None
         if key is None:
             raise wrong_key(request, services)
     elif cookie is not None and (key := services.store.browser_sessions.find(cookie)) is not None:
-        _refuse_foreign_pages(request)
+        if not is_reading:
+            _refuse_foreign_pages(request)
     elif services.store.keys.exist():
         raise _key_required("The service asks for a key.", {}) if cookie is None else _ended_session(request)
     else:
@@ -134,14 +155,12 @@ def _find_caller(
     return caller
 
 
-def _refuse_foreign_pages(request: Request) -> None:
+def _refuse_foreign_pages(request: HTTPConnection) -> None:
     """Raise 403 if another page than the service's own would change something by the browser's cookie.
 
     Browsers send the cookie with requests of any page. ``ForeignPageGuard`` lets allowed origins through, but pages of
     these origins must use keys, not cookies.
     """
-    if request.method in _READING:
-        return
     origin = request.headers.get("origin", "").lower().partition("://")[2]
     if origin != request.headers["host"].lower():
         raise ApiError(CROSS_SITE_REQUEST, "A browser's session may be used by the service's own page only.")

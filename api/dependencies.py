@@ -12,6 +12,7 @@ from api.http.bodies.form import FormLimits
 from api.http.fair_share import FairShare, FairThreads
 from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
+from api.live.places import LivePlaces
 from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
 from api.uploads.spool import UploadSpool
@@ -47,6 +48,7 @@ class Services:
     rates: Rates
     wrong_keys: WrongKeys
     readiness: LimitedChecks
+    live_places: LivePlaces
 
     @property
     def quotas(self) -> Quotas:

@@ -12,7 +12,7 @@ import structlog
 from fastapi import FastAPI
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
@@ -216,7 +216,7 @@ def title_of(status: int) -> str:
     return _TITLES.get(status) or HTTPStatus(status).phrase
 
 
-def problem_response(request: Request, error: ApiError) -> Response:
+def problem_response(request: HTTPConnection, error: ApiError) -> Response:
     """Build the response from an error."""
     problem = ProblemDetails(
         title=title_of(error.status),

@@ -8,6 +8,7 @@ from api.events import routes as events
 from api.health import routes as health
 from api.jobs import routes as jobs
 from api.links import routes as links
+from api.live import routes as live
 from api.motion import routes as motion
 from api.options import routes as options
 from api.people import routes as people
@@ -30,6 +31,7 @@ RESOURCES: tuple[Resource, ...] = (
     jobs.RESOURCE,
     events.RESOURCE,
     links.RESOURCE,
+    live.RESOURCE,
     results.RESOURCE,
     motion.RESOURCE,
     people.RESOURCE,

@@ -209,6 +209,49 @@ class Settings(StorageSettings):
         "at most one fewer.",
     )
 
+    live_command: tuple[str, ...] = Field(
+        default=tuple(module_command("pipeline.live.program")),
+        description="Program that computes a live capture, one process a connection.",
+    )
+    live_keeping_command: tuple[str, ...] = Field(
+        default=tuple(module_command("pipeline.live.keeping")),
+        description="Program that writes the keypoints of a live capture as files of a session.",
+    )
+    live_memory_bytes: int = Field(
+        default=2 * GIB, ge=GIB // 2, description="Memory limit of the process of a live capture."
+    )
+    live_answer_s: float = Field(
+        default=20.0,
+        gt=0,
+        description="Longest time that the process of a live capture takes for a frame; then the capture ends. It has "
+        "six times as long to start.",
+    )
+    live_idle_s: float = Field(
+        default=30.0,
+        gt=0,
+        description="Longest time in which a client of a live capture sends nothing, or takes nothing of what waits.",
+    )
+    max_live_captures: int = Field(
+        default=8,
+        ge=0,
+        description="Largest number of live captures of an API process, each with a process of its own.",
+    )
+    max_tenant_live_captures: int = Field(
+        default=4,
+        ge=0,
+        description="Largest number of a tenant's live captures, or without keys of a client's address, at each API "
+        "process.",
+    )
+    max_live_message_bytes: int = Field(
+        default=MIB, gt=0, description="Largest size of a message of a live capture, the calibration included."
+    )
+    max_live_messages_per_s: float = Field(
+        default=4000.0, gt=0, description="Largest average rate of the messages of a live capture."
+    )
+    max_live_people: int = Field(
+        default=32, gt=0, le=128, description="Largest number of people in a frame of a live capture."
+    )
+
     @field_validator("shared_uploads")
     @classmethod
     def _require_bucket(cls, shared: bool, given: ValidationInfo) -> bool:

@@ -167,6 +167,8 @@ def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsP
                 return
             self._num_bytes += len(data)
             super().data_received(data)
+            if self.transport.get_protocol() is not self:  # a WebSocket from now on
+                return
             # Without a timer the headers are complete: further data belongs to a body and is not limited here.
             if self._timer is not None and self._num_bytes > self._max_bytes:
                 self.transport.close()
@@ -185,7 +187,9 @@ def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsP
 
         def on_message_complete(self) -> None:
             super().on_message_complete()
-            if self.cycle.response_complete:  # the rest of an answered request's body has arrived
+            if (
+                self.cycle is not None and self.cycle.response_complete
+            ):  # the rest of an answered request's body has arrived
                 self._stop_waiting()
                 self._await(_MAX_HEAD_BYTES)
 

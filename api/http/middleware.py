@@ -261,12 +261,13 @@ class ForeignPageGuard(HttpMiddleware):
         self._allowed_origins = frozenset(origin.lower() for origin in allowed_origins)
 
     async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if error := self._refusal(Headers(scope=scope)):
+        if error := self.refusal(Headers(scope=scope)):
             await problem_response(Request(scope), error)(scope, receive, send)
             return
         await self._app(scope, receive, send)
 
-    def _refusal(self, headers: Headers) -> ApiError | None:
+    def refusal(self, headers: Headers) -> ApiError | None:
+        """Error of a request with these headers; ``None`` if it is allowed."""
         hosts = headers.getlist("host")
         if len(hosts) != 1 or _name_of(hosts[0]) not in self._allowed_hosts:
             return ApiError(

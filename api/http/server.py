@@ -1,9 +1,14 @@
 """Configuration of the HTTP server: limits on connections and open files, and trusted proxies."""
 
+from functools import partial
+
+import uuid_utils
 from fastapi import FastAPI
 from uvicorn import Config
 
 from api.http.connections import Connections, bounded_protocol
+from api.http.websockets import bounded_websocket
+from api.live.problems import TOO_LARGE, WRONG_DATA, message_of, too_large, wrong_text
 from api.settings import Settings
 from worker.process.priorities import raise_descriptor_limit
 
@@ -18,6 +23,13 @@ _RESERVED_DESCRIPTORS = 256
 _DESCRIPTORS_PER_CONNECTION = 2
 
 
+def _wrong_frames(max_bytes: int, close_code: int) -> str | None:
+    """Last message to a client whose frames are too large or no text."""
+    problems = {TOO_LARGE: too_large(max_bytes), WRONG_DATA: wrong_text()}
+    problem = problems.get(close_code)
+    return None if problem is None else message_of(problem, str(uuid_utils.uuid7())).model_dump_json()
+
+
 def server_config(app: FastAPI, settings: Settings) -> Config:
     """Configure the server, and raise this process's limit on open files as far as allowed."""
     descriptors = raise_descriptor_limit()
@@ -30,7 +42,9 @@ def server_config(app: FastAPI, settings: Settings) -> Config:
         host=settings.host,
         port=settings.port,
         http=bounded_protocol(settings.client_idle_s, connections),
-        ws="none",
+        ws=bounded_websocket(connections, partial(_wrong_frames, settings.max_live_message_bytes)),
+        ws_max_size=settings.max_live_message_bytes,
+        ws_per_message_deflate=False,
         proxy_headers=bool(proxies),
         forwarded_allow_ips=[str(network) for network in proxies],
         access_log=False,

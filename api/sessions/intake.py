@@ -10,9 +10,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import uuid_utils
-from fastapi import Request
 from opentelemetry import trace
 from starlette.concurrency import run_in_threadpool
+from starlette.requests import HTTPConnection
 
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to, unprocessable
@@ -125,7 +125,7 @@ class NewSession:
     record_sha256: str
 
 
-async def check(request: Request, services: Services, records: TenantRecords, sent: Sent) -> CheckedSession:
+async def check(request: HTTPConnection, services: Services, records: TenantRecords, sent: Sent) -> CheckedSession:
     """Check a session: its files by the preflight, its documents, and both against the limits of the service.
 
     Raises

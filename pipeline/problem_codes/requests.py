@@ -205,6 +205,18 @@ TOO_MANY_STREAMS = ANSWERS.code(
     "The tenant has too many event streams open.",
     "Close the streams of jobs that are no longer followed.",
 )
+TOO_MANY_CAPTURES = ANSWERS.code(
+    "too_many_captures",
+    ("429",),
+    "The tenant has too many live captures open.",
+    "End live captures that are over.",
+)
+CAPTURES_BUSY = ANSWERS.code(
+    "captures_busy",
+    ("503",),
+    "The service has as many live captures as it can compute.",
+    "Connect again later.",
+)
 TOO_MANY_AT_ONCE = ANSWERS.code(
     "too_many_at_once",
     ("429",),

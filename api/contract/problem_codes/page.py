@@ -10,6 +10,7 @@ from pipeline.problem_codes.commands import COMMANDS
 from pipeline.problem_codes.fields import FIELDS
 from pipeline.problem_codes.findings import FILES, FINDINGS, PEOPLE
 from pipeline.problem_codes.jobs import EDITS, JOBS, READINESS
+from pipeline.problem_codes.live import LIVE
 from pipeline.problem_codes.model import CodeGroup
 from pipeline.problem_codes.requests import ANSWERS, PARTS
 from pipeline.problem_codes.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
@@ -20,7 +21,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
 
 GROUPS: tuple[CodeGroup, ...] = (
     *(ANSWERS, FIELDS, PARTS, SPECS, CALIBRATIONS, VIDEOS, KEYPOINTS, TIMES),
-    *(FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, CHARACTERS, COMMANDS, FINDINGS),
+    *(LIVE, FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, CHARACTERS, COMMANDS, FINDINGS),
 )
 """All problem codes, in the order of the page."""
 
@@ -34,7 +35,8 @@ problem, `errors` lists everything that is wrong with the request, `retryable` s
 later, and `request_id` is in the service's log. The column *where* says where a code appears: a number is the HTTP
 status of the answer; `job` is the error of a job, `waiting` an outage that a job waits for, `attempt` a failed attempt
 at one of its chunks, `readyz` an entry of `/readyz`, `command` the command line, `warning` a warning of a result,
-`finding` a finding of a check (see [preflight](preflight.md) and [calibration](calibration.md)).
+`finding` a finding of a check (see [preflight](preflight.md) and [calibration](calibration.md)), `live` a message of a
+[live capture](live.md).
 
 This page is made from the code: `python -m api.contract.problem_codes.page` writes it.
 """

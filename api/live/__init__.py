@@ -1,0 +1,1 @@
+"""Live captures over a WebSocket: keypoints in, people out, while it happens."""

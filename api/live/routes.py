@@ -1,0 +1,207 @@
+"""``WS /v1/live``: a live capture for as long as a WebSocket is open."""
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import structlog
+from fastapi import APIRouter
+from pydantic import BaseModel
+from starlette.concurrency import run_in_threadpool
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from api.auth import Caller, websocket_caller
+from api.contract.resource import Resource
+from api.dependencies import Services
+from api.errors import ApiError, ErrorItem, as_api_error
+from api.http.websockets import deny
+from api.live.intake import Intake, read_start
+from api.live.keeping import KeptPackets, keep_session
+from api.live.problems import LiveProblem, failed, message_of
+from api.live.process import CaptureProcess, capture_process
+from api.live.relay import Relay, receive
+from api.live.schemas import DroppedOut, LiveEnded, LiveReady, LiveStart
+from api.sessions.preflight import InvalidFilesError
+from api.sessions.receiving import spool_folder
+from api.settings import Settings
+from pipeline.live.pipes import Answer
+from pipeline.problem_codes.live import LIVE_FIELDS, LIVE_MESSAGE
+from pipeline.problem_codes.requests import CALIBRATION_UNKNOWN, CALIBRATION_UNMADE
+from worker.jobs.errors import NotFound
+from worker.jobs.model.rights import Actor
+from worker.jobs.tenant_records import TenantRecords
+
+_log = structlog.get_logger(__name__)
+
+router = APIRouter(prefix="/v1")
+
+_STARTS = 6
+_CLOSE_S = 5.0
+_CLIENT_GONE = 1005
+
+
+@router.websocket("/live")
+async def live(websocket: WebSocket) -> None:
+    """Compute a live capture; openapi/live.asyncapi.json describes the messages."""
+    services: Services = websocket.app.state.services
+    with contextlib.ExitStack() as held:
+        try:
+            caller = await run_in_threadpool(websocket_caller, websocket, services)
+            held.enter_context(services.live_places.taken(caller.owner))
+            ended = held.enter_context(services.keys_in_use.watching(caller.credential))
+        except Exception as error:
+            await deny(websocket, as_api_error(error))
+            return
+        await websocket.accept()
+        await _serve(websocket, services, caller, ended)
+
+
+async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> None:
+    """Compute a capture, and answer whatever ends it early by a problem and a close code."""
+    started_s = time.monotonic()
+    code, close_code = None, 1000
+    try:
+        await _capture(websocket, services, caller, key_ended)
+        await websocket.close()
+    except WebSocketDisconnect as gone:
+        code, close_code = "client_disconnected", gone.code or _CLIENT_GONE
+    except Exception as error:
+        problem = message_of(error, websocket.state.request_id)
+        code, close_code = problem.code, problem.close_code
+        if not isinstance(error, LiveProblem | ApiError):
+            _log.exception("live_capture_failed", code=code)
+        with contextlib.suppress(Exception):  # the client may be gone, or take nothing
+            async with asyncio.timeout(_CLOSE_S):
+                await _send(websocket, problem)
+                await websocket.close(close_code, code)
+    finally:
+        key = caller.key
+        seconds = round(time.monotonic() - started_s, 4)
+        tenant = {"tenant": key.tenant, "key": key.id} if key else {}
+        _log.info("live_capture", code=code, close_code=close_code, seconds=seconds, **tenant)
+
+
+async def _capture(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> None:
+    settings = services.settings
+    actor = Actor(caller.key.id if caller.key else None, websocket.state.request_id)
+    records = services.store.of(caller.tenant, services.quotas, actor)
+    first = await receive(websocket, settings)
+    if (text := first.get("text")) is None:
+        raise LiveProblem(LIVE_MESSAGE, "The first message is start, in JSON.")
+    start = await run_in_threadpool(read_start, text)
+    async with spool_folder(settings.spool_dir) as folder:
+        services.disk.require_room()
+        if start.keep:
+            await run_in_threadpool(records.require_room, 0)
+        calibration = await _calibration(services, caller, records, start, folder)
+        async with _ready(settings, start, calibration) as (process, ready):
+            cameras: Sequence[str] = ready["cameras"]
+            kept = KeptPackets(services, folder, start) if start.keep else None
+            relay = Relay(websocket, process, Intake(cameras, start.layout, settings.max_live_people), settings, kept)
+            request_id = websocket.state.request_id
+            await _send(
+                websocket, LiveReady(**ready, layout=start.layout, limits=_limits(settings), request_id=request_id)
+            )
+            await relay.run(key_ended)
+        session_id = None
+        if kept is not None:
+            session_id = await keep_session(websocket, services, records, kept, start, calibration, cameras)
+        await _send(
+            websocket,
+            LiveEnded(
+                counts=relay.counts,
+                dropped=DroppedOut(**relay.dropped._asdict()),
+                session_id=session_id,
+                kept_frames=0 if kept is None else kept.num_frames,
+            ),
+        )
+
+
+async def _calibration(
+    services: Services, caller: Caller, records: TenantRecords, start: LiveStart, folder: Path
+) -> Path:
+    """File of the calibration in metres, Z up; raises ``LiveProblem`` with all that is wrong."""
+    if start.calibration_id is not None:
+        content = await run_in_threadpool(_stored_calibration, records, str(start.calibration_id))
+    else:
+        content = await _sent_calibration(services, caller, start, folder)
+    num_cameras, max_cameras = len(json.loads(content)["cameras"]), services.settings.max_cameras
+    if num_cameras > max_cameras:
+        message = f"The calibration has {num_cameras} cameras; at most {max_cameras} are allowed."
+        raise LiveProblem(LIVE_FIELDS, message)
+    path = folder / "calibration.json"
+    await run_in_threadpool(path.write_text, content, "utf-8")
+    return path
+
+
+async def _sent_calibration(services: Services, caller: Caller, start: LiveStart, folder: Path) -> str:
+    path = folder / "sent.json"
+    await run_in_threadpool(path.write_text, json.dumps(start.calibration), "utf-8")
+    arguments = ["--calibration", str(path), f"--up={start.up}"]
+    if start.units is not None:
+        arguments.append(f"--units={start.units}")
+    try:
+        contents = await services.checks.run(caller.owner, services.preflight.read_calibration, arguments, folder)
+    except InvalidFilesError as invalid:
+        errors = [item.model_copy(update={"pointer": "/calibration", "file": None}) for item in invalid.errors]
+        raise LiveProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None
+    return contents.files["multicap"]
+
+
+def _stored_calibration(records: TenantRecords, calibration_id: str) -> str:
+    pointer = "/calibration_id"
+    try:
+        files = records.calibrations.get(calibration_id).files
+    except NotFound:
+        message = "There is no such calibration."
+        item = ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint="List them.")
+        raise LiveProblem(LIVE_FIELDS, message, errors=[item]) from None
+    if files is None:
+        message = "The calibration is not made yet."
+        item = ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint="Wait for its job.")
+        raise LiveProblem(LIVE_FIELDS, message, errors=[item])
+    return files["multicap"]
+
+
+@contextlib.asynccontextmanager
+async def _ready(
+    settings: Settings, start: LiveStart, calibration: Path
+) -> AsyncIterator[tuple[CaptureProcess, dict[str, Any]]]:
+    """Process that has begun, and the contents of its first answer; raises ``LiveProblem``."""
+    content = {
+        "calibration": str(calibration),
+        "layout": start.layout,
+        "settings": start.settings(),
+        "format": start.format,
+    }
+    async with capture_process(settings.live_command, calibration.parent, settings.live_memory_bytes) as process:
+        try:
+            async with asyncio.timeout(_STARTS * settings.live_answer_s):
+                await process.send(json.dumps(content).encode())
+                kind, answer = await process.answer()
+        except TimeoutError:
+            raise failed() from None
+        if kind is Answer.REFUSED:
+            errors = [ErrorItem(**problem) for problem in json.loads(answer)]
+            raise LiveProblem(LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)
+        yield process, json.loads(answer)
+
+
+def _limits(settings: Settings) -> dict[str, float]:
+    return {
+        "message_bytes": settings.max_live_message_bytes,
+        "messages_per_s": settings.max_live_messages_per_s,
+        "people": settings.max_live_people,
+        "idle_s": settings.live_idle_s,
+    }
+
+
+async def _send(websocket: WebSocket, message: BaseModel) -> None:
+    await websocket.send_text(message.model_dump_json())
+
+
+RESOURCE = Resource(router=router)

@@ -1,0 +1,76 @@
+"""``python -m pipeline.live.keeping PACKETS FOLDER CAMERAS``: packets of a live capture as files of a session.
+
+Writes an archive of each camera that sent frames, in OpenPose's form, and ``timestamps.csv``; prints the archives'
+names by camera. ``CAMERAS`` is a list of names in JSON. Frames are in the order of their times, which begin at 0; of
+frames of a camera with the same time the first one is kept.
+"""
+
+import csv
+import json
+import sys
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from pipeline.live.packets import KeypointsHead
+from pipeline.live.packing import unpack_keypoints
+from pipeline.live.pipes import read_message
+
+TIMESTAMPS = "timestamps.csv"
+"""Name of the table of times."""
+_DIGITS = 6
+
+
+def write_session(packets: BinaryIO, folder: Path, cameras: Sequence[str]) -> dict[str, str]:
+    """Write the files of a session from packets; return the names of the archives by camera."""
+    places = _places(packets)
+    starts_s = [min(times_s) for times_s in places.values()]
+    start_s = min(starts_s, default=0.0)
+    names = {cameras[camera]: f"camera-{camera}.zip" for camera in sorted(places)}
+    with (folder / TIMESTAMPS).open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["camera", "frame", "time_s"])
+        for camera in sorted(places):
+            times_s = sorted(places[camera])
+            rows = enumerate(times_s)
+            table.writerows([cameras[camera], frame, repr(time_s - start_s)] for frame, time_s in rows)
+            offsets = [places[camera][time_s] for time_s in times_s]
+            _write_archive(packets, offsets, folder / names[cameras[camera]])
+    return names
+
+
+def _places(packets: BinaryIO) -> Mapping[int, Mapping[float, int]]:
+    """Places of the packets in the file by camera and time."""
+    places: dict[int, dict[float, int]] = {}
+    while True:
+        offset = packets.tell()
+        if (packet := read_message(packets)) is None:
+            return places
+        if (head := KeypointsHead.decode(packet)) is not None:
+            places.setdefault(head.camera, {}).setdefault(head.time_s, offset)
+
+
+def _write_archive(packets: BinaryIO, offsets: Sequence[int], path: Path) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for frame, offset in enumerate(offsets):
+            packets.seek(offset)
+            _, people = unpack_keypoints(read_message(packets) or b"")
+            rows = np.round(people, _DIGITS).reshape(len(people), -1).tolist()
+            content = {"people": [{"pose_keypoints_2d": row} for row in rows]}
+            archive.writestr(f"frame_{frame:012d}_keypoints.json", json.dumps(content))
+
+
+def main(words: Sequence[str]) -> int:
+    """Write the session, and return the exit code."""
+    packets, folder, cameras = words
+    with Path(packets).open("rb") as file:
+        names = write_session(file, Path(folder), json.loads(cameras))
+    sys.stdout.write(json.dumps(names))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,126 @@
+"""``python -m pipeline.live.program``: a live capture in a process of its own, between two pipes.
+
+The service checks what clients send and forwards it. ``pipes`` describes the messages.
+"""
+
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.calibration.registry import read_calibration
+from pipeline.data.cameras import Camera
+from pipeline.errors import InputError
+from pipeline.layouts import LAYOUTS, KeypointLayout
+from pipeline.live.capture import LiveCapture
+from pipeline.live.packing import instant_json, pack_instant, unpack_keypoints
+from pipeline.live.pipes import Answer, framed, read_message
+from pipeline.live.records import LiveInstant
+from pipeline.live.settings import LiveSettings
+from pipeline.runtime.parent_watch import die_with_parent
+from pipeline.skeleton.model import SKELETON
+
+# Lowest score of a point that was found, as of keypoint files.
+_MIN_SCORE = 1e-9
+
+
+@dataclasses.dataclass(slots=True)
+class _Run:
+    """Live capture, and the form in which its instants are sent."""
+
+    capture: LiveCapture
+    layout: KeypointLayout
+    is_packed: bool
+    send: Callable[[Answer, bytes], None]
+    sequence: int = 0
+
+    def take(self, packet: bytes) -> None:
+        """Compute a packet, and send the instants that are final by it."""
+        head, people = unpack_keypoints(packet)
+        points_px, score = found_points(people[:, self.layout.indices])
+        self._send(self.capture.push(head.camera, head.time_s, points_px, score))
+        self.send(Answer.TAKEN, self.counts())
+
+    def counts(self) -> bytes:
+        """Numbers of frames as JSON."""
+        return json.dumps(dataclasses.asdict(self.capture.counts)).encode()
+
+    def end(self) -> None:
+        """Send what is held back."""
+        self._send(self.capture.flush())
+        self.send(Answer.END, self.counts())
+
+    def _send(self, instants: Sequence[LiveInstant]) -> None:
+        for instant in instants:
+            self.send(Answer.INSTANT, self._encoded(instant))
+            self.sequence += 1
+
+    def _encoded(self, instant: LiveInstant) -> bytes:
+        if self.is_packed:
+            return pack_instant(instant, len(self.layout.joints.names), len(SKELETON), self.sequence)
+        return json.dumps(instant_json(instant, self.sequence), separators=(",", ":")).encode()
+
+
+def found_points(
+    people: Float[np.ndarray, "people joints 3"],
+) -> tuple[Float[np.ndarray, "people_found joints 2"], Float[np.ndarray, "people_found joints"]]:
+    """Pixels and scores of the people with a point that was found; NaN and 0 where a point was not found."""
+    is_found = people[..., 2] >= _MIN_SCORE
+    kept = is_found.any(-1)
+    people, is_found = people[kept], is_found[kept]
+    return np.where(is_found[..., None], people[..., :2], np.nan), np.where(is_found, people[..., 2].clip(0, 1), 0.0)
+
+
+def _open(start: dict[str, object], send: Callable[[Answer, bytes], None]) -> _Run:
+    cameras: tuple[Camera, ...] = read_calibration(Path(str(start["calibration"])))
+    layout = LAYOUTS[str(start["layout"])]
+    capture = LiveCapture(cameras, layout.joints, LiveSettings(**start["settings"]))  # type: ignore[arg-type]
+    ready = {
+        "cameras": [camera.name for camera in cameras],
+        "joints": layout.joints.names,
+        "bones": [joint.name for joint in SKELETON],
+        "parents": [joint.parent for joint in SKELETON],
+    }
+    send(Answer.READY, json.dumps(ready).encode())
+    return _Run(capture, layout, start["format"] == "packed", send)
+
+
+def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
+    """Compute a live capture until its end; return the exit code."""
+
+    def send(kind: Answer, content: bytes) -> None:
+        outgoing.write(framed(kind.value + content))
+        outgoing.flush()
+
+    start = read_message(incoming)
+    if start is None:
+        return 0
+    try:
+        capture = _open(json.loads(start), send)
+    except InputError as refused:
+        problems = [
+            {"code": problem.code, "message": problem.message, "field": problem.field, "camera": problem.camera}
+            for problem in refused.problems
+        ]
+        send(Answer.REFUSED, json.dumps(problems).encode())
+        return 2
+    while (packet := read_message(incoming)) is not None:
+        if not packet:
+            capture.end()
+            break
+        capture.take(packet)
+    return 0
+
+
+if __name__ == "__main__":
+    die_with_parent(os.getppid())
+    # What a library prints must not come between the answers.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    sys.exit(run(sys.stdin.buffer, answers))

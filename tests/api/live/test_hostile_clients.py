@@ -1,0 +1,160 @@
+"""Broken and hostile clients of live captures, beside good ones that get all of their instants."""
+
+import contextlib
+import json
+import random
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import psutil
+import pytest
+import websockets
+from websockets.sync.client import ClientConnection
+
+from api.settings import Settings
+from tests.api.conftest import Live, running
+from tests.api.live.conftest import LiveSocket, keypoints_message, opened, start_message
+from tests.api.live.test_live import packet
+
+NUM_FRAMES = 200
+NUM_GOOD = 2
+# Much more than the process of the tests grows by, much less than unread messages would take.
+MAX_GROWTH_BYTES = 400 * 2**20
+
+
+@pytest.fixture(scope="module")
+def crowded(make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]) -> Iterator[Live]:
+    """Running service with room for a few captures, and short patience."""
+    settings = make_settings(
+        **live_commands,
+        max_live_captures=8,
+        max_tenant_live_captures=8,
+        max_live_message_bytes=100_000,
+        live_idle_s=5.0,
+        live_answer_s=3.0,
+        max_live_messages_per_s=500.0,
+    )
+    with running(settings) as live:
+        yield live
+
+
+def silent(connection: ClientConnection) -> None:
+    drain(connection)
+
+
+def babbles(connection: ClientConnection) -> None:
+    connection.send("{" * 50_000)
+    drain(connection)
+
+
+def sends_nan(connection: ClientConnection) -> None:
+    connection.send(json.dumps(start_message()))
+    connection.recv(60)
+    connection.send(json.dumps(keypoints_message() | {"people": [[[float("nan")] * 3] * 17]}))
+    drain(connection)
+
+
+def sends_10_mb(connection: ClientConnection) -> None:
+    connection.send(bytes(10_000_000))
+    drain(connection)
+
+
+def floods(connection: ClientConnection) -> None:
+    connection.send(json.dumps(start_message()))
+    for number in range(5000):
+        connection.send(packet(time_s=number * 1e-3))
+    drain(connection)
+
+
+def reads_nothing(connection: ClientConnection) -> None:
+    connection.send(json.dumps(start_message()))
+    for number in range(150):
+        connection.send(packet(time_s=200.0 + number * 1e-3))
+    time.sleep(1.0)
+    connection.socket.shutdown(socket.SHUT_RDWR)
+
+
+def crashes_the_computation(connection: ClientConnection) -> None:
+    connection.send(json.dumps(start_message()))
+    connection.send(packet(time_s=random.choice([666.0, 999.0])))  # noqa: S311
+    drain(connection)
+
+
+def vanishes(connection: ClientConnection) -> None:
+    connection.send(json.dumps(start_message(keep=True)))
+    connection.send(packet())
+    connection.socket.shutdown(socket.SHUT_RDWR)
+
+
+HOSTILE: tuple[Callable[[ClientConnection], None], ...] = (
+    *(silent, babbles, sends_nan, sends_10_mb, floods, reads_nothing, crashes_the_computation, vanishes),
+)
+
+
+def drain(connection: ClientConnection) -> None:
+    while True:
+        connection.recv(60)
+
+
+def attack(service: Live, way: Callable[[ClientConnection], None]) -> None:
+    # Whatever becomes of them: refusals, closed connections, time-outs.
+    with contextlib.suppress(websockets.WebSocketException, OSError, TimeoutError), opened(service) as connection:
+        way(connection)
+
+
+def capture_well(service: Live, hostile: threading.Barrier, results: list[tuple[int, int]]) -> None:
+    with opened(service) as connection:
+        client = LiveSocket(connection)
+        client.start()
+        hostile.wait(60)
+        for number in range(NUM_FRAMES):
+            client.send(packet(time_s=number * 0.02))
+            time.sleep(0.02)
+        instants, end = client.ended()
+        results.append((len(instants), sum(end["dropped"].values())))
+
+
+def disturbed(service: Live, num_hostile: int) -> list[tuple[int, int]]:
+    """Numbers of instants and of dropped messages of the good clients, among hostile ones."""
+    barrier = threading.Barrier(NUM_GOOD + 1)
+    results: list[tuple[int, int]] = []
+    good = [threading.Thread(target=capture_well, args=(service, barrier, results)) for _ in range(NUM_GOOD)]
+    for thread in good:
+        thread.start()
+    barrier.wait(60)
+    bad = [
+        threading.Thread(target=attack, args=(service, HOSTILE[number % len(HOSTILE)])) for number in range(num_hostile)
+    ]
+    for thread in bad:
+        thread.start()
+        time.sleep(0.02)
+    for thread in (*good, *bad):
+        thread.join(120)
+        assert not thread.is_alive()
+    return results
+
+
+@pytest.mark.parametrize("num_hostile", [8, pytest.param(100, marks=pytest.mark.slow)])
+def test_good_clients_are_undisturbed(crowded: Live, num_hostile: int) -> None:
+    process = psutil.Process()
+    before = process.memory_info().rss
+    assert disturbed(crowded, num_hostile) == [(NUM_FRAMES, 0)] * NUM_GOOD
+    assert process.memory_info().rss - before < MAX_GROWTH_BYTES
+    # Nothing is left: no process, no file, no place.
+    deadline_s = time.monotonic() + 60
+    while left_behind(crowded) and time.monotonic() < deadline_s:
+        time.sleep(0.1)
+    assert left_behind(crowded) == []
+    with opened(crowded) as connection:
+        client = LiveSocket(connection)
+        client.start()
+        client.send(packet())
+        assert len(client.ended()[0]) == 1
+
+
+def left_behind(service: Live) -> list[str]:
+    commands = [child.cmdline() for child in psutil.Process().children(recursive=True) if child.is_running()]
+    running_captures = [" ".join(words) for words in commands if words[-1:] == [service.settings.live_command[-1]]]
+    return [*running_captures, *map(str, service.settings.spool_dir.rglob("*"))]

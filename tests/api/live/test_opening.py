@@ -1,0 +1,119 @@
+"""Who may open a live capture: keys and scopes, pages of other origins, the number of captures, silence."""
+
+import json
+from collections.abc import Callable, Iterator
+
+import pytest
+import websockets
+
+from api.settings import Settings
+from tests.api.conftest import Live, running
+from tests.api.live.conftest import LiveSocket, opened, start_message
+from tests.api.live.test_live import packet
+from worker.jobs.model.rights import Scope
+
+
+@pytest.fixture
+def own(make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]) -> Iterator[Live]:
+    """Running service of a test's own, with room for two captures of a tenant and three of all."""
+    settings = make_settings(
+        **live_commands,
+        max_live_captures=3,
+        max_tenant_live_captures=2,
+        live_idle_s=1.0,
+        max_live_messages_per_s=20.0,
+    )
+    with running(settings) as live:
+        yield live
+
+
+def refusal(service: Live, **options: object) -> tuple[int, str]:
+    """Status and code of the answer to a WebSocket that is not opened."""
+    with pytest.raises(websockets.InvalidStatus) as refused, opened(service, **options):
+        pass
+    response = refused.value.response
+    assert response.headers["Content-Type"] == "application/problem+json"
+    problem = json.loads(bytes(response.body or b""))
+    assert problem["status"] == response.status_code
+    assert problem["request_id"] == response.headers["X-Request-ID"]
+    assert problem["instance"] == "/v1/live"
+    return response.status_code, problem["code"]
+
+
+def bearer(secret: str) -> dict[str, dict[str, str]]:
+    return {"additional_headers": {"Authorization": f"Bearer {secret}"}}
+
+
+def test_keys_and_scopes_count_as_elsewhere(own: Live) -> None:
+    _, writing = own.services.store.keys.add("studio-a", "writer", frozenset({Scope.READ, Scope.WRITE}))
+    _, reading = own.services.store.keys.add("studio-a", "reader", frozenset({Scope.READ}))
+    assert refusal(own) == (401, "key_required")
+    assert refusal(own, **bearer("mc_wrong")) == (401, "key_required")
+    assert refusal(own, **bearer(reading)) == (403, "scope_missing")
+    with opened(own, **bearer(writing)) as connection:
+        assert LiveSocket(connection).start()["type"] == "ready"
+
+
+def test_revoked_keys_end_captures(own: Live) -> None:
+    key, secret = own.services.store.keys.add("studio-a", "writer", frozenset({Scope.READ, Scope.WRITE}))
+    with opened(own, **bearer(secret)) as connection:
+        client = LiveSocket(connection)
+        client.start()
+        own.services.store.keys.revoke(key.id)
+        assert client.problem()["code"] == "live_key_ended"
+
+
+def test_browsers_come_with_their_cookie_from_the_own_page_only(own: Live) -> None:
+    _, secret = own.services.store.keys.add("studio-a", "person", frozenset({Scope.READ, Scope.WRITE}))
+    signed_in = own.client.post("/v1/browser-session", json={"key": secret})
+    assert signed_in.is_success, signed_in.text
+    cookie = {"Cookie": "; ".join(f"{name}={value}" for name, value in own.client.cookies.items())}
+    origin = f"http://127.0.0.1:{own.address[1]}"
+    with opened(own, additional_headers=cookie, origin=origin) as connection:
+        assert LiveSocket(connection).start()["type"] == "ready"
+    assert refusal(own, additional_headers=cookie) == (403, "cross_site_request")
+    assert refusal(own, additional_headers=cookie, origin="https://evil.example") == (403, "origin_not_allowed")
+
+
+def test_pages_of_other_origins_open_nothing_without_keys_either(own: Live) -> None:
+    assert refusal(own, origin="https://evil.example") == (403, "origin_not_allowed")
+    assert refusal(own, additional_headers={"Host": "evil.example"})[0] in {400, 403}
+
+
+def test_captures_of_a_tenant_and_of_all_are_limited(own: Live) -> None:
+    scopes = frozenset({Scope.READ, Scope.WRITE})
+    first, second = (own.services.store.keys.add(name, name, scopes)[1] for name in ("studio-a", "studio-b"))
+    with opened(own, **bearer(first)) as one, opened(own, **bearer(first)):
+        LiveSocket(one).start()
+        assert refusal(own, **bearer(first)) == (429, "too_many_captures")
+        with opened(own, **bearer(second)):
+            assert refusal(own, **bearer(second)) == (503, "captures_busy")
+
+
+def test_silence_ends_a_capture(own: Live) -> None:
+    with opened(own) as connection:
+        assert LiveSocket(connection).problem()["code"] == "live_idle"
+    with opened(own) as connection:
+        client = LiveSocket(connection)
+        client.start()
+        assert client.problem()["code"] == "live_idle"
+
+
+def test_floods_end_a_capture(own: Live) -> None:
+    with opened(own) as connection:
+        client = LiveSocket(connection)
+        client.send(start_message())
+        assert client.receive()["type"] == "ready"
+        with pytest.raises(websockets.ConnectionClosed):  # noqa: PT012 - it may end at any message
+            for number in range(1000):
+                client.send(packet(time_s=number * 1e-3))
+            while True:
+                client.receive()
+        assert connection.close_code == 1008
+        assert connection.close_reason == "live_too_fast"
+
+
+def test_other_addresses_have_no_websocket(own: Live) -> None:
+    address = f"ws://127.0.0.1:{own.address[1]}/v1/sessions"
+    with pytest.raises(websockets.InvalidStatus), websockets.sync.client.connect(address):
+        pass
