@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pipeline.live.capture import LiveCapture
     from pipeline.live.recorded import recorded_frames
     from pipeline.live.settings import LiveSettings
+    from pipeline.live.vmc import VmcSender
     from pipeline.opensim.installed import install as install_opensim_model
     from pipeline.progress import Progress
     from pipeline.runtime.packages.samples import install as install_sample
@@ -61,6 +62,7 @@ __all__ = [
     "Recording",
     "ServiceError",
     "SessionRefused",
+    "VmcSender",
     "WrittenResults",
     "install_body",
     "install_network",
@@ -95,6 +97,7 @@ _REFERENCES = {
     "Recording": "pipeline.capture.recordings:Recording",
     "ServiceError": "api.cli.client:ServiceError",
     "SessionRefused": "pipeline.errors:SessionRefused",
+    "VmcSender": "pipeline.live.vmc:VmcSender",
     "WrittenResults": "pipeline.export.results:WrittenResults",
     "install_body": "pipeline.body.installed:install",
     "install_network": "pipeline.detect.models:install",

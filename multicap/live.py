@@ -3,7 +3,7 @@
 ``connect`` is asynchronous, ``connect_sync`` is for loops and threads::
 
     with multicap.live.connect_sync("http://127.0.0.1:8000", "calibration.json", "coco-17", 60.0) as capture:
-        capture.send("cam_1", time_s, people)  # pixels x and y, and score: people x points x 3
+        capture.send("cam_1", time_s, points_px, score)  # people x points x 2, people x points
         while (instant := capture.receive(timeout_s=0.0)) is not None:
             print(instant.time_s, [person.id for person in instant.people])
 
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit, urlunsplit
+from uuid import UUID
 
 import numpy as np
 from jaxtyping import Float
@@ -86,10 +87,16 @@ class _Messages:
         self.bones: tuple[str, ...] = tuple(ready["bones"])
         self.dropped = Dropped()
 
-    def keypoints(self, camera: str | int, time_s: float, people: Float[np.ndarray, "people points 3"]) -> bytes:
-        """Packet of a camera's frame."""
+    def keypoints(
+        self,
+        camera: str | int,
+        time_s: float,
+        points_px: Float[np.ndarray, "people points 2"],
+        score: Float[np.ndarray, "people points"],
+    ) -> bytes:
+        """Packet of a camera's frame; ``ValueError`` if there is no such camera."""
         place = camera if isinstance(camera, int) else self.cameras.index(camera)
-        return pack_keypoints(place, time_s, people)
+        return pack_keypoints(place, time_s, points_px, score)
 
     def read(self, message: str | bytes) -> LiveInstant | LiveEnded:
         """Instant or end; raises ``LiveError`` for a problem."""
@@ -112,10 +119,16 @@ class AsyncLive(_Messages):
         self._connection = connection
         self.end: LiveEnded | None = None
 
-    async def send(self, camera: str | int, time_s: float, people: Float[np.ndarray, "people points 3"]) -> None:
-        """Send a camera's frame: pixels x and y, and score of each point; score 0 where a point was not found."""
+    async def send(
+        self,
+        camera: str | int,
+        time_s: float,
+        points_px: Float[np.ndarray, "people points 2"],
+        score: Float[np.ndarray, "people points"],
+    ) -> None:
+        """Send a camera's frame: the points of the layout in pixels, NaN where not found, and their scores, 0 to 1."""
         with _closed_as_problem():
-            await self._connection.send(self.keypoints(camera, time_s, people))
+            await self._connection.send(self.keypoints(camera, time_s, points_px, score))
 
     async def finish(self) -> None:
         """Say that the capture is over; its last instants still come, and ``end`` is set behind them."""
@@ -140,10 +153,16 @@ class SyncLive(_Messages):
         super().__init__(ready)
         self._connection = connection
 
-    def send(self, camera: str | int, time_s: float, people: Float[np.ndarray, "people points 3"]) -> None:
-        """Send a camera's frame: pixels x and y, and score of each point; score 0 where a point was not found."""
+    def send(
+        self,
+        camera: str | int,
+        time_s: float,
+        points_px: Float[np.ndarray, "people points 2"],
+        score: Float[np.ndarray, "people points"],
+    ) -> None:
+        """Send a camera's frame: the points of the layout in pixels, NaN where not found, and their scores, 0 to 1."""
         with _closed_as_problem():
-            self._connection.send(self.keypoints(camera, time_s, people))
+            self._connection.send(self.keypoints(camera, time_s, points_px, score))
 
     def receive(self, timeout_s: float | None = None) -> LiveInstant | None:
         """Next instant; ``None`` if none comes in time (``timeout_s`` ``None``: waits). Raises ``LiveError``."""
@@ -181,7 +200,7 @@ async def connect(
     url
         Address of the service, such as ``http://127.0.0.1:8000``.
     calibration
-        Calibration file in JSON, or its content.
+        Calibration file in JSON, its content, or the id of a calibration of the service.
     layout
         Layout of the keypoints, such as ``coco-17``.
     frame_rate_hz
@@ -251,11 +270,10 @@ def _headers(key: str | None) -> dict[str, str]:
 
 
 def _start(calibration: StrPath | Mapping[str, Any], layout: str, frame_rate_hz: float, options: LiveOptions) -> str:
-    content = calibration if isinstance(calibration, Mapping) else json.loads(Path(calibration).read_text("utf-8"))
     return json.dumps(
         {
             "type": "start",
-            "calibration": content,
+            **_cameras(calibration),
             "layout": layout,
             "frame_rate_hz": frame_rate_hz,
             "output_rate_hz": options.output_rate_hz,
@@ -267,6 +285,14 @@ def _start(calibration: StrPath | Mapping[str, Any], layout: str, frame_rate_hz:
             "format": "packed" if options.packed else "json",
         }
     )
+
+
+def _cameras(calibration: StrPath | Mapping[str, Any]) -> dict[str, Any]:
+    if isinstance(calibration, Mapping):
+        return {"calibration": calibration}
+    with contextlib.suppress(ValueError):
+        return {"calibration_id": str(UUID(str(calibration)))}
+    return {"calibration": json.loads(Path(calibration).read_text("utf-8"))}
 
 
 def _content(message: str | bytes) -> dict[str, Any]:

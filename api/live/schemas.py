@@ -59,7 +59,7 @@ class LiveStart(_Received):
     )
     window_s: float = Field(
         default=0.1,
-        ge=0.0,
+        ge=0.001,
         le=10.0,
         allow_inf_nan=False,
         description="Longest time that a frame waits for earlier frames of other cameras.",

@@ -13,19 +13,27 @@ _FLOAT = np.dtype("<f4")
 _DIGITS = 5
 
 
-def pack_keypoints(camera: int, time_s: float, people: Float[np.ndarray, "people points 3"]) -> bytes:
+def pack_keypoints(
+    camera: int,
+    time_s: float,
+    points_px: Float[np.ndarray, "people points 2"],
+    score: Float[np.ndarray, "people points"],
+) -> bytes:
     """Packet of a camera's frame.
 
     Parameters
     ----------
     camera
         Place of the camera in the list of the message ``ready``.
-    people
-        Pixels x and y, and score, of each point of the layout; the score is 0 where a point was not found.
+    points_px
+        Points of the layout in pixels, NaN where a point was not found.
+    score
+        Confidence in each point, 0 to 1; 0 where it was not found.
     """
-    numbers = np.asarray(people, _FLOAT)
-    num_people, num_points, _ = numbers.shape
-    return KeypointsHead(camera, num_people, num_points, time_s).encode() + numbers.tobytes()
+    people = np.concatenate([points_px, np.asarray(score)[..., None]], -1).astype(_FLOAT)
+    people[~np.isfinite(people).all(-1)] = 0.0
+    num_people, num_points, _ = people.shape
+    return KeypointsHead(camera, num_people, num_points, time_s).encode() + people.tobytes()
 
 
 def unpack_keypoints(packet: bytes) -> tuple[KeypointsHead, Float[np.ndarray, "people points 3"]]:

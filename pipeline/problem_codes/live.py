@@ -6,7 +6,7 @@ _WHERE = ("live",)
 
 LIVE = CodeGroup(
     "Live captures",
-    "Values of `code` in the messages `problem` of `WS /v1/live`; see [live captures](live.md).",
+    "Values of `code` in the messages `problem` of `WS /v1/live`; see [live captures](live_service.md).",
 )
 
 LIVE_MESSAGE = LIVE.code(

@@ -36,7 +36,7 @@ later, and `request_id` is in the service's log. The column *where* says where a
 status of the answer; `job` is the error of a job, `waiting` an outage that a job waits for, `attempt` a failed attempt
 at one of its chunks, `readyz` an entry of `/readyz`, `command` the command line, `warning` a warning of a result,
 `finding` a finding of a check (see [preflight](preflight.md) and [calibration](calibration.md)), `live` a message of a
-[live capture](live.md).
+[live capture](live_service.md).
 
 This page is made from the code: `python -m api.contract.problem_codes.page` writes it.
 """
