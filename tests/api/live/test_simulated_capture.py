@@ -130,7 +130,7 @@ def test_what_the_client_gets_and_what_is_kept(
 def test_asynchronous_client_with_json_and_a_stored_calibration(
     computing: Live, room: Simulation, calibration: dict[str, Any]
 ) -> None:
-    parts = [
+    parts: list[tuple[str, Any]] = [
         ("calibration", ("rig.json", json.dumps(calibration).encode())),
         ("spec", (None, json.dumps({"method": "file"}))),
     ]
