@@ -32,7 +32,7 @@ from pipeline.live.packing import instant_of_json, pack_keypoints, unpack_instan
 from pipeline.live.records import LiveInstant
 from pipeline.paths import StrPath
 
-__all__ = ["AsyncLive", "LiveEnded", "LiveError", "LiveOptions", "SyncLive", "connect", "connect_sync"]
+__all__ = ["AsyncLive", "CaptureEnd", "LiveError", "LiveOptions", "SyncLive", "connect", "connect_sync"]
 
 _START_S = 180.0
 _CLOSE_S = 10.0
@@ -69,7 +69,7 @@ class LiveOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class LiveEnded:
+class CaptureEnd:
     """End of a capture: numbers of frames, and the session of what was kept."""
 
     counts: Mapping[str, int]
@@ -98,7 +98,7 @@ class _Messages:
         place = camera if isinstance(camera, int) else self.cameras.index(camera)
         return pack_keypoints(place, time_s, points_px, score)
 
-    def read(self, message: str | bytes) -> LiveInstant | LiveEnded:
+    def read(self, message: str | bytes) -> LiveInstant | CaptureEnd:
         """Instant or end; raises ``LiveError`` for a problem."""
         if isinstance(message, bytes):
             instant, self.dropped = unpack_instant(message)
@@ -106,7 +106,7 @@ class _Messages:
         content = _content(message)
         if content["type"] == "ended":
             self.dropped = Dropped(**content["dropped"])
-            return LiveEnded(content["counts"], self.dropped, content["session_id"], content["kept_frames"])
+            return CaptureEnd(content["counts"], self.dropped, content["session_id"], content["kept_frames"])
         instant, self.dropped = instant_of_json(content)
         return instant
 
@@ -117,7 +117,7 @@ class AsyncLive(_Messages):
     def __init__(self, connection: AsyncConnection, ready: Mapping[str, Any]) -> None:
         super().__init__(ready)
         self._connection = connection
-        self.end: LiveEnded | None = None
+        self.end: CaptureEnd | None = None
 
     async def send(
         self,
@@ -140,7 +140,7 @@ class AsyncLive(_Messages):
         while self.end is None:
             with _closed_as_problem():
                 message = self.read(await self._connection.recv())
-            if isinstance(message, LiveEnded):
+            if isinstance(message, CaptureEnd):
                 self.end = message
             else:
                 yield message
@@ -173,12 +173,12 @@ class SyncLive(_Messages):
             return None
         return message if isinstance(message, LiveInstant) else None
 
-    def finish(self) -> tuple[list[LiveInstant], LiveEnded]:
+    def finish(self) -> tuple[list[LiveInstant], CaptureEnd]:
         """End the capture; return the instants that were still to come, and the end. Raises ``LiveError``."""
         instants = []
         with _closed_as_problem():
             self._connection.send(json.dumps({"type": "end"}))
-            while not isinstance(message := self.read(self._connection.recv()), LiveEnded):
+            while not isinstance(message := self.read(self._connection.recv()), CaptureEnd):
                 instants.append(message)
         return instants, message
 

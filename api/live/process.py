@@ -13,7 +13,7 @@ from pathlib import Path
 import structlog
 
 from api.live.problems import failed
-from pipeline.live.pipes import LENGTH, Answer, framed
+from pipeline.live.pipes import LENGTH, CaptureAnswer, framed
 from worker.process.priorities import lower_priority
 
 _log = structlog.get_logger(__name__)
@@ -41,14 +41,14 @@ class CaptureProcess:
         except (BrokenPipeError, ConnectionResetError):
             raise failed() from None
 
-    async def answer(self) -> tuple[Answer, bytes]:
+    async def answer(self) -> tuple[CaptureAnswer, bytes]:
         """Next answer of the process; raises ``LiveProblem`` if the process has ended without it."""
         if self.process.stdout is None:
             raise failed()
         try:
             length = LENGTH.unpack(await self.process.stdout.readexactly(LENGTH.size))[0]
             content = await self.process.stdout.readexactly(length)
-            return Answer(content[:1]), content[1:]
+            return CaptureAnswer(content[:1]), content[1:]
         except (asyncio.IncompleteReadError, ValueError):
             raise failed() from None
 

@@ -18,7 +18,7 @@ from api.live.process import CaptureProcess
 from api.live.schemas import DroppedOut, LiveCountsOut, LiveEnd, LiveInstantOut, LiveKeypoints
 from api.settings import Settings
 from pipeline.live.packets import Dropped, with_dropped
-from pipeline.live.pipes import Answer
+from pipeline.live.pipes import CaptureAnswer
 from pipeline.problem_codes.live import LIVE_IDLE, LIVE_KEY_ENDED
 
 # Backlogs of a connection: some seconds of a few cameras, and of instants.
@@ -120,13 +120,13 @@ class Relay:
         while True:
             kind, content = await self._process.answer()
             self._answered_s = time.monotonic()
-            if kind is Answer.INSTANT:
+            if kind is CaptureAnswer.INSTANT:
                 self._instants.put(content)
             else:
                 self._counts = json.loads(content)
                 self._num_at_process -= 1
                 self._room.release()
-            if kind is Answer.END:
+            if kind is CaptureAnswer.END:
                 self._instants.close()
                 return
 

@@ -28,7 +28,7 @@ from api.live.schemas import DroppedOut, LiveEnded, LiveReady, LiveStart
 from api.sessions.preflight import InvalidFilesError
 from api.sessions.receiving import spool_folder
 from api.settings import Settings
-from pipeline.live.pipes import Answer
+from pipeline.live.pipes import CaptureAnswer
 from pipeline.problem_codes.live import LIVE_FIELDS, LIVE_MESSAGE
 from pipeline.problem_codes.requests import CALIBRATION_UNKNOWN, CALIBRATION_UNMADE
 from worker.jobs.errors import NotFound
@@ -185,7 +185,7 @@ async def _ready(
                 kind, answer = await process.answer()
         except TimeoutError:
             raise failed() from None
-        if kind is Answer.REFUSED:
+        if kind is CaptureAnswer.REFUSED:
             errors = [ErrorItem(**problem) for problem in json.loads(answer)]
             raise LiveProblem(LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)
         yield process, json.loads(answer)

@@ -1,7 +1,7 @@
 """Messages over the pipes between the service and the process of a live capture. Standard library only.
 
 To the process: a length in four bytes and as many bytes. The first message is the start, in JSON, the next ones are
-packets of keypoints, and an empty one is the end. From it: a length, the letter of an ``Answer``, and the rest.
+packets of keypoints, and an empty one is the end. From it: a length, the letter of an ``CaptureAnswer``, and the rest.
 """
 
 import enum
@@ -12,7 +12,7 @@ LENGTH = struct.Struct("<I")
 """Length of a message, without the four bytes themselves."""
 
 
-class Answer(enum.Enum):
+class CaptureAnswer(enum.Enum):
     """Kind of an answer: its first byte."""
 
     READY = b"R"  # JSON: names of cameras, joints and bones

@@ -20,7 +20,7 @@ from pipeline.errors import InputError
 from pipeline.layouts import LAYOUTS, KeypointLayout
 from pipeline.live.capture import LiveCapture
 from pipeline.live.packing import instant_json, pack_instant, unpack_keypoints
-from pipeline.live.pipes import Answer, framed, read_message
+from pipeline.live.pipes import CaptureAnswer, framed, read_message
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
 from pipeline.runtime.parent_watch import die_with_parent
@@ -37,7 +37,7 @@ class _Run:
     capture: LiveCapture
     layout: KeypointLayout
     is_packed: bool
-    send: Callable[[Answer, bytes], None]
+    send: Callable[[CaptureAnswer, bytes], None]
     sequence: int = 0
 
     def take(self, packet: bytes) -> None:
@@ -45,7 +45,7 @@ class _Run:
         head, people = unpack_keypoints(packet)
         points_px, score = found_points(people[:, self.layout.indices])
         self._send(self.capture.push(head.camera, head.time_s, points_px, score))
-        self.send(Answer.TAKEN, self.counts())
+        self.send(CaptureAnswer.TAKEN, self.counts())
 
     def counts(self) -> bytes:
         """Numbers of frames as JSON."""
@@ -54,11 +54,11 @@ class _Run:
     def end(self) -> None:
         """Send what is held back."""
         self._send(self.capture.flush())
-        self.send(Answer.END, self.counts())
+        self.send(CaptureAnswer.END, self.counts())
 
     def _send(self, instants: Sequence[LiveInstant]) -> None:
         for instant in instants:
-            self.send(Answer.INSTANT, self._encoded(instant))
+            self.send(CaptureAnswer.INSTANT, self._encoded(instant))
             self.sequence += 1
 
     def _encoded(self, instant: LiveInstant) -> bytes:
@@ -77,7 +77,7 @@ def found_points(
     return np.where(is_found[..., None], people[..., :2], np.nan), np.where(is_found, people[..., 2].clip(0, 1), 0.0)
 
 
-def _open(start: dict[str, object], send: Callable[[Answer, bytes], None]) -> _Run:
+def _open(start: dict[str, object], send: Callable[[CaptureAnswer, bytes], None]) -> _Run:
     cameras: tuple[Camera, ...] = read_calibration(Path(str(start["calibration"])))
     layout = LAYOUTS[str(start["layout"])]
     capture = LiveCapture(cameras, layout.joints, LiveSettings(**start["settings"]))  # type: ignore[arg-type]
@@ -87,14 +87,14 @@ def _open(start: dict[str, object], send: Callable[[Answer, bytes], None]) -> _R
         "bones": [joint.name for joint in SKELETON],
         "parents": [joint.parent for joint in SKELETON],
     }
-    send(Answer.READY, json.dumps(ready).encode())
+    send(CaptureAnswer.READY, json.dumps(ready).encode())
     return _Run(capture, layout, start["format"] == "packed", send)
 
 
 def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
     """Compute a live capture until its end; return the exit code."""
 
-    def send(kind: Answer, content: bytes) -> None:
+    def send(kind: CaptureAnswer, content: bytes) -> None:
         outgoing.write(framed(kind.value + content))
         outgoing.flush()
 
@@ -108,7 +108,7 @@ def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
             {"code": problem.code, "message": problem.message, "field": problem.field, "camera": problem.camera}
             for problem in refused.problems
         ]
-        send(Answer.REFUSED, json.dumps(problems).encode())
+        send(CaptureAnswer.REFUSED, json.dumps(problems).encode())
         return 2
     while (packet := read_message(incoming)) is not None:
         if not packet:
