@@ -48,7 +48,8 @@ def animate(
     tracks
         Tracks with the joints located by association.
     observations
-        Observations of the tracks, in the same order.
+        Observations of the tracks, in the same order. Each is asked for twice, and only those of one person are kept at
+        a time: they may be read from a file.
     config
         Method of smoothing, and treatment of feet. With ``fit``, the final joint positions are those of the skeleton.
         Otherwise each joint is smoothed by itself, and the skeleton follows the joints.
@@ -75,6 +76,8 @@ def animate(
         of_body = selected(track, seen, joints, body.names)
         fits.append(_prepare(*of_body, cameras, timebase, body, config, offsets, next(parts)))
         motions.append(fits[-1].motion(next(parts)))
+        fits[-1].drop_observations()
+        del track, seen, of_body
     points = [foot_points(fitted, motion, body) for fitted, motion in zip(fits, motions, strict=True)]
     if floor == "estimated":
         judged = points if on_floor is None else [points[number] for number in on_floor]
@@ -86,15 +89,17 @@ def animate(
         )
     finals: list[Track3D] = []
     for number, (track, seen) in enumerate(zip(tracks, observations, strict=True)):
-        contacts = contacts_of(points[number], floor, timebase.frame_rate_hz, config.feet)
-        motions[number] = hold_feet(fits[number], motions[number], points[number], contacts, floor, next(parts))
+        fitted, of_feet = fits.pop(0), points.pop(0)
+        _, body_seen = selected(track, seen, joints, body.names)
+        fitted.take_observations(body_seen, cameras)
+        contacts = contacts_of(of_feet, floor, timebase.frame_rate_hz, config.feet)
+        motions[number] = hold_feet(fitted, motions[number], of_feet, contacts, floor, next(parts))
         on_followed = next(parts)
-        followed = fits[number].track
+        followed = fitted.track
         if config.smoothing == "fit":
-            _, body_seen = selected(track, seen, joints, body.names)
-            followed = follow(fits[number], motions[number], body_seen, cameras, on_followed)
+            followed = follow(fitted, motions[number], body_seen, cameras, on_followed)
         if has_fingers(joints):
-            is_placed = fits[number].has_torso
+            is_placed = fitted.has_torso
             motions[number], followed = _add_hands(
                 motions[number], followed, track, seen, cameras, timebase, joints, config, is_placed
             )

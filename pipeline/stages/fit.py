@@ -1,5 +1,7 @@
 """Fit skeletons: one a person. The output is an ``Animation``."""
 
+from functools import cache
+
 from pipeline.stages.stage import FIT, IDENTIFY, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
 
 CHOICES = ("smoothing", "cutoff_hz", "feet", "joint_centers")
@@ -14,22 +16,20 @@ def fit(task: Task, context: Context) -> Output:
 
     session = context.wanted(context.outline())
     people = context.people(IDENTIFY).people
-    # Windows of all observations are asked for again and again, a track but once.
-    in_memory = tuple(people.observations)
     joints = context.detections.joints(session)
-    likenesses = find_likenesses(
-        people.tracks, seen_in(in_memory), session.cameras, joints, session.timebase.frame_rate_hz
-    )
+    # Observations stay in their file: those of one person at a time are in memory.
+    sees = cache(seen_in(people.observations))
+    likenesses = find_likenesses(people.tracks, sees, session.cameras, joints, session.timebase.frame_rate_hz)
     animation = animate(
         people.tracks,
-        in_memory,
+        people.observations,
         session.cameras,
         session.timebase,
         joints,
         context.config,
         context.on_share(task),
         context.offsets(),
-        on_floor=likenesses.others(len(in_memory)),
+        on_floor=likenesses.others(len(people.tracks)),
     )
     return Output(encode(animation))
 

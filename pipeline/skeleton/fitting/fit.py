@@ -51,6 +51,15 @@ _NUM_LEARNT_WINDOWS = 3
 _RaysOf = Callable[[slice], Rays]
 
 
+def _rays_in(seen: Observations, cameras: Sequence[Camera], joints: JointSet) -> _RaysOf:
+    """Rays of a person's observations in a window of frames."""
+    return lambda rows: Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
+
+
+def _no_rays(_: slice) -> Rays:
+    raise RuntimeError("the observations of the fit were dropped")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Evidence:
     """Rays, if available, and target positions of landmarks with a weight (1 / variance) along each axis."""
@@ -119,6 +128,16 @@ class SkeletonFit:
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
         self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
         self._uncertainty_m: np.ndarray | None = None
+
+    def drop_observations(self) -> None:
+        """Forget the observations until ``take_observations``: those of everybody in a long take are large."""
+        if self._rays_of is not None:
+            self._rays_of = _no_rays
+
+    def take_observations(self, seen: Observations, cameras: Sequence[Camera]) -> None:
+        """Follow the observations again from which the fit was prepared, if it follows rays."""
+        if self._rays_of is not None:
+            self._rays_of = _rays_in(seen, cameras, self._joints)
 
     @property
     def track(self) -> Track3D:
@@ -336,10 +355,7 @@ def fit_to_rays(
     ``track`` is located by association. ``offsets`` of the detector's marks from the joints' centres are unused for a
     person without hips and shoulders.
     """
-
-    def rays_of(rows: slice) -> Rays:
-        return Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
-
+    rays_of = _rays_in(seen, cameras, joints)
     lively = liveliness(track, rays_of, usual_step_m(joints, timebase), joints, timebase.frame_rate_hz)
     xyz_m = fit_positions(track, seen, cameras, timebase, joints, lively, on_share)
     measured = track.source == Source.MEASURED
