@@ -72,12 +72,34 @@ def animate(
     body = without_hands(joints)
     fits: list[SkeletonFit] = []
     motions: list[SkeletonMotion] = []
-    for track, seen in zip(tracks, observations, strict=True):
+
+    # Observations are local to calls, so that none outlives the work on its person.
+    def start(track: Track3D, seen: Observations) -> None:
         of_body = selected(track, seen, joints, body.names)
-        fits.append(_prepare(*of_body, cameras, timebase, body, config, offsets, next(parts)))
-        motions.append(fits[-1].motion(next(parts)))
-        fits[-1].drop_observations()
-        del track, seen, of_body
+        fitted = _prepare(*of_body, cameras, timebase, body, config, offsets, next(parts))
+        motions.append(fitted.motion(next(parts)))
+        fitted.drop_observations()
+        fits.append(fitted)
+
+    def finish(number: int, track: Track3D, seen: Observations, floor: Floor | None) -> Track3D:
+        fitted = fits[number]
+        _, body_seen = selected(track, seen, joints, body.names)
+        fitted.take_observations(body_seen, cameras)
+        contacts = contacts_of(points[number], floor, timebase.frame_rate_hz, config.feet)
+        motions[number] = hold_feet(fitted, motions[number], points[number], contacts, floor, next(parts))
+        on_followed = next(parts)
+        followed = fitted.track
+        if config.smoothing == "fit":
+            followed = follow(fitted, motions[number], body_seen, cameras, on_followed)
+        if has_fingers(joints):
+            motions[number], followed = _add_hands(
+                motions[number], followed, track, seen, cameras, timebase, joints, config, fitted.has_torso
+            )
+        fitted.drop_observations()
+        return followed
+
+    for number in range(len(tracks)):
+        start(tracks[number], observations[number])
     points = [foot_points(fitted, motion, body) for fitted, motion in zip(fits, motions, strict=True)]
     if floor == "estimated":
         judged = points if on_floor is None else [points[number] for number in on_floor]
@@ -87,23 +109,7 @@ def animate(
             [person.support.carries for person in judged],
             timebase.frame_rate_hz,
         )
-    finals: list[Track3D] = []
-    for number, (track, seen) in enumerate(zip(tracks, observations, strict=True)):
-        fitted, of_feet = fits.pop(0), points.pop(0)
-        _, body_seen = selected(track, seen, joints, body.names)
-        fitted.take_observations(body_seen, cameras)
-        contacts = contacts_of(of_feet, floor, timebase.frame_rate_hz, config.feet)
-        motions[number] = hold_feet(fitted, motions[number], of_feet, contacts, floor, next(parts))
-        on_followed = next(parts)
-        followed = fitted.track
-        if config.smoothing == "fit":
-            followed = follow(fitted, motions[number], body_seen, cameras, on_followed)
-        if has_fingers(joints):
-            is_placed = fitted.has_torso
-            motions[number], followed = _add_hands(
-                motions[number], followed, track, seen, cameras, timebase, joints, config, is_placed
-            )
-        finals.append(followed)
+    finals = [finish(number, tracks[number], observations[number], floor) for number in range(len(tracks))]
     on_share(1.0)
     return Animation(tuple(finals), tuple(motions), floor)
 

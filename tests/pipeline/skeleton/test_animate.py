@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from pipeline.skeleton.animate import animate
 from pipeline.skeleton.fitting import windows
 from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, joint_pose
+from pipeline.stages.people import StoredSequence
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from tests.cases import slow_but
@@ -231,3 +233,24 @@ def test_every_window_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert np.diff([0.0, *shares]).max() < 0.2
+
+
+def test_observations_of_one_person_at_a_time_are_in_memory() -> None:
+    simulation, (tracks, observations) = recorded("room", 6.0, hard=True)
+    assert len(tracks) > 2
+    scores: list[ref[np.ndarray]] = []
+    most_alive = 0
+
+    def read(number: int) -> Observations:
+        nonlocal most_alive
+        score = observations[number].score.copy()
+        scores.append(ref(score))
+        most_alive = max(most_alive, sum(each() is not None for each in scores))
+        return replace(observations[number], score=score)
+
+    stored = StoredSequence(len(observations), read)
+    given = simulation.cameras, simulation.timebase, simulation.joints, ReconstructionConfig()
+    found = animate(tracks, stored, *given)
+    assert most_alive == 1
+    for track, same in zip(found.tracks, animated("room", 6.0, hard=True).tracks, strict=True):
+        np.testing.assert_array_equal(track.xyz_m, same.xyz_m)
