@@ -1,6 +1,6 @@
 """Job specs: the choices of a reconstruction, made from ``pipeline.config`` and checked by ``pipeline.rules``."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema, create_model
@@ -9,6 +9,8 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from pipeline.choices import Choice
 from pipeline.config import CHOICES, JobChoices, ReconstructionConfig
 from pipeline.rules import value_faults, value_of
+
+Priority = Literal["preview", "normal", "batch"]
 
 
 def _field(choice: Choice) -> tuple[Any, Any]:
@@ -46,6 +48,11 @@ class JobSpec(_Choices, frozen=True):
         examples=[None],
         description="Stored character that moves as each person, in files of its own. The job keeps a copy of it, with "
         "the bones that it has now.",
+    )
+    priority: Priority = Field(
+        default="normal",
+        description="Order among the jobs of one tenant: chunks of `preview` are taken before those of `normal`, these "
+        "before those of `batch`, and edits of people before all. Shares of other tenants stay the same.",
     )
     keep_videos: bool = Field(
         default=True,

@@ -79,6 +79,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "blur_faces": False,
         "force": False,
         "character": None,
+        "priority": "normal",
         "keep_videos": True,
         "callback_url": None,
     }
@@ -107,6 +108,20 @@ def test_formats_are_named_once_and_have_to_be_known(live: Live) -> None:
         assert [item["pointer"] for item in problem["errors"]] == [pointer]
     answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={"exports": []})
     assert answer.json()["spec"]["exports"] == []
+
+
+def test_a_priority_is_one_of_three(live: Live) -> None:
+    session_id = live.session_id()
+    problem = problem_of(
+        live.client.post(f"/v1/sessions/{session_id}/jobs", json={"priority": "urgent"}), 422, "invalid_request"
+    )
+    assert [item["pointer"] for item in problem["errors"]] == ["/priority"]
+    assert problem["errors"][0]["message"] == "priority must be one of preview, normal, batch."
+    normal = live.client.post(f"/v1/sessions/{session_id}/jobs").json()
+    first = live.client.post(f"/v1/sessions/{session_id}/jobs", json={"priority": "preview"}).json()
+    assert first["spec"]["priority"] == "preview"
+    places = [live.client.get(f"/v1/jobs/{job['id']}").json()["queue_position"] for job in (first, normal)]
+    assert places == [1, 2]
 
 
 def test_session_and_job_in_one_call(live: Live) -> None:

@@ -16,7 +16,7 @@ from tests.postgres import POSTGRES_VARIABLE, running_postgres
 from worker.jobs.model.jobs import JobRecord, Result
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
-from worker.jobs.spec import JobSpec
+from worker.jobs.spec import JobSpec, Priority
 from worker.jobs.store import JobStore
 
 LEASE_S = 60.0
@@ -52,8 +52,8 @@ class StoreBench:
     store: JobStore
     session_id: str
 
-    def queue(self, num_chunks: int = 3) -> JobRecord:
-        return self.store.jobs.add(self.session_id, JobSpec(), stages(num_chunks))
+    def queue(self, num_chunks: int = 3, priority: Priority = "normal") -> JobRecord:
+        return self.store.jobs.add(self.session_id, JobSpec(priority=priority), stages(num_chunks))
 
     def claim(self, lease_s: float = LEASE_S) -> Claim:
         claim = self.store.leases.claim("worker", lease_s)

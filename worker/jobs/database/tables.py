@@ -108,7 +108,7 @@ jobs = Table(
     Column("results_revision", Integer),  # revision whose files can be read; null before the first success
     Column("of_job", String(36), index=True),  # reconstruction whose visuals it makes, which deletes it with itself
     Column("visuals_old_at", UtcTimestamp, index=True),  # last edit; null: no visuals, or they are new or being made
-    Column("precedence", Integer, nullable=False, server_default="1"),  # 0: edits of people, before other work
+    Column("precedence", Integer, nullable=False, server_default="1"),  # ``Precedence``
     Column("waiting_for", JSON(none_as_null=True)),  # problem of an outage; null: nothing keeps it waiting
     Column("provider", String, nullable=False, server_default=""),  # identity of that of its networks; empty: the CPU
     Column("character", JSON(none_as_null=True)),  # that it moves: id, copy of the file, corrections; null: none

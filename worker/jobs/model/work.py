@@ -13,10 +13,15 @@ from worker.jobs.spec import JobSpec
 
 
 class Precedence(IntEnum):
-    """Order of a tenant's work: edits of people before all other work."""
+    """Order of a tenant's work: edits of people, and then jobs by the priorities of their specs.
 
-    EDITS = 0
-    OTHERS = 1
+    Edits that were made by earlier versions have 0.
+    """
+
+    EDITS = -1
+    PREVIEW = 0
+    NORMAL = 1
+    BATCH = 2
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,6 +103,7 @@ class Jobs:
                     tenant=tenant,
                     state=JobState.QUEUED,
                     spec=spec.model_dump(mode="json"),
+                    precedence=Precedence[spec.priority.upper()],
                     attempt=1,
                     created_at=now(),
                     queued_at=now(),

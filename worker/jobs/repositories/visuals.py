@@ -15,7 +15,7 @@ from worker.jobs.database.transitions import delete_visuals_job, note
 from worker.jobs.errors import Conflict
 from worker.jobs.model.jobs import JobRecord, config_of
 from worker.jobs.model.states import RETRYABLE, JobState
-from worker.jobs.model.work import StagePlan
+from worker.jobs.model.work import Precedence, StagePlan
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.jobs import job_row
 from worker.jobs.repositories.work.plans import insert_following, require_videos
@@ -69,9 +69,8 @@ class Visuals:
                     "The job has nothing to show of an earlier revision: overlay videos, a report, or a recording."
                 )
             else:
-                config = config_of(
-                    JobSpec.model_validate(of_job.spec), VisualChoices(), edits_of(of_job.edits), revision
-                )
+                spec = JobSpec.model_validate(of_job.spec)
+                config = config_of(spec, VisualChoices(), edits_of(of_job.edits), revision)
                 require_videos(connection, of_job.session_id, stages, config)
                 delete_visuals_job(connection, job_id)
                 connection.execute(
@@ -81,6 +80,7 @@ class Visuals:
                         tenant=of_job.tenant,
                         state=JobState.QUEUED,
                         spec=of_job.spec | {"callback_url": None},  # of the reconstruction's end
+                        precedence=Precedence[spec.priority.upper()],
                         attempt=1,
                         created_at=now(),
                         queued_at=now(),

@@ -19,7 +19,8 @@ from worker.jobs.repositories.work.workers import count_ready
 def next_job(connection: Connection, codes: Collection[str] | None = None) -> str | None:
     """Job of the next chunk: of the tenant with the fewest running chunks, the oldest job with a ready chunk.
 
-    A tenant's edits of people go before its other jobs: their files take a second, and somebody waits for them.
+    A tenant's edits of people go before its other jobs: their files take a second, and somebody waits for them. The
+    others are ordered by their priorities.
 
     Tenants with equal numbers are ordered at random, so that a long queue of one tenant does not delay the others. A
     tenant that has its share of the workers waits, see ``has_share``. Only chunks of ``codes``, digests of code, count;
@@ -74,7 +75,7 @@ def _tenants_in(connection: Connection, state: JobState) -> Iterator[str]:
 
 
 def _oldest_with_work(connection: Connection, tenant: str, codes: Collection[str] | None) -> str | None:
-    """Oldest job of a tenant with a ready chunk, edits first; running jobs are older than queued ones."""
+    """Oldest job of a tenant with a ready chunk, by precedence; running jobs are older than queued ones."""
     ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY, of_code(codes))
     # One precedence and state at a time: the index has its jobs in order, so that a long queue is not sorted.
     for precedence, state in product(Precedence, (JobState.RUNNING, JobState.QUEUED)):

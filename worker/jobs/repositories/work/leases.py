@@ -53,7 +53,7 @@ class Leases:
 
         Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
         ``worker.jobs.repositories.work.fair_share``. The jobs of a tenant are worked on in the order of their creation,
-        but edits of people before all other work. Only chunks that were planned for ``codes``, digests of the worker's
+        but those of a higher ``Precedence`` first. Only chunks that were planned for ``codes``, digests of the worker's
         code, are taken; ``None``: any.
         """
         while True:

@@ -13,7 +13,7 @@ from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.rights import Actor, Scope
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.model.work import ChunkOutput, Claim
-from worker.jobs.spec import JobSpec
+from worker.jobs.spec import JobSpec, Priority
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
@@ -49,11 +49,38 @@ def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: StoreBench
     assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
-def queue_of_other(jobs: StoreBench, num_chunks: int) -> str:
+def test_chunks_are_claimed_by_priority_of_the_job_before_age(jobs: StoreBench) -> None:
+    """A job of a higher priority takes the next free worker, also while one of a lower priority runs."""
+    batch = jobs.queue(2, "batch")
+    assert jobs.claim().job_id == batch.id
+    first, second = jobs.queue(1), jobs.queue(1)
+    later_batch, preview = jobs.queue(1, "batch"), jobs.queue(1, "preview")
+    waiting = [jobs.store.jobs.get(job.id).queue_position for job in (preview, first, second, later_batch)]
+    assert waiting == [1, 2, 3, 4]
+    claimed = [jobs.claim().job_id for _ in range(5)]
+    assert claimed == [preview.id, first.id, second.id, batch.id, later_batch.id]
+
+
+def test_a_priority_is_kept_when_a_job_is_sent_again(jobs: StoreBench) -> None:
+    preview, normal = jobs.queue(1, "preview"), jobs.queue(1)
+    jobs.store.jobs.cancel(preview.id)
+    jobs.store.jobs.retry(preview.id, stages(1))
+    assert [jobs.claim().job_id for _ in range(2)] == [preview.id, normal.id]
+
+
+def test_a_priority_takes_no_share_of_other_tenants(jobs: StoreBench) -> None:
+    """The tenant with fewer running chunks is next, whatever the priorities of the other tenant's jobs are."""
+    preview = jobs.queue(4, "preview").id
+    assert jobs.claim().job_id == preview
+    late = queue_of_other(jobs, 1, "batch")
+    assert jobs.claim().job_id == late
+
+
+def queue_of_other(jobs: StoreBench, num_chunks: int, priority: Priority = "normal") -> str:
     """Queue a job of another tenant; returns its id."""
     other = jobs.store.of("other", NO_QUOTAS, Actor())
     session_id = other.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
-    return other.jobs.add(session_id, JobSpec(), stages(num_chunks)).id
+    return other.jobs.add(session_id, JobSpec(priority=priority), stages(num_chunks)).id
 
 
 def test_a_long_queue_of_one_tenant_delays_nobody_else(jobs: StoreBench) -> None:
