@@ -71,6 +71,12 @@ def bounded_websocket(
             else:
                 self._close_when_quiet()
 
+        async def send(self, message: Any) -> None:
+            await super().send(message)
+            if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
+                # The answer in place of the WebSocket is complete, and nothing has failed.
+                self.handshake_complete = True
+
         def handle_parser_exception(self) -> None:
             """Send the last message, and discard what still comes: closed at once, the client would not get it."""
             self._is_discarding = True

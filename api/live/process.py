@@ -88,7 +88,11 @@ async def _end(process: Process, log_path: Path) -> None:
         if process.returncode is None:
             # A child that was not waited for keeps its process id, so the group is its own.
             os.killpg(process.pid, signal.SIGKILL)
-        await asyncio.wait_for(process.wait(), _ENDED_S)
+        async with asyncio.timeout(_ENDED_S):
+            if process.stdout is not None:
+                # Unread answers would keep the pipe open.
+                await process.stdout.read()
+            await process.wait()
     if process.returncode not in {0, 2, -signal.SIGKILL}:
         text = log_path.read_bytes()[-_LOGGED_BYTES:].decode(errors="replace")
         _log.error("live_process_ended", exit_code=process.returncode, log=text)
