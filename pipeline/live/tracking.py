@@ -100,6 +100,9 @@ class LiveTracker:
             self._see(int(identity[row]), int(row_camera[row]), float(row_s[row]), flat_px[row], score[row])
         self._follow_targets()
         number = [self._targets[target].number if target in self._targets else 0 for target in identity.tolist()]
+        if self._state.num_born > _MOST_NUMBERED:
+            former = self._state.forget_ended().tolist()
+            self._targets = {new: self._targets[old] for new, old in enumerate(former)}
         carried = self._state.carry()
         self._carried_px, self._carried_score = points_px[carried], score[carried]
         self._carried_camera, self._carried_s = row_camera[carried], row_s[carried]
@@ -133,9 +136,6 @@ class LiveTracker:
             if is_confirmed and not self._targets[target].number:
                 self._num_people += 1
                 self._targets[target].number = self._num_people
-        if self._state.num_born > _MOST_NUMBERED:
-            former = self._state.forget_ended().tolist()
-            self._targets = {new: self._targets[old] for new, old in enumerate(former)}
 
     def people_at(self, time_s: float) -> Iterator[Sighting]:
         """People that a camera sees at an instant, in order of their numbers; no frame may be behind it.
