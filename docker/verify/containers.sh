@@ -290,6 +290,7 @@ clean_up() {
         MULTICAP_SITE=$SITE MULTICAP_VERSION=1 "$WORK/tools/bin/podman-compose" --project-name $PROJECT --file "$FILE" \
             down --volumes --timeout 5 >>"$WORK/compose.log" 2>&1 || true
     done
+    podman volume rm --force ${PROJECT}_objects >/dev/null 2>&1 || true  # the restored one is no volume of podman-compose
     unnamed_volumes | comm -13 "$WORK/volumes" - | xargs --no-run-if-empty podman volume rm >/dev/null
 }
 
