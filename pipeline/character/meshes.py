@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int
 
 from pipeline.character.gltf_reader import CharacterFile, GltfDocument, objects_in
 from pipeline.character.problems import checked
@@ -111,7 +111,14 @@ def _influences(
     skin: int | None,
     attributes: Mapping[str, Any],
     num_vertices: int,
-) -> tuple[Shaped[np.ndarray, "vertices influences"], ...] | None:
+) -> (
+    tuple[
+        Int[np.ndarray, "vertices influences"],
+        Float[np.ndarray, "vertices influences"],
+        Float[np.ndarray, "vertices influences 4 4"],
+    ]
+    | None
+):
     """Nodes that move each vertex, their weights, and the matrices from the mesh to the scene."""
     if skin is None:
         matrices = np.broadcast_to(file.rig.worlds[node], (num_vertices, 1, 4, 4))

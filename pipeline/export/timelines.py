@@ -1,14 +1,14 @@
 """Values at the frames of a file, of which the frames of a person are a part: held, or unknown outside of them."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
 from pipeline.data.people import Track3D
 
 
 def held(
-    values: Float[np.ndarray, "rows *columns"], of_frames: range, frames: range
-) -> Float[np.ndarray, "frames *columns"]:
+    values: Shaped[np.ndarray, "rows *columns"], of_frames: range, frames: range
+) -> Shaped[np.ndarray, "frames *columns"]:
     """Values at some frames from values of ``of_frames``, of which the nearest one holds before and after them.
 
     Frames of ``of_frames`` alone are a view.

@@ -90,7 +90,7 @@ def check_world(
 
 def of_movers(
     instants: Sequence[int], poses_m: Float[np.ndarray, "poses joints 3"]
-) -> Float[np.ndarray, "poses joints 3"]:
+) -> Float[np.ndarray, "moving joints 3"]:
     """Poses of people who are not at one place at half of the instants, as pictures on walls are; all without any.
 
     ``instants`` and ``poses_m`` are those of ``locate``.

@@ -44,7 +44,7 @@ class Landmarks:
         return self.source[:, self.joints.index(name)] == Source.MEASURED
 
 
-def _median_m(*distances_m: Float[np.ndarray, " frames"]) -> float:
+def _median_m(*distances_m: Float[np.ndarray, " _"]) -> float:
     """Median of all values that are not NaN; NaN if there are none."""
     pooled = np.concatenate(distances_m)
     known = pooled[np.isfinite(pooled)]

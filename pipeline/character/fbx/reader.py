@@ -118,7 +118,11 @@ class _Character:
         numbers = np.minimum(placed.materials, len(materials))
         for number in np.unique(numbers).tolist():
             self._count_primitive()
-            points, corners, triangles = merged(replace(placed, uv=uv, triangles=placed.triangles[numbers == number]))
+            of_material = numbers == number
+            part = replace(
+                placed, triangles=placed.triangles[of_material], materials=placed.materials[of_material], uv=uv
+            )
+            points, corners, triangles = merged(part)
             rgb, material = self._material(materials[number] if number < len(materials) else None)
             yield Primitive(
                 placed.points[points],

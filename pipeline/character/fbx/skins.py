@@ -70,7 +70,7 @@ def bind(
 
 
 def _strongest(
-    rows: Sequence[tuple[Int[np.ndarray, " moved"], int, Float[np.ndarray, " moved"]]], num_points: int
+    rows: Sequence[tuple[Int[np.ndarray, " _"], int, Float[np.ndarray, " _"]]], num_points: int
 ) -> tuple[Int[np.ndarray, "points influences"], Float[np.ndarray, "points influences"]]:
     """Places of the bones with the largest weights at each point, and these weights with the sum 1; else place 0."""
     places = np.zeros((num_points, INFLUENCES), np.int64)

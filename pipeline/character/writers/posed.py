@@ -1,6 +1,6 @@
 """A character in motion in the axes of its files, Y up and facing +Z where the person faces -Y, in its own unit."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,14 +45,12 @@ class PosedCharacter:
             root_m=held(source.root_m, own, frames),
             parent_from_joint=held(source.parent_from_joint, own, frames),
         )
-        turns = {node: held(turns, own, frames) for node, turns in motion.turns.items()}
-        posed = replace(motion, source=still, hips=held(motion.hips, own, frames), turns=turns)
-        return replace(self, motion=posed)
+        posed = _in_all(motion, lambda values: held(values, own, frames))
+        return replace(self, motion=replace(posed, source=still))
 
     def in_rows(self, rows: slice) -> "PosedCharacter":
         """Character in some rows of its motion alone."""
-        turns = {node: turns[rows] for node, turns in self.motion.turns.items()}
-        return replace(self, motion=replace(self.motion, hips=self.motion.hips[rows], turns=turns))
+        return replace(self, motion=_in_all(self.motion, lambda values: values[rows]))
 
     def turn_of(self, node: int) -> Float[np.ndarray, "frames 3 3"]:
         """Rotation of a node from the rest pose about the skeleton's axes; nodes above the hips do not turn."""
@@ -137,3 +135,14 @@ def names_by_node(names: Mapping[int, str]) -> dict[int, str]:
     for name in bare.values():
         taken[name] = taken.get(name, 0) + 1
     return {node: f"{name}_{node}" if taken[name] > 1 else name for node, name in bare.items()}
+
+
+def _in_all(motion: CharacterMotion, choose: Callable[[np.ndarray], np.ndarray]) -> CharacterMotion:
+    """Motion with the rows that ``choose`` returns of each of its arrays; its source stays."""
+    return replace(
+        motion,
+        hips=choose(motion.hips),
+        turns={node: choose(turns) for node, turns in motion.turns.items()},
+        stands={side: choose(stands) for side, stands in motion.stands.items()},
+        ground=choose(motion.ground),
+    )

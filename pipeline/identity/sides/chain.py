@@ -214,6 +214,6 @@ def _unit(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"
 
 
 def _perpendicular(
-    vector: Float[np.ndarray, "*batch 3"], axis: Float[np.ndarray, "*batch 3"]
+    vector: Float[np.ndarray, "*#batch 3"], axis: Float[np.ndarray, "*#batch 3"]
 ) -> Float[np.ndarray, "*batch 3"]:
     return np.asarray(vector - (vector * axis).sum(-1, keepdims=True) * axis)

@@ -1,21 +1,20 @@
 """Offsets of joint centres, learnt from people whose marks lie at known offsets."""
 
-from types import SimpleNamespace
-from typing import Any, cast
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.data.animation import SkeletonMotion
+from pipeline.data.animation import Animation, SkeletonMotion
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.evaluation.datasets.rendered import RenderedTruth
 from pipeline.evaluation.joint_centers import MarkedPerson, cross_validate, learn_offsets, marked_people
 from pipeline.joints import COCO_17, JointOffset
 from pipeline.skeleton.model import INDEX, SKELETON, TRUNK
 
 NUM_FRAMES = 20
+RATE_HZ = 25.0
 TRUNK_M = 0.5
 TURN_DEG = 40.0
 # Hips lie 2 cm outwards, 3 cm forward and 1 cm up of the true ones.
@@ -28,13 +27,10 @@ def motion_of(turn_deg: float) -> SkeletonMotion:
     lengths_m[[INDEX[name] for name in TRUNK]] = TRUNK_M / len(TRUNK)
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (NUM_FRAMES, len(SKELETON), 1))
     turns[:, 0] = Rotation.from_euler("z", turn_deg, degrees=True).as_quat()
-    return cast(
-        SkeletonMotion,
-        SimpleNamespace(root_m=np.zeros((NUM_FRAMES, 3)), parent_from_joint=turns, bone_length_m=lengths_m),
-    )
+    return SkeletonMotion(1, "Ana", 0, RATE_HZ, lengths_m, np.zeros((NUM_FRAMES, 3)), turns, ())
 
 
-def capture(start_frame: int = 0, away_m: float = 0.0) -> tuple[Any, RenderedTruth]:
+def capture(start_frame: int = 0, away_m: float = 0.0) -> tuple[Reconstruction, RenderedTruth]:
     """Reconstruction of a person whose hips are marked beside the true ones, and another one who was not found."""
     body_m = np.random.default_rng(3).uniform(-0.5, 0.5, (17, 3))
     true_m = np.tile(body_m, (2, NUM_FRAMES, 1, 1)) + np.array([[[[5.0, 0.0, 0.0]]], [[[0.0, 0.0, 0.0]]]])
@@ -46,12 +42,10 @@ def capture(start_frame: int = 0, away_m: float = 0.0) -> tuple[Any, RenderedTru
     marked_m[4, COCO_17.index("nose")] = np.nan
     ones = np.ones(marked_m.shape[:2])
     track = Track3D(1, start_frame, marked_m, ones, (ones * Source.MEASURED).astype(np.int8), ones, ones.astype(int))
-    reconstruction = SimpleNamespace(
-        timebase=Timebase(0.0, 25.0, NUM_FRAMES + start_frame),
-        joints=COCO_17,
-        animation=SimpleNamespace(tracks=(track,), motions=(motion_of(TURN_DEG),)),
-    )
-    truth = RenderedTruth(COCO_17.names, (start_frame + np.arange(NUM_FRAMES)) / 25.0, true_m)
+    timebase = Timebase(0.0, RATE_HZ, NUM_FRAMES + start_frame)
+    animation = Animation((track,), (motion_of(TURN_DEG),), None)
+    reconstruction = Reconstruction((), COCO_17, timebase, (track,), (), animation)
+    truth = RenderedTruth(COCO_17.names, (start_frame + np.arange(NUM_FRAMES)) / RATE_HZ, true_m)
     return reconstruction, truth
 
 

@@ -170,8 +170,9 @@ def test_pictures_and_bodies_of_nobody_are_at_the_times_of_the_camera(tmp_path: 
     points_px = np.full((40, 1, 17, 2), np.nan)
     points_px[:, 0, 9] = (400.0, 300.0)
     observed = take_of(camera, timebase, track)
-    motion = replace(people().motions[0], track_id=3, root_m=np.zeros((40, 3)), contacts=())
-    motion = replace(motion, parent_from_joint=np.tile(motion.parent_from_joint[:1], (40, 1, 1)))
+    motion = people().motions[0]
+    turns = np.tile(motion.parent_from_joint[:1], (40, 1, 1))
+    motion = replace(motion, track_id=3, root_m=np.zeros((40, 3)), parent_from_joint=turns, contacts=())
     observed = replace(
         observed,
         located=(track,),
