@@ -172,7 +172,7 @@ DESELECTED := not benchmark and not blender and not soak and not hostile
 test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (10 minutes)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
-test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests, and those of the pipeline again with shapes checked (an hour)
+test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests, and those of the pipeline again with shapes checked (two hours)
 	$(PYTEST) -m "$(DESELECTED) and slow"
 	MULTICAP_CHECK_SHAPES=1 $(PYTEST) -m "$(DESELECTED) and not slow" tests/pipeline
 
