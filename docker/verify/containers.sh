@@ -149,7 +149,7 @@ small() {
     say "compose.yml is down"
 }
 
-# What docs/cluster.md describes, in its order.
+# Steps of docs/cluster.md, in its order.
 cluster() {
     slow api-1 api-2
     FILE=$ROOT/docker/compose.cluster.yml VERSION=1

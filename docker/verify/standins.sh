@@ -34,7 +34,7 @@ make_bases() {
     mapfile -t options < <(package_options)
     if ! podman image exists multicap-verify-debian; then
         debootstrap --variant=minbase --include=ca-certificates,python3,python3-venv $suite "$root" >"$WORK/debootstrap.log"
-        # What the official slim image does not have, too.
+        # Files that the official slim image lacks, too.
         rm -rf "$root"/var/cache/apt/archives/*.deb "$root"/var/lib/apt/lists/* "$root"/usr/share/{doc,man,locale}
         tar -C "$root" -c . | podman import --quiet - multicap-verify-debian
         rm -rf "$root"

@@ -58,7 +58,7 @@ class LiveCapture:
         self._center_m = np.array([center_in_world(camera) for camera in cameras])
         self._ray_from_image = np.linalg.inv(projection_matrices(cameras)[:, :, :3])
         self._bodies: dict[int, LiveBody] = {}
-        # Whether nobody's bones were learnt at the current instant: those of several people would delay it.
+        # True until somebody's bones are learnt at the current instant: those of several people would delay it.
         self._may_learn = True
         self._start_s: float | None = None
         self._num_instants = 0

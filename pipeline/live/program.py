@@ -120,7 +120,7 @@ def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
 
 if __name__ == "__main__":
     die_with_parent(os.getppid())
-    # What a library prints must not come between the answers.
+    # Output that a library prints must not come between the answers.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     sys.exit(run(sys.stdin.buffer, answers))

@@ -247,7 +247,7 @@ class LiveBody:
 
     @property
     def has_bones(self) -> bool:
-        """Whether bones are learnt."""
+        """True as soon as bones are learnt."""
         return self._filter is not None
 
     @property
@@ -299,7 +299,7 @@ class LiveBody:
 
 
 def _has_torso(xyz_m: Float[np.ndarray, "instants joints 3"], joints: JointSet) -> Bool[np.ndarray, " instants"]:
-    """Whether hips and shoulders are all located at each instant."""
+    """Instants at which hips and shoulders are all located."""
     if not set(_TORSO) <= set(joints.names):
         return np.zeros(len(xyz_m), bool)
     return np.asarray(np.isfinite(xyz_m[:, joints.indices(_TORSO)]).all((1, 2)))

@@ -73,7 +73,7 @@ def test_one_image_is_built_once(path: Path) -> None:
 
 
 def test_verification_has_the_bases_of_all_files() -> None:
-    """What the script pulls or makes stand-ins for is what the Dockerfile and the compose files name."""
+    """Images that the script pulls or makes stand-ins for are those of the Dockerfile and the compose files."""
     built = re.findall(r"^FROM (\S+)", (DOCKER / "multicap.Dockerfile").read_text(), re.MULTILINE)
     services = [service for path in COMPOSE for service in yaml.safe_load(path.read_text())["services"].values()]
     named = {service["image"] for service in services if not service["image"].startswith("multicap:")}

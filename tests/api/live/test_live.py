@@ -176,6 +176,6 @@ def test_oldest_instants_are_dropped_and_counted(live_service: Live) -> None:
             messages.append(message)
         assert message["counts"]["taken"] == 200
         assert len(messages) + message["dropped"]["output"] == 200
-        sequences = [one["sequence"] for one in messages]
+        sequences = [message["sequence"] for message in messages]
         assert sequences == sorted(set(sequences))
         assert sequences[-1] == 199

@@ -1,4 +1,4 @@
-"""Who may open a live capture: keys and scopes, pages of other origins, the number of captures, silence."""
+"""Opening of live captures: keys and scopes, pages of other origins, the number of captures, silence."""
 
 import json
 from collections.abc import Callable, Iterator

@@ -88,7 +88,7 @@ def opened_again(live: Live, session_id: str, folder: Path) -> Any:
             data = content.read()
         if file.kind == "keypoints":
             zipfile.ZipFile(io.BytesIO(data)).extractall(folder / Path(file.name).stem)
-            recording = next(one for one in session.preflight.recordings if one.file == file.name)
+            recording = next(each for each in session.preflight.recordings if each.file == file.name)
             folders[recording.camera] = folder / Path(file.name).stem
         else:
             (folder / file.name).write_bytes(data)

@@ -137,7 +137,7 @@ def test_steps_are_those_of_the_finished_fit(room: Simulation) -> None:
 
 
 def test_a_skeleton_keeps_still_in_memory(room: Simulation) -> None:
-    """What is kept is the same after learning, however long people stay."""
+    """Kept arrays are the same after learning, however long people stay."""
     capture = LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ, learn_s=1.0))
     kept = []
     for frame in sent_frames(room):

@@ -104,7 +104,7 @@ def test_confirmed_people_are_those_of_the_finished_session(scene: str, seed: in
     pairs = np.unique(np.stack([number[is_known], whole[is_known]]), axis=1)
     assert len(np.unique(pairs[0])) == len(np.unique(pairs[1])) == pairs.shape[1]
     assert NOBODY not in pairs[1]
-    # What live leaves open are detections before the third instant of a person, and of targets without one.
+    # Left open live are detections before the third instant of a person, and of targets without one.
     assert scene != "room" or is_known.sum() > 0.9 * (whole != NOBODY).sum() - 60
     assert not (is_known & (whole == NOBODY)).any()
 
