@@ -37,6 +37,18 @@ MESSAGES: dict[str, Any] = {
         "joints": ["nose", "left_eye", "right_eye"],
         "bones": ["Hips", "Spine", "Chest"],
         "parents": [None, "Hips", "Spine"],
+        "rig": [
+            {
+                "name": name,
+                "size_px": [1920, 1080],
+                "matrix": _CAMERA["matrix"],
+                "cam_from_world": {
+                    "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+                    "translation_m": [0.0, 1.0, 4.0],
+                },
+            }
+            for name in ("cam_1", "cam_2")
+        ],
         "limits": {"message_bytes": 1048576, "messages_per_s": 4000.0, "people": 32, "idle_s": 30.0},
         "request_id": _REQUEST_ID,
     },

@@ -6,6 +6,7 @@ from uuid import UUID
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 from api.errors import ErrorItem
+from api.motion.schemas import MotionPose
 from api.sessions.schemas import SessionName, Up
 from pipeline.live.packets import MAX_PX, MAX_TIME_S
 from pipeline.problem_codes.model import Code
@@ -114,6 +115,15 @@ class _Sent(BaseModel):
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
 
 
+class LiveCameraOut(_Sent):
+    """Camera of a capture in metres, Z up, for those who draw it."""
+
+    name: str = Field(description="Name of the camera.")
+    size_px: tuple[int, int] = Field(description="Width and height of the picture.")
+    matrix: tuple[tuple[float, ...], ...] = Field(description="Rows of the camera matrix.")
+    cam_from_world: MotionPose
+
+
 class LiveReady(_Sent):
     """First message of the service: the capture has begun."""
 
@@ -123,6 +133,7 @@ class LiveReady(_Sent):
     joints: tuple[str, ...] = Field(description="Names of the joints in `joints_m` of people.")
     bones: tuple[str, ...] = Field(description="Names of the joints of skeletons.")
     parents: tuple[str | None, ...] = Field(description="Parent of each joint of skeletons; null for the root.")
+    rig: tuple[LiveCameraOut, ...] = Field(description="Cameras as the capture uses them, in the order of `cameras`.")
     limits: dict[str, float] = Field(description="Limits of the connection: bytes, rates, people, times.")
     request_id: str = Field(description="Id of the connection, also in the service's log.")
 

@@ -201,6 +201,7 @@ def test_the_page_is_small(live: Live) -> None:
     }
     assert sizes["vendor/three/three.core.js"] > 100_000
     assert sum(sizes.values()) <= 1_000_000
-    # The views before the viewer, which is loaded when it is opened.
+    # The views before the viewer and what plays live, which are loaded when they are needed.
+    later = {path.relative_to(PORTAL).as_posix() for path in (PORTAL / "live").glob("*.js")} - {"live/view.js"}
     first = [name for name in sizes if not name.startswith(("vendor/three", "vendor/uPlot", "viewer/"))]
-    assert sum(sizes[name] for name in first) <= 132_000
+    assert sum(sizes[name] for name in first if name not in later) <= 138_000

@@ -6,7 +6,7 @@ import { persistently } from "../shared/away.js";
 import { characters } from "../shared/characters.js";
 import { feed } from "../shared/feed.js";
 import { stateOf } from "../shared/jobs.js";
-import { html, nothing, render, repeat } from "../shared/lit.js";
+import { html, nothing, render, repeat, typed } from "../shared/lit.js";
 import { readOptions } from "../shared/options.js";
 import { problemBox } from "../shared/problem.js";
 import { captureCard } from "./capture.js";
@@ -20,6 +20,7 @@ const FILTERS = [
 
 export function open(place, route, caller) {
   const view = new Captures(place, caller);
+  view.search = route.query.get("name") ?? "";
   view.start();
   return { title: "Captures", close: () => view.close() };
 }
@@ -148,7 +149,7 @@ class Captures {
       <div class="bar">
         <h1 class="title" id="captures-title" tabindex="-1">Captures</h1>
         <label class="search"><span class="unseen">Search by name</span>
-          <input type="search" placeholder="Search by name" maxlength="200" @input=${(event) => { this.search = event.target.value; this.reload(TYPING_MS); }}></label>
+          <input type="search" placeholder="Search by name" maxlength="200" .value=${typed(this.search)} @input=${(event) => { this.search = event.target.value; this.reload(TYPING_MS); }}></label>
         <label class="filter"><span class="unseen">State of the newest job</span>
           <select @change=${(event) => { this.filter = event.target.value; this.reload(); }}>
             ${FILTERS.map(([state, label]) => html`<option value=${state}>${label}</option>`)}</select></label>

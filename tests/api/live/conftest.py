@@ -47,7 +47,7 @@ while (length := sys.stdin.buffer.read(4)):
             problem = {"code": "parameter_range", "message": "No.", "field": "learn_s", "camera": None}
             answer(b"P", json.dumps([problem]).encode())
             sys.exit(2)
-        ready = {"cameras": cameras, "joints": ["nose"], "bones": ["Hips"], "parents": [None]}
+        ready = {"cameras": cameras, "joints": ["nose"], "bones": ["Hips"], "parents": [None], "rig": []}
         answer(b"R", json.dumps(ready).encode())
         continue
     counts = lambda: json.dumps({"taken": taken, "late": 0, "dropped": 0}).encode()

@@ -13,14 +13,20 @@ export function viewControls(viewer, shapes, onoptions) {
     const box = el("input", { type: "checkbox", checked: options[name], onchange: () => { options[name] = box.checked; onoptions(options); } });
     return el("label", {}, box, ` ${label}`);
   });
+  const directions = directionBar(viewer, { Fit: "Fit the view (F)" });
+  const element = el("div", { class: "look-overlay" }, directions.element,
+    el("div", { class: "look-bar" }, menu("Show", [layers[0], shapes, ...layers.slice(1)]), menu("Keys", keys())));
+  return { element, showSeen: directions.showSeen };
+}
+
+/** Buttons and a choice of where the view is from; `viewer` has `fit`, `see` and `description.cameras`, `titles` are of buttons. */
+export function directionBar(viewer, titles = {}) {
   const seen = el("select", { class: "look-select", "aria-label": "View", onchange: () => viewer.see(seen.value === "" ? null : Number(seen.value)) },
     el("option", { value: "" }, "Orbit"),
     viewer.description.cameras.map(({ name }, number) => el("option", { value: number }, `Through ${name}`)));
-  const element = el("div", { class: "look-overlay" },
-    el("div", { class: "look-bar", role: "group", "aria-label": "View" },
-      DIRECTIONS.map(([label, direction]) => el("button", { type: "button", class: "look-button", title: label === "Fit" ? "Fit the view (F)" : null, onclick: () => viewer.fit(direction) }, label)),
-      seen),
-    el("div", { class: "look-bar" }, menu("Show", [layers[0], shapes, ...layers.slice(1)]), menu("Keys", keys())));
+  const element = el("div", { class: "look-bar", role: "group", "aria-label": "View" },
+    DIRECTIONS.map(([label, direction]) => el("button", { type: "button", class: "look-button", title: titles[label] ?? null, onclick: () => viewer.fit(direction) }, label)),
+    seen);
   return { element, showSeen: (number) => { seen.value = number === null ? "" : String(number); } };
 }
 

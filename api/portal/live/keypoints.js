@@ -1,0 +1,123 @@
+// Keypoints in OpenPose's form as frames of cameras: zips or folders of a camera each, and their times.
+
+import { matchCameras } from "../send/matching.js";
+import { isPassedOver, pathOf } from "../send/files.js";
+import { stem } from "../shared/format.js";
+import { entriesOf, textOf } from "./zip.js";
+
+const FRAME = /^(?:.*\D)?(\d{1,15})(?:_keypoints)?\.json$/;
+const COLUMNS = ["camera", "frame", "time_s"];
+const LAYOUTS = new Map([[17, "coco-17"], [18, "coco-18"], [25, "body-25"], [26, "halpe-26"], [133, "coco-wholebody-133"], [136, "halpe-136"]]);
+const FORM = "The page plays keypoints in OpenPose's form: a JSON file of each frame, with people and pose_keypoints_2d.";
+
+/** What can't be played, as `problemBox` shows it. */
+export class PlaybackProblem extends Error {
+  constructor(message, hint = null) {
+    super(message);
+    this.hint = hint;
+    this.items = [];
+  }
+}
+
+const numberOf = (path) => FRAME.exec(path.split("/").at(-1))?.[1];
+const extensionOf = (file) => file.name.slice(file.name.lastIndexOf(".") + 1).toLowerCase();
+
+/**
+ * Sort dropped files: `{ views, timestamps, calibration, others }`.
+ *
+ * A view has `name`, as of a zip or a folder, and `frames`: functions that read the text of a frame, by its number.
+ */
+export async function sortedFiles(files) {
+  const views = new Map();
+  const found = { timestamps: null, calibration: null, others: [] };
+  const viewOf = (name) => views.get(name) ?? views.set(name, { name, frames: new Map() }).get(name);
+  for (const file of [...files].filter((each) => !isPassedOver(pathOf(each)))) {
+    const folders = pathOf(file).split("/").slice(0, -1);
+    const isFrame = file.name.endsWith("_keypoints.json") || (folders.length > 0 && numberOf(file.name) !== undefined);
+    const extension = extensionOf(file);
+    if (extension === "zip") await addZip(file, viewOf, found);
+    else if (extension === "csv") found.timestamps = file;
+    else if (extension === "json" && isFrame) viewOf(folders.at(-1) ?? "").frames.set(Number(numberOf(file.name)), () => file.text());
+    else if (["json", "toml", "yml", "yaml", "xml", "txt", "npz", "pickle", "pkl"].includes(extension)) found.calibration = file;
+    else found.others.push(file.name);
+  }
+  return { views: [...views.values()], ...found };
+}
+
+async function addZip(file, viewOf, found) {
+  const entries = (await entriesOf(file)).filter(({ name }) => !isPassedOver(name) && numberOf(name) !== undefined);
+  if (entries.length === 0) found.others.push(file.name);
+  for (const entry of entries) viewOf(stem(file.name)).frames.set(Number(numberOf(entry.name)), () => textOf(file, entry));
+}
+
+/** Times in seconds by camera and frame, of a file of timestamps. */
+export async function readTimes(file) {
+  const [head = "", ...rows] = (await file.text()).replace(/^\uFEFF/, "").split(/\r?\n/).filter((row) => row.trim() !== "");
+  const cells = (row) => row.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1"));
+  const columns = COLUMNS.map((name) => cells(head).indexOf(name));
+  if (columns.includes(-1)) throw new PlaybackProblem(`${file.name} has no columns ${COLUMNS.join(", ")}.`);
+  const times = new Map();
+  for (const [line, row] of rows.entries()) {
+    const values = cells(row);
+    const [camera, frame, timeS] = columns.map((column) => values[column]);
+    if (!camera || !/^\d+$/.test(frame) || !Number.isFinite(Number.parseFloat(timeS))) throw new PlaybackProblem(`Line ${line + 2} of ${file.name} has no camera, frame and time.`);
+    times.set(camera, (times.get(camera) ?? new Map()).set(Number(frame), Number(timeS)));
+  }
+  return times;
+}
+
+/**
+ * Recording to be played: `{ frames, cameras, layout, numPoints, rateHz }`.
+ *
+ * `frames` are in the order of their times: `{ camera, timeS, read }`, where `camera` is a name and `read` gives a promise of
+ * the people, x, y and score of each point in a row. Throws a `PlaybackProblem`.
+ */
+export async function recordingOf({ views, timestamps }, cameras, frameRateHz) {
+  const paired = matchCameras(views.map(({ name }) => `${name}.zip`), cameras);
+  const stray = views.filter(({ name }) => !paired.has(`${name}.zip`));
+  if (stray.length) throw new PlaybackProblem(`No camera's name is in ${stray.map(({ name }) => name || "files without a folder").join(", ")}.`, `The cameras are ${cameras.join(", ")}.`);
+  if (views.length < 2) throw new PlaybackProblem("At least two cameras are needed.", "Choose a zip or a folder of keypoints of each camera.");
+  const times = timestamps ? await readTimes(timestamps) : null;
+  const frames = views.flatMap((view) => framesOf(view, paired.get(`${view.name}.zip`), times, frameRateHz));
+  frames.sort((one, other) => one.timeS - other.timeS);
+  return { frames, cameras: [...new Set(frames.map(({ camera }) => camera))], ...await layoutOf(frames), rateHz: times ? measuredRateHz(frames) : frameRateHz };
+}
+
+function framesOf({ frames }, camera, times, frameRateHz) {
+  const timeOf = times ? (number) => times.get(camera)?.get(number) : (number) => number / frameRateHz;
+  const timed = [...frames].map(([number, text]) => ({ camera, timeS: timeOf(number), read: () => text().then(peopleOf) }));
+  if (timed.some(({ timeS }) => timeS === undefined)) throw new PlaybackProblem(`Frames of ${camera} have no time in the timestamps.`);
+  return timed;
+}
+
+/** People of a frame: x, y and score of each point in a row. */
+export function peopleOf(text) {
+  let people;
+  try {
+    ({ people } = JSON.parse(text));
+  } catch { /* not JSON */ }
+  if (!Array.isArray(people)) throw new PlaybackProblem(FORM, "Send other forms as a capture.");
+  return people.map((person) => person.pose_keypoints_2d).filter((row) => row?.some((value) => value));
+}
+
+/** Layout of the points, by the first frame with people. */
+async function layoutOf(frames) {
+  for (const { read } of frames) {
+    const [row] = await read();
+    if (row === undefined) continue;
+    const layout = LAYOUTS.get(row.length / 3);
+    if (layout === undefined) throw new PlaybackProblem(`A person has ${row.length / 3} points, and no layout has so many.`, `Layouts have ${[...LAYOUTS.keys()].join(", ")}.`);
+    return { layout, numPoints: row.length / 3 };
+  }
+  throw new PlaybackProblem("Nobody is in any frame.");
+}
+
+/** Rate of the fastest camera, by the median of the times between its frames. */
+function measuredRateHz(frames) {
+  const byCamera = Map.groupBy(frames, ({ camera }) => camera);
+  const medians = [...byCamera.values()].map((own) => {
+    const steps = own.slice(1).map(({ timeS }, place) => timeS - own[place].timeS).sort((one, other) => one - other);
+    return steps[steps.length >> 1];
+  }).filter((stepS) => stepS > 0);
+  return Math.min(1000, Math.max(1, Math.round(1000 / Math.min(...medians)) / 1000 || 25));
+}

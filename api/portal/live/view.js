@@ -1,0 +1,261 @@
+// View Live: keypoints of files played into a live capture, and people in 3D as they come back.
+
+import { announce } from "../shared/announce.js";
+import { call } from "../shared/api.js";
+import { persistently } from "../shared/away.js";
+import { readCalibrations } from "../shared/calibrations.js";
+import { feed } from "../shared/feed.js";
+import { count, length } from "../shared/format.js";
+import { html, nothing, ref, render, typed } from "../shared/lit.js";
+import { problemBox } from "../shared/problem.js";
+import { go } from "../shared/router.js";
+import { calibrationPart } from "../send/calibration.js";
+import { droppedFiles } from "../send/files.js";
+import { ChosenCalibration } from "../send/rig.js";
+
+const DRAW_MS = 250;
+const ACCEPTED = ".zip,.json,.csv,.toml,.yml,.yaml,.xml,.txt,.npz,.pickle,.pkl";
+
+export function open(place) {
+  const view = new LiveView(place);
+  view.start();
+  return { title: "Live", close: () => view.close() };
+}
+
+class LiveView {
+  rig = new ChosenCalibration(() => this.draw());
+  stored = null; // calibrations, once they are loaded
+  away = null; // why they are not
+  files = null; // of the recording, as `sortedFiles` gives them
+  frameRateHz = null;
+  isKept = false;
+  name = "";
+  phase = "choosing"; // choosing, opening, playing, ending, over
+  problem = null;
+  ended = null; // message `ended` of the last capture
+  counts = null; // figures of the capture that runs or ran last
+  isOver = false; // whether files are held over the page
+  #isClosed = false;
+  #client = null;
+  #playback = null;
+  #scene = null;
+  #stage = null; // element of the 3D view
+  #timer = 0;
+  #keptName = "";
+
+  constructor(place) {
+    this.place = place;
+  }
+
+  async start() {
+    this.draw();
+    try {
+      this.stored = await persistently(readCalibrations, { isOver: () => this.#isClosed, away: (problem) => { this.away = problem; this.draw(); } });
+      this.away = null;
+    } catch (problem) {
+      this.away = problem;
+    }
+    this.draw();
+  }
+
+  close() {
+    this.#isClosed = true;
+    this.#leave();
+    this.#scene?.close();
+  }
+
+  get isBusy() { return ["opening", "playing", "ending"].includes(this.phase); }
+  get capture() { return { calibration: this.rig.record }; } // for the part that chooses the calibration
+  get needsFrameRate() { return this.files !== null && this.files.views.length > 0 && this.files.timestamps === null; }
+
+  async add(read) {
+    try {
+      const { sortedFiles } = await import("./keypoints.js");
+      const sorted = await sortedFiles(await read);
+      this.problem = null;
+      if (sorted.views.length) this.files = sorted;
+      else if (sorted.timestamps && this.files) this.files.timestamps = sorted.timestamps;
+      else if (!sorted.calibration) this.problem = { message: "No keypoints are among these files.", hint: "Choose a zip or a folder of JSON files of each camera." };
+      if (sorted.calibration) await this.rig.readFile(sorted.calibration);
+    } catch (problem) {
+      this.problem = problem;
+    }
+    if (this.files) announce(`Keypoints of ${count(this.files.views.length, "camera")}`);
+    this.draw();
+  }
+
+  async play() {
+    this.problem = this.ended = null;
+    const missing = [
+      ...(this.files ? [] : ["Choose keypoints of the cameras."]),
+      ...(this.rig.record ? [] : ["Choose the calibration of the cameras."]),
+      ...(this.needsFrameRate && !(this.frameRateHz >= 1 && this.frameRateHz <= 1000) ? ["State the frame rate of the keypoints, from 1 to 1000 Hz, or add their timestamps, a CSV file."] : []),
+    ];
+    if (missing.length) {
+      this.problem = { message: "The capture is not complete.", items: missing.map((message) => ({ message })) };
+      this.draw();
+      return;
+    }
+    this.#go("opening");
+    try {
+      // What plays is large: it is loaded when it is needed.
+      const [{ recordingOf }, ...modules] = await Promise.all([import("./keypoints.js"), import("./client.js"), import("./playback.js"), import("./scene.js")]);
+      const names = this.rig.record.cameras.map(({ name }) => name);
+      const recording = await recordingOf(this.files, names, this.frameRateHz);
+      if (!this.#isClosed) await this.#open(recording, ...modules);
+    } catch (problem) {
+      this.#over(problem);
+    }
+  }
+
+  async #open(recording, { LiveClient }, { Playback }, { LiveScene }) {
+    const { layout, rateHz } = recording;
+    const name = this.name.trim() || `Live of ${new Date().toLocaleString([], { dateStyle: "medium", timeStyle: "short" })}`;
+    this.#keptName = name;
+    const client = new LiveClient({ calibration_id: this.rig.id, layout, frame_rate_hz: rateHz, keep: this.isKept, name });
+    this.#client = client;
+    client.addEventListener("refused", ({ detail }) => this.#over(detail));
+    client.addEventListener("ended", ({ detail }) => { this.ended = detail; this.#over(null); });
+    const ready = await client.ready;
+    if (this.#isClosed) return;
+    const playback = new Playback(client, recording, ready.cameras);
+    this.#playback = playback;
+    this.counts = { people: 0, skeletons: 0, instants: 0, dropped: { input: 0, output: 0 }, notSent: 0 };
+    this.draw();
+    this.#scene?.close();
+    this.#scene = new LiveScene(this.#stage, ready, rateHz);
+    client.addEventListener("instant", ({ detail }) => this.#take(detail));
+    playback.addEventListener("end", () => this.end());
+    playback.addEventListener("problem", ({ detail }) => this.#over(detail));
+    this.#timer = setInterval(() => this.draw(), DRAW_MS);
+    playback.start();
+    this.#go("playing");
+    announce("The capture has begun.");
+  }
+
+  #take(instant) {
+    this.#scene.show(instant);
+    this.#playback.arrived(instant);
+    const { people, dropped } = instant;
+    Object.assign(this.counts, {
+      people: people.length, skeletons: people.filter(({ skeleton }) => skeleton).length, instants: this.counts.instants + 1, dropped, notSent: this.#client.notSent,
+    });
+  }
+
+  // End the capture; the service sends what is still to come, and stores what is to be kept.
+  end() {
+    this.#playback?.stop();
+    this.#client.end();
+    if (this.phase === "playing") this.#go("ending");
+  }
+
+  #leave() {
+    clearInterval(this.#timer);
+    this.#playback?.stop();
+    this.#client?.close();
+  }
+
+  #over(problem) {
+    if (this.#isClosed) return;
+    this.#leave();
+    this.problem = problem;
+    this.#go("over");
+    announce(problem ? "The capture has ended by a problem." : "The capture is over.");
+  }
+
+  #go(phase) {
+    this.phase = phase;
+    this.draw();
+  }
+
+  async reconstruct() {
+    try {
+      const job = await call(`/v1/sessions/${this.ended.session_id}/jobs`, { method: "POST", body: {} });
+      feed.put(job);
+      go("jobs", job.id);
+    } catch (problem) {
+      this.problem = problem;
+      this.draw();
+    }
+  }
+
+  draw() {
+    if (!this.#isClosed) render(this.#page(), this.place);
+  }
+
+  #page() {
+    const over = (isOver) => { if (this.isOver !== isOver) { this.isOver = isOver; this.draw(); } };
+    return html`<form class="live" novalidate @submit=${(event) => { event.preventDefault(); if (!this.isBusy) this.play(); }}
+        @dragover=${(event) => { event.preventDefault(); over(true); }}
+        @dragleave=${(event) => { if (!this.place.contains(event.relatedTarget)) over(false); }}
+        @drop=${(event) => { event.preventDefault(); over(false); if (!this.isBusy) this.add(droppedFiles(event.dataTransfer)); }}>
+      <div class="bar"><h1 class="title">Live</h1>
+        <p class="quiet">Plays 2D keypoints at their own pace as if cameras sent them now. Programs send theirs to <code>WS /v1/live</code>.</p></div>
+      <section class="look-viewer" aria-label="People now" ?hidden=${this.counts === null}>
+        <div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? null; })}></div>
+        ${this.counts ? this.#figures() : nothing}
+      </section>
+      ${this.#result()}
+      ${problemBox(this.problem)}
+      <div class="actions">
+        <button class="button primary" ?disabled=${this.isBusy}>${this.phase === "opening" ? "Opening …" : this.counts ? "Play again" : "Play live"}</button>
+        <button type="button" class="button" ?disabled=${this.phase !== "playing"} @click=${() => this.end()}>${this.phase === "ending" ? "Ending …" : "End now"}</button>
+        <label class="with"><input type="checkbox" .checked=${this.isKept} ?disabled=${this.isBusy} @change=${(event) => { this.isKept = event.target.checked; this.draw(); }}> Keep it as a capture</label>
+        ${this.isKept ? html`<label class="take"><span>Name</span><input name="name" maxlength="200" autocomplete="off" .value=${typed(this.name)} ?disabled=${this.isBusy} @input=${(event) => { this.name = event.target.value; }}></label>` : nothing}
+      </div>
+      ${this.#filesPart()}
+      <section class="panel" aria-labelledby="calibration-title"><h2 id="calibration-title">Calibration</h2>
+        ${calibrationPart({ sending: this, stored: this.stored, away: this.away, isLocked: this.isBusy, choose: (id, name) => this.rig.choose(id, name), readFile: (...chosen) => this.rig.readFile(...chosen) })}
+        ${problemBox(this.rig.problem)}
+      </section>
+    </form>`;
+  }
+
+  #filesPart() {
+    const { views = [], timestamps, others = [] } = this.files ?? {};
+    const chosen = (event) => {
+      const files = [...event.target.files];
+      event.target.value = "";
+      this.add(files);
+    };
+    const picker = (label, attributes) => html`<label class="button">${label}${attributes}</label>`;
+    return html`<section class="panel" aria-labelledby="keypoints-title"><h2 id="keypoints-title">Keypoints</h2>
+      <div class="drop ${this.isOver ? "over" : ""} ${views.length ? "small" : ""}">
+        ${views.length ? nothing : html`<p class="lead">Drop a folder or a zip of keypoints of each camera here, with their timestamps and calibration.</p>`}
+        <div class="actions">
+          ${picker("Choose files", html`<input class="unseen" type="file" multiple accept=${ACCEPTED} ?disabled=${this.isBusy} @change=${chosen}>`)}
+          ${picker("Choose a folder", html`<input class="unseen" type="file" webkitdirectory ?disabled=${this.isBusy} @change=${chosen}>`)}
+        </div>
+        <p class="quiet">In OpenPose's form, as Pose2Sim and kept live captures have it: a JSON file of each frame.</p>
+      </div>
+      ${views.length ? html`<p class="quiet facts">${views.map(({ name, frames }) => html`<span>${name}: ${count(frames.size, "frame")}</span>`)}
+        ${timestamps ? html`<span>times of ${timestamps.name}</span>` : nothing}</p>` : nothing}
+      ${others.length ? html`<p class="notice" role="status">Left out: ${others.join(", ")}.</p>` : nothing}
+      ${this.needsFrameRate ? html`<label class="field clock"><span>Frame rate of the keypoints, Hz</span>
+        <input type="number" class="number" min="1" max="1000" step="any" .value=${typed(this.frameRateHz)} ?disabled=${this.isBusy}
+          @input=${(event) => { this.frameRateHz = event.target.value === "" ? null : event.target.valueAsNumber; }}>
+        <span class="quiet">Frames a second of the videos that the keypoints are of. A file of timestamps (CSV) does instead.</span></label>` : nothing}
+    </section>`;
+  }
+
+  #figures() {
+    const { people, skeletons, instants, dropped, notSent } = this.counts;
+    const latency = this.#playback.latencyMs?.map((value) => `${value.toFixed(0)} ms`);
+    const facts = [
+      ["Time", `${length(this.#playback.timeS)} of ${length(this.#playback.lengthS)}`],
+      ["People", `${people}, ${skeletons} with a skeleton`],
+      ["Latency", latency ? `${latency[0]}, 95 % within ${latency[1]}` : "–"],
+      ["Instants", String(instants)],
+      ["Dropped", `${count(dropped.input + notSent, "frame")}, ${count(dropped.output, "instant")}`],
+    ];
+    return html`<dl class="live-figures">${facts.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>`;
+  }
+
+  #result() {
+    if (this.ended === null) return nothing;
+    const { session_id: sessionId, kept_frames: kept, counts } = this.ended;
+    if (sessionId === null) return html`<p class="notice" role="status">The capture is over: ${count(counts.received, "frame")} in.</p>`;
+    return html`<div class="notice live-result" role="status"><p>${count(kept, "frame")} of ${counts.received} are kept as <a href="#/captures?${new URLSearchParams({ name: this.#keptName })}">a capture</a>.</p>
+      <button type="button" class="button small primary" @click=${() => this.reconstruct()}>Reconstruct it</button></div>`;
+  }
+}

@@ -1,0 +1,73 @@
+// Packets, recordings and people of the view Live.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+import { packKeypoints, unpackInstant } from "../../../../api/portal/live/packets.js";
+import { peopleOf, recordingOf, sortedFiles } from "../../../../api/portal/live/keypoints.js";
+import { LiveStore } from "../../../../api/portal/live/store.js";
+import { entriesOf } from "../../../../api/portal/live/zip.js";
+
+const read = (name) => readFileSync(`${process.env.FIXTURES}/${name}`);
+const expected = JSON.parse(read("expected.json"));
+const bufferOf = (bytes) => bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length);
+const zipOf = (name) => new File([read(name)], name);
+const plain = (values) => [...values].map((value) => (Number.isNaN(value) ? null : value));
+const times = (...rows) => new File([["camera,frame,time_s", ...rows].join("\n")], "timestamps.csv");
+const EVERY_TIME = ["cam_1", "cam_2"].flatMap((camera, late) => [0, 2, 10].map((frame) => `${camera},${frame},${frame / 25 + late / 100}`));
+
+test("an instant is read as the service packs it", () => {
+  const instant = unpackInstant(bufferOf(read("instant.bin")));
+  assert.deepEqual([instant.timeS, instant.lagS, instant.sequence, instant.dropped], [12.25, 0.5, 7, { input: 0, output: 0 }]);
+  assert.deepEqual(instant.people.map(({ id }) => id), [1, 70000]);
+  assert.equal(instant.people[0].skeleton, null);
+  instant.people.forEach(({ joints }, person) => assert.deepEqual(plain(joints), expected.located[person]));
+  const { skeleton } = instant.people[1];
+  for (const [name, values] of Object.entries(expected.skeleton)) assert.deepEqual(plain(skeleton[name]), values, name);
+  assert.throws(() => unpackInstant(bufferOf(read("instant.bin").subarray(0, -4))));
+  assert.throws(() => unpackInstant(bufferOf(read("keypoints.bin"))));
+});
+
+test("keypoints are packed as the library packs them", () => {
+  const packet = packKeypoints({ camera: 3, timeS: 1.5, people: [expected.row.map((value) => value ?? NaN)], numPoints: 17 });
+  assert.deepEqual(Buffer.from(packet), read("keypoints.bin"));
+});
+
+test("zips of cameras are a recording", async () => {
+  const sorted = await sortedFiles([zipOf("cam_1.zip"), zipOf("cam_2.zip"), new File(["{}"], "calibration.json"), times(...EVERY_TIME)]);
+  assert.deepEqual(sorted.views.map(({ name, frames }) => [name, [...frames.keys()]]), [["cam_1", [0, 2, 10]], ["cam_2", [0, 2, 10]]]);
+  assert.equal(sorted.calibration.name, "calibration.json");
+  const recording = await recordingOf(sorted, ["cam_1", "cam_2", "cam_3"], null);
+  assert.deepEqual(recording.frames.map(({ camera, timeS }) => [camera, timeS]), [["cam_1", 0], ["cam_2", 0.01], ["cam_1", 0.08], ["cam_2", 2 / 25 + 1 / 100], ["cam_1", 0.4], ["cam_2", 10 / 25 + 1 / 100]]);
+  assert.deepEqual([recording.layout, recording.numPoints], ["coco-17", 17]);
+  assert.deepEqual([await recording.frames[0].read(), (await recording.frames[5].read())[0].length], [[], 51]);
+});
+
+test("what can't be played is named", async () => {
+  const sorted = await sortedFiles([zipOf("cam_1.zip"), zipOf("cam_2.zip")]);
+  await assert.rejects(recordingOf(sorted, ["left", "right"], 25), /cam_1, cam_2/);
+  await assert.rejects(recordingOf({ ...sorted, timestamps: times("cam_1,0,0") }, ["cam_1", "cam_2"], null), /Frames of cam_1/);
+  await assert.rejects(recordingOf({ ...sorted, timestamps: times("cam_1,x,0") }, ["cam_1", "cam_2"], null), /Line 2/);
+  await assert.rejects(entriesOf(new File(["nothing"], "a.zip")), /no zip/);
+  assert.throws(() => peopleOf("[]"), /OpenPose/);
+});
+
+test("people without bones are shown by their joints, and trails end where people were not there", () => {
+  const { bones, parents, joint_names: joints } = expected;
+  const store = new LiveStore({ bones, parents, joints, rig: [] }, 25);
+  const located = Float32Array.from(joints.flatMap((_, joint) => [joint, 0, 1]));
+  const out = new Float32Array(3 * bones.length);
+  assert.ok(store.add({ people: [{ id: 4, joints: located, skeleton: null }] }));
+  assert.ok(store.positions(0, 0, "skeleton", out));
+  const at = (bone) => out[3 * bones.indexOf(bone)];
+  assert.equal(at("LeftForeArm"), joints.indexOf("left_elbow"));
+  assert.equal(at("Hips"), (joints.indexOf("left_hip") + joints.indexOf("right_hip")) / 2);
+  assert.ok(Number.isNaN(at("LeftFootEnd")));
+  assert.equal(store.positions(0, 1, "skeleton", out), false);
+  const skeleton = { joints: new Float32Array(3 * bones.length).fill(2) };
+  assert.ok(store.add({ people: [{ id: 2, joints: located, skeleton }] }));
+  assert.deepEqual(store.description.people.map(({ id }) => id), [2, 4]);
+  assert.deepEqual([store.positions(0, 1, "skeleton", out), at("Hips"), store.positions(1, 1, "skeleton", out)], [true, 2, false]);
+  for (let instant = 0; instant < 40; instant++) store.add({ people: [] });
+  assert.deepEqual(store.description.people, []);
+});
