@@ -8,7 +8,7 @@ pose faces -Y with its left side at +X. So a position (x, y, z) becomes (-x, z, 
 
 import ipaddress
 import socket
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from types import TracebackType
 from typing import Self
 
@@ -22,26 +22,11 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 from pipeline.errors import InputError, Problem
 from pipeline.live.records import LiveInstant, LivePerson, LiveSkeleton
 from pipeline.problem_codes.commands import PARAMETER_RANGE
+from pipeline.skeleton.humanoid import UNITY_BONES
 from pipeline.skeleton.model import SKELETON, rest_offsets_m
 
 PORT = 39539
 """Port on which receivers of VMC listen."""
-
-_TRUNK = {"Hips": "Hips", "Spine": "Spine", "Chest": "Chest", "Neck": "Neck", "Head": "Head"}
-_LIMBS = {
-    "Shoulder": "Shoulder",
-    "Arm": "UpperArm",
-    "ForeArm": "LowerArm",
-    "Hand": "Hand",
-    "UpLeg": "UpperLeg",
-    "Leg": "LowerLeg",
-    "Foot": "Foot",
-}
-UNITY_BONES: Mapping[str, str] = {
-    **_TRUNK,
-    **{f"{side}{joint}": f"{side}{bone}" for side in ("Left", "Right") for joint, bone in _LIMBS.items()},
-}
-"""Bone of Unity's humanoid (``HumanBodyBones``) by joint of the animation skeleton."""
 
 _BONES = tuple((place, UNITY_BONES[joint.name]) for place, joint in enumerate(SKELETON) if joint.name in UNITY_BONES)
 _IDENTITY = (0.0, 0.0, 0.0, 1.0)

@@ -36,8 +36,12 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def test_keypoints_in_people_out_and_a_session_kept(served: Served, take: list[Path]) -> None:
     received: list[str | bytes] = []
+
+    def take_message(content: str | bytes) -> None:
+        received.append(content)
+
     with opened(f"{served.client.base_url}#/live") as page:
-        page.on("websocket", lambda socket: socket.on("framereceived", received.append))
+        page.on("websocket", lambda socket: socket.on("framereceived", take_message))
         page.get_by_role("button", name="Play live").click()
         expect(page.get_by_role("alert")).to_contain_text("Choose keypoints of the cameras.")
         page.get_by_label("Choose files").set_input_files(take)
@@ -54,6 +58,13 @@ def test_keypoints_in_people_out_and_a_session_kept(served: Served, take: list[P
         assert axe_findings(page) == []
         expect(page.get_by_text(re.compile("frames of .* are kept"))).to_be_visible(timeout=180_000)
         assert sum(isinstance(content, bytes) and content[:4] == b"MCI1" for content in received) > 50
-        page.get_by_role("link", name="a capture").click()
+        captures = page.get_by_role("link", name="a capture").get_attribute("href")
+        page.get_by_role("button", name="Reconstruct it").click()
+        expect(page).to_have_url(re.compile("#/jobs/"))
+        expect(page.get_by_text("Done").first).to_be_visible(timeout=120_000)
+        with page.expect_download() as download:
+            page.get_by_role("link", name=re.compile(r"\.bvh")).first.click()
+        assert download.value.path().read_text().startswith("HIERARCHY\nROOT Hips")
+        page.goto(f"/{captures}")
         expect(page.get_by_role("heading", name="Seen live", level=2)).to_be_visible()
         expect(page.get_by_role("heading", level=2)).to_have_count(1)

@@ -18,22 +18,13 @@ from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers.body_mesh import CAPSULES, body_at_rest
 from pipeline.export.writers.glb import GlbDocument, GlbReader, positions_m
+from pipeline.skeleton.humanoid import UNITY_BONES
 from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, skeleton_of
 
 EXTENSION = "VRMC_vrm_animation"
 """Name of the extension."""
 
 _SPEC_VERSION = "1.0"
-_TRUNK = {"Hips": "hips", "Spine": "spine", "Chest": "chest", "Neck": "neck", "Head": "head"}
-_LIMBS = {
-    "Shoulder": "Shoulder",
-    "Arm": "UpperArm",
-    "ForeArm": "LowerArm",
-    "Hand": "Hand",
-    "UpLeg": "UpperLeg",
-    "Leg": "LowerLeg",
-    "Foot": "Foot",
-}
 _FINGERS = {"Index": "Index", "Middle": "Middle", "Ring": "Ring", "Pinky": "Little"}
 _PARTS = {
     **{
@@ -46,12 +37,8 @@ _PARTS = {
 
 HUMAN_BONES: Mapping[str, str] = MappingProxyType(
     {
-        **_TRUNK,
-        **{
-            f"{side}{joint}": f"{side.lower()}{bone}"
-            for side in ("Left", "Right")
-            for joint, bone in {**_LIMBS, **_PARTS}.items()
-        },
+        **{joint: bone[0].lower() + bone[1:] for joint, bone in UNITY_BONES.items()},
+        **{f"{side}{joint}": f"{side.lower()}{bone}" for side in ("Left", "Right") for joint, bone in _PARTS.items()},
     }
 )
 """Bone of a VRM humanoid by joint; ends of bones have none."""

@@ -1,6 +1,7 @@
 """A simulated room by the client, the service, and the real computation; what is kept is an ordinary session."""
 
 import asyncio
+import dataclasses
 import io
 import json
 import re
@@ -18,7 +19,7 @@ from multicap.live import LiveError, LiveOptions, connect, connect_sync
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.live.capture import LiveCapture
 from pipeline.live.recorded import RecordedFrame, recorded_frames
-from pipeline.live.records import LiveInstant
+from pipeline.live.records import LiveInstant, LiveSkeleton
 from pipeline.live.settings import LiveSettings
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
@@ -26,6 +27,8 @@ from tests.api.conftest import Live, running
 from tests.pipeline.simulations import write_simulation
 from tests.warm_programs import WarmPrograms
 
+# Bones are learnt in the first half of the take.
+LEARN_S = 0.4
 PAGE = (Path(__file__).parents[3] / "docs/live_service.md").read_text(encoding="utf-8")
 
 
@@ -63,7 +66,7 @@ def rate_hz(room: Simulation) -> float:
 
 def expected_instants(room: Simulation) -> list[LiveInstant]:
     """Instants of the library in this process, from the numbers as packets have them."""
-    capture = LiveCapture(room.cameras, room.joints, LiveSettings(rate_hz(room)))
+    capture = LiveCapture(room.cameras, room.joints, LiveSettings(rate_hz(room), learn_s=LEARN_S))
     instants = []
     for frame in frames_of(room):
         points_px, score = (values.astype(np.float32).astype(np.float64) for values in (frame.points_px, frame.score))
@@ -71,12 +74,19 @@ def expected_instants(room: Simulation) -> list[LiveInstant]:
     return [*instants, *capture.flush()]
 
 
-def same(instants: list[LiveInstant], expected: list[LiveInstant], atol_m: float) -> None:
+def same(instants: list[LiveInstant], expected: list[LiveInstant], atol: float) -> None:
+    """Compare instants, with the skeletons that everybody has in the end."""
+    assert all(person.skeleton is not None for person in expected[-1].people)
     assert [instant.time_s for instant in instants] == [instant.time_s for instant in expected]
     for instant, other in zip(instants, expected, strict=True):
         assert [person.id for person in instant.people] == [person.id for person in other.people]
         for person, of_other in zip(instant.people, other.people, strict=True):
-            np.testing.assert_allclose(person.xyz_m, of_other.xyz_m, atol=atol_m)
+            np.testing.assert_allclose(person.xyz_m, of_other.xyz_m, atol=atol)
+            assert (person.skeleton is None) == (of_other.skeleton is None)
+            if person.skeleton is not None and of_other.skeleton is not None:
+                for field in dataclasses.fields(LiveSkeleton):
+                    sent, computed = (getattr(each, field.name) for each in (person.skeleton, of_other.skeleton))
+                    np.testing.assert_allclose(sent, computed, atol=atol, err_msg=field.name)
 
 
 def opened_again(live: Live, session_id: str, folder: Path) -> Any:
@@ -101,7 +111,7 @@ def test_what_the_client_gets_and_what_is_kept(
     expected = expected_instants(room)
     assert max(len(instant.people) for instant in expected) >= 2
     address = f"http://127.0.0.1:{computing.address[1]}"
-    options = LiveOptions(keep=True, name="evening")
+    options = LiveOptions(keep=True, name="evening", learn_s=LEARN_S)
     instants: list[LiveInstant] = []
     with connect_sync(address, calibration, "coco-17", rate_hz(room), options) as capture:
         assert capture.joints == room.joints.names
@@ -139,7 +149,7 @@ def test_asynchronous_client_with_json_and_a_stored_calibration(
 
     async def run() -> dict[str, int]:
         address = f"http://127.0.0.1:{computing.address[1]}"
-        options = LiveOptions(packed=False)
+        options = LiveOptions(packed=False, learn_s=LEARN_S)
         async with connect(address, stored["id"], "coco-17", rate_hz(room), options) as capture:
             for frame in frames_of(room):
                 await capture.send(*frame)

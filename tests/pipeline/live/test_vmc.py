@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.data.animation import SkeletonMotion
 from pipeline.errors import InputError
 from pipeline.live.records import LiveInstant, LivePerson, LiveSkeleton
-from pipeline.live.vmc import UNITY_BONES, VmcSender, local_offsets_m, unity_position, unity_rotation
+from pipeline.live.vmc import VmcSender, local_offsets_m, unity_position, unity_rotation
+from pipeline.skeleton.humanoid import UNITY_BONES
 from pipeline.skeleton.model import SKELETON, forward_kinematics
 
 NUM_BONES = len(SKELETON)
