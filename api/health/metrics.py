@@ -1,4 +1,4 @@
-"""Metrics for Prometheus: requests of this process, and jobs of the whole service from the database.
+"""Metrics for Prometheus: requests and live captures of this process, and jobs of the whole service from the database.
 
 Every replica of the API reports the same figures of jobs: read one replica, or take the largest value.
 """
@@ -9,6 +9,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from api.live.metrics import LiveMetrics
 from worker.jobs.database.totals import Total
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.store import JobStore
@@ -29,7 +30,7 @@ _TOTALS = {
 
 
 class RequestMetrics:
-    """Counts and durations of requests by route."""
+    """Counts and durations of requests by route, and of live captures."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
@@ -43,6 +44,7 @@ class RequestMetrics:
             buckets=_SECONDS,
             registry=self.registry,
         )
+        self.live = LiveMetrics(self.registry)
         self._free_bytes = Gauge(
             "disk_free_bytes", "Free bytes on the disk of the data folder.", namespace=_PREFIX, registry=self.registry
         )

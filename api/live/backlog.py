@@ -2,7 +2,15 @@
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from typing import NamedTuple
+
+
+class Waiting(NamedTuple):
+    """Message that waits."""
+
+    content: bytes
+    since_s: float  # When the frame behind it came, by the monotonic clock
 
 
 class Backlog:
@@ -12,25 +20,31 @@ class Backlog:
     ----------
     max_messages, max_bytes
         Limits of what waits. A message larger than ``max_bytes`` waits alone.
+    on_drop
+        Called with the number of messages that were dropped at once.
     """
 
-    def __init__(self, max_messages: int, max_bytes: int) -> None:
-        self._max_messages, self._max_bytes = max_messages, max_bytes
-        self._waiting: deque[bytes] = deque()
+    def __init__(self, max_messages: int, max_bytes: int, on_drop: Callable[[int], None]) -> None:
+        self._max_messages, self._max_bytes, self._on_drop = max_messages, max_bytes, on_drop
+        self._waiting: deque[Waiting] = deque()
         self._num_bytes = 0
         self._changed = asyncio.Event()
         self._is_closed = False
         self.num_dropped = 0
 
-    def put(self, message: bytes) -> None:
-        """Add a message."""
+    def put(self, content: bytes, since_s: float) -> None:
+        """Add a message; ``since_s`` is when the frame behind it came."""
+        num_dropped = 0
         while self._waiting and (
-            len(self._waiting) >= self._max_messages or self._num_bytes + len(message) > self._max_bytes
+            len(self._waiting) >= self._max_messages or self._num_bytes + len(content) > self._max_bytes
         ):
-            self._num_bytes -= len(self._waiting.popleft())
-            self.num_dropped += 1
-        self._waiting.append(message)
-        self._num_bytes += len(message)
+            self._num_bytes -= len(self._waiting.popleft().content)
+            num_dropped += 1
+        if num_dropped:
+            self.num_dropped += num_dropped
+            self._on_drop(num_dropped)
+        self._waiting.append(Waiting(content, since_s))
+        self._num_bytes += len(content)
         self._changed.set()
 
     def close(self) -> None:
@@ -38,7 +52,7 @@ class Backlog:
         self._is_closed = True
         self._changed.set()
 
-    async def taken(self) -> AsyncIterator[bytes]:
+    async def taken(self) -> AsyncIterator[Waiting]:
         """Take messages until the backlog is closed and empty."""
         while True:
             while not self._waiting:
@@ -47,5 +61,5 @@ class Backlog:
                 self._changed.clear()
                 await self._changed.wait()
             message = self._waiting.popleft()
-            self._num_bytes -= len(message)
+            self._num_bytes -= len(message.content)
             yield message

@@ -3,16 +3,19 @@
 import asyncio
 import json
 import time
+from collections import deque
 from collections.abc import Coroutine
+from functools import partial
 from typing import Any
 
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from api.live.backlog import Backlog
+from api.live.backlog import Backlog, Waiting
 from api.live.intake import Intake, Pace, require_size, wrong_message
 from api.live.keeping import KeptPackets
+from api.live.metrics import LiveMetrics
 from api.live.problems import LiveProblem, failed
 from api.live.process import CaptureProcess
 from api.live.schemas import DroppedOut, LiveCountsOut, LiveEnd, LiveInstantOut, LiveKeypoints
@@ -36,6 +39,8 @@ class Relay:
     ----------
     kept
         Where packets are kept; ``None``: they are not.
+    metrics
+        Where messages are counted.
     """
 
     def __init__(
@@ -45,13 +50,15 @@ class Relay:
         intake: Intake,
         settings: Settings,
         kept: KeptPackets | None,
+        metrics: LiveMetrics,
     ) -> None:
         self._websocket, self._process, self._intake = websocket, process, intake
-        self._settings, self._kept = settings, kept
-        self._frames = Backlog(_MAX_FRAMES, _MAX_BACKLOG_BYTES)
-        self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES)
+        self._settings, self._kept, self._metrics = settings, kept, metrics
+        self._frames = Backlog(_MAX_FRAMES, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "frame"))
+        self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "instant"))
         self._room = asyncio.Semaphore(_MAX_AT_PROCESS)
-        self._num_at_process = 0
+        # Times at which the frames came that the process has and has not answered.
+        self._at_process: deque[float] = deque()
         self._answered_s = time.monotonic()
         self._num_received = 0
         self._counts: dict[str, int] = {}
@@ -88,6 +95,7 @@ class Relay:
         pace = Pace(self._settings.max_live_messages_per_s)
         while True:
             message = await receive(self._websocket, self._settings)
+            since_s = time.monotonic()
             pace.count()
             if (text := message.get("text")) is None:
                 packet = self._intake.from_packet(message["bytes"])
@@ -98,22 +106,23 @@ class Relay:
                     return
                 packet = self._intake.from_text(content)
             self._num_received += 1
+            self._metrics.frames.inc()
             if self._kept is not None:
                 await self._kept.add(packet)
-            self._frames.put(packet)
+            self._frames.put(packet, since_s)
 
     async def _feed(self) -> None:
         """Pass frames on to the process as it takes them."""
         async for packet in self._frames.taken():
             await self._pass_on(packet)
-        await self._pass_on(b"")
+        await self._pass_on(Waiting(b"", time.monotonic()))
 
-    async def _pass_on(self, message: bytes) -> None:
+    async def _pass_on(self, message: Waiting) -> None:
         await self._room.acquire()
-        if not self._num_at_process:
+        if not self._at_process:
             self._answered_s = time.monotonic()
-        self._num_at_process += 1
-        await self._process.send(message)
+        self._at_process.append(message.since_s)
+        await self._process.send(message.content)
 
     async def _collect(self) -> None:
         """Collect the answers of the process until its last one."""
@@ -121,10 +130,10 @@ class Relay:
             kind, content = await self._process.answer()
             self._answered_s = time.monotonic()
             if kind is CaptureAnswer.INSTANT:
-                self._instants.put(content)
+                self._instants.put(content, self._at_process[0])
             else:
                 self._counts = json.loads(content)
-                self._num_at_process -= 1
+                self._at_process.popleft()
                 self._room.release()
             if kind is CaptureAnswer.END:
                 self._instants.close()
@@ -132,7 +141,7 @@ class Relay:
 
     async def _send(self) -> None:
         """Send instants as the client takes them."""
-        async for content in self._instants.taken():
+        async for content, since_s in self._instants.taken():
             # The instants of JSON begin with a brace.
             message: dict[str, Any] = {"type": "websocket.send"}
             if content[:1] == b"{":
@@ -145,6 +154,7 @@ class Relay:
             except TimeoutError:
                 detail = f"The client took nothing for {self._settings.live_idle_s:g} s."
                 raise LiveProblem(LIVE_IDLE, detail) from None
+            self._metrics.sent(since_s)
 
     def _head(self) -> str:
         dropped = DroppedOut(**self.dropped._asdict())
@@ -154,7 +164,7 @@ class Relay:
         """Raise ``LiveProblem`` if the process does not answer in time."""
         while True:
             await asyncio.sleep(_WATCH_S)
-            if self._num_at_process and time.monotonic() > self._answered_s + self._settings.live_answer_s:
+            if self._at_process and time.monotonic() > self._answered_s + self._settings.live_answer_s:
                 raise failed()
 
 

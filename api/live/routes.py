@@ -21,6 +21,7 @@ from api.errors import ApiError, ErrorItem, as_api_error
 from api.http.websockets import deny
 from api.live.intake import Intake, read_start
 from api.live.keeping import KeptPackets, keep_session
+from api.live.metrics import LiveMetrics
 from api.live.problems import LiveProblem, failed, message_of
 from api.live.process import CaptureProcess, capture_process
 from api.live.relay import Relay, receive
@@ -48,20 +49,24 @@ _CLIENT_GONE = 1005
 async def live(websocket: WebSocket) -> None:
     """Compute a live capture; openapi/live.asyncapi.json describes the messages."""
     services: Services = websocket.app.state.services
+    metrics: LiveMetrics = websocket.app.state.metrics.live
     with contextlib.ExitStack() as held:
         try:
             caller = await run_in_threadpool(websocket_caller, websocket, services)
             held.enter_context(services.live_places.taken(caller.owner))
             ended = held.enter_context(services.keys_in_use.watching(caller.credential))
         except Exception as error:
-            await deny(websocket, as_api_error(error))
+            refusal = as_api_error(error)
+            metrics.refused(refusal.code)
+            await deny(websocket, refusal)
             return
         await websocket.accept()
-        await _serve(websocket, services, caller, ended)
+        with metrics.open.track_inprogress():
+            metrics.ended(await _serve(websocket, services, caller, ended))
 
 
-async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> None:
-    """Compute a capture, and answer whatever ends it early by a problem and a close code."""
+async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> str | None:
+    """Compute a capture, and answer whatever ends it early by a problem and a close code; return the problem's code."""
     started_s = time.monotonic()
     code, close_code = None, 1000
     try:
@@ -83,6 +88,7 @@ async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_e
         seconds = round(time.monotonic() - started_s, 4)
         tenant = {"tenant": key.tenant, "key": key.id} if key else {}
         _log.info("live_capture", code=code, close_code=close_code, seconds=seconds, **tenant)
+    return code
 
 
 async def _capture(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> None:
@@ -101,7 +107,8 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
         async with _ready(settings, start, calibration) as (process, ready):
             cameras: Sequence[str] = ready["cameras"]
             kept = KeptPackets(services, folder, start) if start.keep else None
-            relay = Relay(websocket, process, Intake(cameras, start.layout, settings.max_live_people), settings, kept)
+            intake = Intake(cameras, start.layout, settings.max_live_people)
+            relay = Relay(websocket, process, intake, settings, kept, websocket.app.state.metrics.live)
             request_id = websocket.state.request_id
             await _send(
                 websocket, LiveReady(**ready, layout=start.layout, limits=_limits(settings), request_id=request_id)
