@@ -1,4 +1,4 @@
-"""Space on disks that a reconstruction is foreseen to need, before it starts. Standard library only.
+"""Space on disks, and memory, that a reconstruction is foreseen to need, before it starts. Standard library only.
 
 Bytes of a person and frame were measured on stored outputs and result files of jobs; ``tests/pipeline/test_space.py``
 compares the sum with what jobs write. How many people a video shows is known after detection only: three are assumed.
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import Export, ReconstructionConfig, detected_joints
-from pipeline.stages.stage import FrameCut
+from pipeline.stages.stage import Cut, FrameCut
 
 _ASSUMED_PEOPLE = 3
 _NUM_JOINTS: Mapping[str, int] = {"body": 17, "feet": 23, "whole": 65}
@@ -38,6 +38,10 @@ _RECORDED_HZ, _MAX_RECORDED_BYTES = 10.0, 2**28
 _RECORDED_OF_JOINT = 235
 # Formats of characters, and bytes of a frame of their motion.
 _OF_CHARACTERS, _CHARACTER_OF_FRAME = frozenset({"bvh", "glb", "fbx"}), 1_000
+
+# Memory of a worker process at work on a full HD video, and of each joint that a task on the whole session holds; the
+# latter is the limit that ``tests/worker/test_stage_memory.py`` holds all stages to.
+_PROCESS_BYTES, _MEMORY_OF_JOINT = 300 * 2**20, 70
 
 
 class _FileBytes(NamedTuple):
@@ -89,6 +93,18 @@ class ForeseenSpace:
         return self.output_bytes + self.result_bytes
 
 
+@dataclass(frozen=True, slots=True)
+class ForeseenMemory:
+    """Memory that tasks of a reconstruction are foreseen to need."""
+
+    part_bytes: int  # Of a task on a part of the session: a camera, or a range of frames
+    whole_bytes: int  # Of a task that holds everybody in all frames
+
+    def of_cut(self, cut: Cut) -> int:
+        """Memory of a task of a stage that is cut so."""
+        return self.whole_bytes if cut in {"whole", "people"} else self.part_bytes
+
+
 def shown_bytes(num_bytes: float) -> str:
     """Amount of bytes as people read it.
 
@@ -114,6 +130,20 @@ def foreseen_space(preflight: Preflight, config: ReconstructionConfig, character
     timebase = preflight.timebase
     frames = timebase.num_frames, timebase.frame_rate_hz, preflight.stretches
     return space_of(cameras, *frames, config, has_viewers=True, character_bytes=character_bytes)
+
+
+def foreseen_memory(preflight: Preflight, config: ReconstructionConfig) -> ForeseenMemory:
+    """Memory that tasks of a job need in the service. Every task on keypoints holds all of them."""
+    counted = [camera for camera in preflight.cameras if camera.num_bodies is not None]
+    if counted:
+        num_joints = float(sum((camera.num_bodies or 0) * (camera.num_joints or 0) for camera in counted))
+    else:
+        wanted = len(config.frames or range(preflight.timebase.num_frames)) / max(1, preflight.timebase.num_frames)
+        of_body = _NUM_JOINTS[detected_joints(config)] if config.detector == "auto" else _OF_ONE_NETWORK
+        num_frames = wanted * sum(camera.num_frames for camera in preflight.cameras)
+        num_joints = _ASSUMED_PEOPLE * _SEEING * num_frames * of_body
+    whole_bytes = _PROCESS_BYTES + round(_MEMORY_OF_JOINT * num_joints)
+    return ForeseenMemory(whole_bytes if counted else _PROCESS_BYTES, whole_bytes)
 
 
 def space_of(

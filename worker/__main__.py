@@ -11,6 +11,7 @@ from pipeline.stages.code import stage_codes
 from worker import tasks
 from worker.app import create_celery
 from worker.jobs.files.private_files import keep_files_private
+from worker.jobs.queue import Queue
 from worker.jobs.store import JobStore
 from worker.process.compilation import compile_kernels
 from worker.process.priorities import raise_descriptor_limit
@@ -35,7 +36,8 @@ def main() -> None:
     tasks.report_loading()
     # Both are found once, for all forked children.
     stage_codes()
-    if (provider := current_provider()).note:
+    provider = current_provider()
+    if provider.note:
         structlog.get_logger().warning("provider_fallback", reason=provider.note)
     celery = create_celery(settings)
     celery.worker_main(
@@ -44,6 +46,8 @@ def main() -> None:
             "worker",
             "--concurrency",
             str(workers),
+            "--queues",
+            ",".join((Queue.ALL, Queue.GPU if provider.is_gpu else Queue.CPU)),
             "--without-gossip",
             "--without-mingle",
             "--loglevel",

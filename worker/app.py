@@ -21,7 +21,7 @@ from celery.signals import (
 
 from pipeline.runtime.memory import limit_memory
 from worker import tasks
-from worker.jobs.queue import QUEUE_NAME, TASK_NAME, transport_options
+from worker.jobs.queue import TASK_NAME, Queue, transport_options
 from worker.process.presence import Presence
 from worker.process.priorities import lower_priority
 from worker.process.scratch import remove_abandoned
@@ -44,7 +44,7 @@ def create_celery(settings: WorkerSettings) -> Celery:
     """Create the Celery application with its only task."""
     celery = Celery("multicap", broker=settings.broker_url)
     celery.conf.update(
-        task_default_queue=QUEUE_NAME,
+        task_default_queue=Queue.ALL,
         task_ignore_result=True,
         task_acks_late=True,
         task_reject_on_worker_lost=True,
@@ -78,7 +78,7 @@ def create_celery(settings: WorkerSettings) -> Celery:
 def _work(task: Task) -> None:
     traceparent = task.request.get("traceparent")
     with tracing.message_span({"traceparent": traceparent} if traceparent else {}):
-        tasks.work()
+        tasks.work(is_for_all=(task.request.delivery_info or {}).get("routing_key") == Queue.ALL)
 
 
 def _log(**_: object) -> None:

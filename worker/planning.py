@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 from pipeline.capture.preflight_record import Preflight
 from pipeline.edits import PeopleEdit
 from pipeline.job_choices import VisualChoices
+from pipeline.space import foreseen_memory
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, STAGE_BY_NAME, PlannedStage, plan
 from pipeline.stages.stage import SessionFacts, Task
@@ -50,10 +51,11 @@ def plan_job(
     """
     config = config_of(spec, making, edits, revision, character)
     stages = plan(session_facts(session), config, codes or stage_codes(provider), chunk_frames)
+    memory = foreseen_memory(session.preflight, config)
     return tuple(
         StagePlan(
             stage.name,
-            _Chunks(stage),
+            _Chunks(stage, memory.of_cut(STAGE_BY_NAME[stage.name].cut)),
             stage.code_sha256,
             provider if STAGE_BY_NAME[stage.name].runs_networks else "",
         )
@@ -131,6 +133,7 @@ class _Chunks:
     """Tasks of a stage as chunks, derived one at a time."""
 
     stage: PlannedStage
+    memory_bytes: int  # Memory that each is foreseen to need
 
     def __iter__(self) -> Iterator[ChunkPlan]:
         for task in self.stage.tasks:
@@ -142,7 +145,7 @@ class _Chunks:
             }
             if task.piece_key:
                 payload["piece_key"] = task.piece_key
-            yield ChunkPlan(task.index, payload, task.num_units, task.key)
+            yield ChunkPlan(task.index, payload, task.num_units, task.key, self.memory_bytes)
 
 
 def _inputs(session: PlannableSession) -> tuple[str, ...]:

@@ -10,9 +10,7 @@ import structlog
 from opentelemetry import trace
 from opentelemetry.trace import StatusCode
 
-from pipeline.detect.providers.find import current_provider
 from pipeline.runtime.pauses import Pauses
-from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import STAGE_BY_NAME, followers
 from pipeline.stages.stage import Output, ResultFile
 from worker.chunk import DamagedOutputsError, StoppedError, Work
@@ -21,7 +19,7 @@ from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key
 from worker.jobs.files.interim import read_interim, write_interim
 from worker.jobs.model.calibrations import MadeCalibration
 from worker.jobs.model.jobs import Result
-from worker.jobs.model.work import Claim, KeptPiece
+from worker.jobs.model.work import Ability, Claim, KeptPiece
 from worker.jobs.outages import Outage, outage_of
 from worker.jobs.store import JobStore
 from worker.lease import Lease
@@ -60,6 +58,10 @@ class Runner:
         See ``Lease``; called after the chunk was released.
     has_room
         Says whether there is room on the disk for a chunk's output; without it none is claimed, and jobs wait.
+    ability
+        What the worker can run.
+    pass_on
+        Wakes a worker with another ability.
     """
 
     def __init__(
@@ -73,19 +75,22 @@ class Runner:
         stopping: Callable[[], bool],
         on_stuck: Callable[[], None],
         has_room: Callable[[], bool],
+        ability: Ability,
+        pass_on: Callable[[], object],
     ) -> None:
         self._store, self._artifacts, self._publish, self._run_chunk = store, artifacts, publish, run
         self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
         self._stopping, self._on_stuck, self._has_room = stopping, on_stuck, has_room
         self._name = process_name()
-        self._codes = frozenset(stage_codes(current_provider().identity).values())
+        self._ability, self._pass_on = ability, pass_on
         self._pauses = Pauses(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
         self._outage: Outage | None = None
 
-    def work(self, claim_for_s: float) -> int:
+    def work(self, claim_for_s: float, is_for_all: bool = True) -> int:
         """Run ready chunks until there are none, or for about ``claim_for_s`` seconds; returns how many were run.
 
-        One message may stand for many chunks: a worker that finds work wakes the next one before it begins.
+        One message may stand for many chunks: a worker that finds work wakes the next one before it begins. A worker
+        that finds none that it can run passes a message on that ``is_for_all`` workers.
         """
         deadline_s = time.monotonic() + claim_for_s
         num_run = 0
@@ -103,6 +108,8 @@ class Runner:
                     raise
                 continue
             if claim is None:
+                if num_run == 0 and is_for_all:
+                    self._leave_to_others()
                 break
             if num_run == 0:
                 self._publish()
@@ -119,7 +126,16 @@ class Runner:
             return None
         if self._outage is Outage.ARTIFACTS and not self._artifacts.ping():
             raise ArtifactsUnavailable
-        return self._store.leases.claim(self._name, self._lease_s, self._codes)
+        return self._store.leases.claim(self._name, self._lease_s, self._ability)
+
+    def _leave_to_others(self) -> None:
+        """Wake a worker with another ability if it could do what this one can't."""
+        try:
+            if self._store.leases.waits_for_others(self._ability):
+                self._pass_on()
+        except Exception as error:
+            if outage_of(error) is None:
+                raise  # else the reaper wakes a worker later
 
     def _pause(self, pauses: Pauses, outage: Outage) -> None:
         """Wait during an outage, or until the worker shuts down."""

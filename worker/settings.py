@@ -220,6 +220,17 @@ class WorkerSettings(StorageSettings):
         ge=2**29,
         description="Memory limit of a worker process; a chunk that needs more fails with memory_limit.",
     )
+    machine_memory_bytes: int | None = Field(
+        default=None,
+        gt=0,
+        description="Memory that the chunks at work on the machine of a worker may be foreseen to need together; a "
+        "further one waits. Default: nine tenths of the machine's memory, or of the container's limit.",
+    )
+    reserve_gpu: bool = Field(
+        default=False,
+        description="Whether a worker with a GPU takes chunks of networks alone, as long as ready workers without a "
+        "GPU run the others; otherwise it takes them first.",
+    )
     chunk_frames: int = Field(
         default=DEFAULT_CHUNK_FRAMES,
         gt=0,

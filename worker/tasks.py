@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 import time
+from functools import partial
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -15,13 +16,16 @@ from pipeline.config import Body, installed_formats
 from pipeline.detect.providers.find import current_provider
 from pipeline.runtime.kernel_cache import is_complete
 from pipeline.stages.code import stage_codes
+from pipeline.stages.plan import STAGES
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.queue import WorkQueue
+from worker.jobs.model.work import Ability
+from worker.jobs.queue import Queue, WorkQueue
 from worker.jobs.store import JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.compilation import COMPILING
+from worker.process.machine_memory import machine_memory_bytes
 from worker.process.presence import Presence, process_name, remove_killed
 from worker.runner import Runner
 from worker.settings import WorkerSettings
@@ -83,16 +87,32 @@ def process_runner() -> Runner:
     settings = WorkerSettings()
     artifacts = settings.open_artifacts()
     threading.Thread(target=_sweep_forever, args=[artifacts], daemon=True).start()
+    queue = WorkQueue(settings.broker_url)
     return Runner(
         store=JobStore(settings.resolved_database_url),
         artifacts=artifacts,
-        publish=WorkQueue(settings.broker_url).publish,
+        publish=queue.publish,
         run=run_chunk,
         lease_s=settings.lease_s,
         heartbeat_s=settings.heartbeat_s,
         stopping=shutting_down.is_set,
         on_stuck=_end_process,
         has_room=_disk().has_room,
+        ability=_ability(settings),
+        pass_on=partial(queue.publish, Queue.CPU if current_provider().is_gpu else Queue.GPU),
+    )
+
+
+def _ability(settings: WorkerSettings) -> Ability:
+    provider = current_provider()
+    codes = stage_codes(provider.identity)
+    of_networks = {stage.name for stage in STAGES if stage.runs_networks}
+    return Ability(
+        codes=frozenset(codes.values()),
+        gpu_codes=frozenset(codes[name] for name in of_networks) if provider.is_gpu else frozenset(),
+        reserves_gpu=settings.reserve_gpu,
+        memory_bytes=settings.memory_bytes,
+        machine_bytes=settings.machine_memory_bytes or machine_memory_bytes(),
     )
 
 
@@ -147,6 +167,7 @@ def _status() -> WorkerStatus | None:
         formats=installed_formats(),
         codes=codes,
         provider=provider,
+        memory_bytes=WorkerSettings().memory_bytes,
     )
 
 
@@ -163,10 +184,10 @@ def _installed_bodies() -> tuple[Body, ...]:
     return ("human",) if is_installed() else ()
 
 
-def work() -> None:
-    """Run ready chunks until no chunk is ready."""
+def work(is_for_all: bool) -> None:
+    """Run ready chunks until no chunk is ready; the message that woke this process may be one for all workers."""
     try:
-        process_runner().work(WorkerSettings().claim_for_s)
+        process_runner().work(WorkerSettings().claim_for_s, is_for_all)
     except DamagedDatabase as error:
         log.error("database_damaged", detail=str(error), instructions=error.instructions())  # noqa: TRY400 - the instructions are the message
 

@@ -19,6 +19,8 @@ _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0, 600.
 # Label and help text of each sum.
 _TOTALS = {
     Total.LEASES_LOST: ("stage", "Chunks whose worker stopped responding."),
+    Total.CHUNKS_COPIED: ("stage", "Chunks that a second worker began because they took long."),
+    Total.COPIES_FIRST: ("stage", "Chunks whose second worker finished first."),
     Total.CHUNKS_DONE: ("stage", "Chunks that a worker finished."),
     Total.CHUNKS_REUSED: ("stage", "Chunks whose output existed already."),
     Total.CHUNKS_RETRIED: ("stage", "Chunks that were tried again."),

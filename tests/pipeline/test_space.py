@@ -15,7 +15,7 @@ from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig, installe
 from pipeline.data.cameras import Timebase
 from pipeline.errors import InputError
 from pipeline.simulation.scenes import SCENES, record
-from pipeline.space import CameraFrames, ForeseenSpace, foreseen_space, shown_bytes, space_of
+from pipeline.space import CameraFrames, ForeseenSpace, foreseen_memory, foreseen_space, shown_bytes, space_of
 from pipeline.stages.local import reconstruct_to_files
 
 MAX_RATIO = 1.5
@@ -106,3 +106,18 @@ def test_a_disk_without_the_space_is_refused_before_any_work(tmp_path: Path) -> 
 @pytest.mark.parametrize(("num_bytes", "shown"), [(0, "0.0 KiB"), (2**20, "1.0 MiB"), (3 * 2**29, "1.5 GiB")])
 def test_amounts_in_words(num_bytes: int, shown: str) -> None:
     assert shown_bytes(num_bytes) == shown
+
+
+def test_memory_of_tasks_on_the_whole_session_grows_with_its_joints(session: KeypointSession) -> None:
+    preflight = preflight_of(session)
+    num_joints = sum(detections.score.size for detections in session.detections.values())
+    memory = foreseen_memory(preflight, ReconstructionConfig())
+    assert memory.whole_bytes == 300 * 2**20 + 70 * num_joints
+    # Every task on keypoints holds all of them; of videos only those on the whole session do.
+    assert memory.of_cut("ranges") == memory.of_cut("whole") == memory.of_cut("people") == memory.whole_bytes
+    uncounted = [replace(camera, num_bodies=None, num_joints=None) for camera in preflight.cameras]
+    of_videos = replace(preflight, cameras=tuple(uncounted))
+    memory = foreseen_memory(of_videos, ReconstructionConfig())
+    assert memory.of_cut("camera ranges") == 300 * 2**20 < memory.of_cut("whole")
+    half = ReconstructionConfig(frame_range=(0, preflight.timebase.num_frames // 2))
+    assert foreseen_memory(of_videos, half).whole_bytes < memory.whole_bytes

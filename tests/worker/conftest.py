@@ -14,6 +14,7 @@ import structlog
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan, without_names
 from pipeline.job_choices import BLURRED_KIND, OVERLAY_KIND, RECORDING_KIND, REPORT_KIND, blurred_name
+from pipeline.stages.code import stage_codes
 from pipeline.stages.stage import (
     ASSOCIATE,
     BLUR,
@@ -41,6 +42,7 @@ from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.sessions import InputFile, Session
+from worker.jobs.model.work import Ability
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.planning import plan_job
@@ -170,6 +172,7 @@ class RunnerBench:
     session: Session
     stages: dict[str, Callable[[Work], Output]] = field(default_factory=lambda: dict(LIGHT_STAGES))
     published: int = 0
+    passed_on: int = 0
     stopping: bool = False
     has_room: bool = True
     stuck: list[str] = field(default_factory=list)
@@ -185,10 +188,15 @@ class RunnerBench:
             stopping=lambda: self.stopping,
             on_stuck=lambda: self.stuck.append("stuck"),
             has_room=lambda: self.has_room,
+            ability=Ability(frozenset(stage_codes().values())),
+            pass_on=self._pass_on,
         )
 
     def _publish(self) -> None:
         self.published += 1
+
+    def _pass_on(self) -> None:
+        self.passed_on += 1
 
     def create_job(self, retention_s: float | None = None, spec: JobSpec = JobSpec()) -> JobRecord:  # noqa: B008 - frozen
         stages = plan_job(self.session, spec, CHUNK_FRAMES)

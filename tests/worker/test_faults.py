@@ -1,5 +1,6 @@
 """Faults of a running service: each part is killed during a job, which ends with the same bytes."""
 
+import contextlib
 import os
 import signal
 import sqlite3
@@ -12,13 +13,20 @@ from pathlib import Path
 
 import psutil
 import pytest
+import valkey
 
+from pipeline.providers import Provider
 from pipeline.runtime.parent_watch import tied_to_parent
+from pipeline.stages.code import stage_codes
 from tests.waiting import is_alive, wait_for
-from tests.worker.conftest import RESULT, RunnerBench, open_bench
+from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench, open_bench
+from worker.jobs.database.totals import Total
 from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import FINISHED, JobState
-from worker.jobs.queue import WorkQueue
+from worker.jobs.queue import Queue, WorkQueue
+from worker.jobs.spec import JobSpec
+from worker.jobs.worker_status import WorkerState, WorkerStatus
+from worker.planning import plan_job
 from worker.process import embedded
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ties children to parents, and looks into /proc")
@@ -59,6 +67,26 @@ class SmallStageService:
     def wait_until_detecting(self, job: JobRecord) -> None:
         wait_for(lambda: self.bench.store.jobs.get(job.id).stages[1].done > 0)
 
+    def detecting(self, job: JobRecord) -> tuple[int, list[int]]:
+        """Number of chunks of the detection that are done, and processes of those that run."""
+        with sqlite3.connect(self.data_dir / "multicap.db") as database:
+            query = "SELECT state, worker FROM chunks WHERE job_id = ? AND stage = 'detect'"
+            rows = database.execute(query, [job.id]).fetchall()
+        running = [int(worker.rpartition(":")[2]) for state, worker in rows if state == "running"]
+        return sum(state == "done" for state, _ in rows), running
+
+    def pause_worker_of(self, job: JobRecord) -> psutil.Process:
+        """Pause a worker that runs a chunk of the detection, between its transactions: SQLite has one lock for all."""
+        while True:
+            process = psutil.Process(self.detecting(job)[1][0])
+            process.suspend()
+            with contextlib.suppress(sqlite3.OperationalError):
+                with contextlib.closing(sqlite3.connect(self.data_dir / "multicap.db", timeout=2.0)) as database:
+                    database.execute("BEGIN IMMEDIATE")
+                    database.rollback()
+                return process
+            process.resume()
+
     def wait_for_end(self, job: JobRecord, timeout_s: float = 60.0) -> JobRecord:
         wait_for(lambda: self.bench.store.jobs.get(job.id).state in FINISHED, timeout_s)
         return self.bench.store.jobs.get(job.id)
@@ -69,12 +97,12 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data")
 
 
-def start(data_dir: Path) -> subprocess.Popen[bytes]:
+def start(data_dir: Path, lease_s: float = 3.0) -> subprocess.Popen[bytes]:
     environment = {
         **os.environ,
         "PYTHONPATH": str(ROOT),
         "LIGHT_FRAME_S": "0.15",
-        "MULTICAP_LEASE_S": "3",
+        "MULTICAP_LEASE_S": str(lease_s),
         "MULTICAP_HEARTBEAT_S": "0.3",
         "MULTICAP_REAP_INTERVAL_S": "1",
     }
@@ -86,9 +114,15 @@ def start(data_dir: Path) -> subprocess.Popen[bytes]:
 
 
 @pytest.fixture
-def service(data_dir: Path) -> Iterator[SmallStageService]:
+def lease_s() -> float:
+    """Short, so that lost chunks are begun again soon."""
+    return 3.0
+
+
+@pytest.fixture
+def service(data_dir: Path, lease_s: float) -> Iterator[SmallStageService]:
     bench = open_bench(data_dir)
-    with start(data_dir) as process:
+    with start(data_dir, lease_s) as process:
         try:
             running = SmallStageService(process, data_dir, bench)
             wait_for(lambda: len(psutil.Process(process.pid).children()) == 3 and len(running.worker_children()) == 2)
@@ -136,6 +170,42 @@ def test_a_killed_child_costs_nothing_but_time(service: SmallStageService) -> No
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
     assert service.bench.result(job.id) == RESULT
     wait_for(lambda: len(service.worker_children()) == 2)
+
+
+@pytest.mark.parametrize("lease_s", [120.0])
+def test_an_idle_worker_does_the_work_of_a_paused_one_long_before_its_lease_ends(service: SmallStageService) -> None:
+    started_s = time.monotonic()
+    job = service.start_job()
+    wait_for(lambda: service.detecting(job)[0] >= 3)
+    paused = service.pause_worker_of(job)
+    try:
+        assert service.wait_for_end(job, timeout_s=90.0).state is JobState.SUCCEEDED
+        assert time.monotonic() - started_s < 100.0
+    finally:
+        paused.resume()
+    assert service.bench.result(job.id) == RESULT
+    totals = service.bench.store.figures().totals
+    copied = {name: number for (total, name), number in totals.items() if total == Total.CHUNKS_COPIED}
+    assert copied == {"detect": 1.0}
+    assert totals[Total.COPIES_FIRST, "detect"] == 1.0
+    assert not any(total in {Total.LEASES_LOST, Total.CHUNKS_RETRIED} for total, _ in totals)
+    # The late worker has changed nothing, and works on.
+    assert service.wait_for_end(service.start_job()).state is JobState.SUCCEEDED
+    assert service.bench.result(job.id) == RESULT
+
+
+def test_a_worker_passes_on_a_message_for_work_that_needs_a_gpu(service: SmallStageService) -> None:
+    gpu = Provider("cuda", "1.31.1", "NVIDIA H200")
+    codes = tuple(sorted(stage_codes(gpu.identity).values()))
+    ready = WorkerStatus("gpu:1", WorkerState.READY, "A worker works", codes=codes, provider=gpu)
+    service.bench.store.workers.report(ready)
+    stages = plan_job(service.bench.session, JobSpec(), CHUNK_FRAMES, provider=gpu.identity)
+    job = service.bench.store.jobs.add(service.bench.session.id, JobSpec(), stages)
+    with valkey.Valkey(unix_socket_path=str(service.data_dir / "broker" / "socket")) as broker:
+        service.publish()
+        wait_for(lambda: broker.llen(Queue.GPU) > 0)
+    # When no worker has a GPU any more, the job is planned for the others.
+    assert service.wait_for_end(job, timeout_s=120.0).state is JobState.SUCCEEDED
 
 
 def test_a_killed_worker_is_replaced_and_its_children_are_gone(service: SmallStageService) -> None:

@@ -5,6 +5,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from pipeline.providers import Provider
 from pipeline.stages.stage import (
     ASSOCIATE,
     CHECK,
@@ -20,6 +23,7 @@ from pipeline.stages.stage import (
     Output,
 )
 from tests.worker.conftest import (
+    CHUNK_FRAMES,
     NUM_FRAMES,
     RESULT,
     RunnerBench,
@@ -32,6 +36,9 @@ from tests.worker.conftest import (
 from worker.chunk import Work
 from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import ChunkState, JobState
+from worker.jobs.spec import JobSpec
+from worker.jobs.worker_status import WorkerState, WorkerStatus
+from worker.planning import plan_job
 
 
 class Endless:
@@ -231,3 +238,21 @@ def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_p
     bench.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1)
     assert bench.store.outputs.find(bench.session.id, claim.output_key) != ("0" * 64, 1)
     assert bench.result(job.id) == RESULT
+
+
+@pytest.mark.parametrize(("is_for_all", "passed_on"), [(True, 1), (False, 0)])
+def test_a_message_for_work_of_others_is_passed_on_once(bench: RunnerBench, is_for_all: bool, passed_on: int) -> None:
+    gpu = Provider("cuda", "1.31.1", "NVIDIA H200")
+    bench.store.workers.report(WorkerStatus("gpu:1", WorkerState.READY, "A worker works", provider=gpu))
+    plan = plan_job(bench.session, JobSpec(), CHUNK_FRAMES, provider=gpu.identity)
+    bench.store.jobs.add(bench.session.id, JobSpec(), plan)
+    assert bench.runner().work(60.0, is_for_all) == 0
+    assert (bench.passed_on, bench.published) == (passed_on, 0)
+
+
+def test_a_message_without_work_is_not_passed_on(bench: RunnerBench) -> None:
+    bench.store.workers.report(
+        WorkerStatus("gpu:1", WorkerState.READY, "A worker works", provider=Provider("cuda", "1.31.1"))
+    )
+    assert bench.runner().work(60.0) == 0
+    assert bench.passed_on == 0

@@ -1,5 +1,6 @@
-"""Queue of messages that wake workers; the database holds the work."""
+"""Queues of messages that wake workers; the database holds the work."""
 
+from enum import StrEnum
 from typing import Any
 
 from celery import Celery
@@ -11,8 +12,16 @@ from redis.exceptions import RedisError
 
 from worker.jobs import keepalive
 
-QUEUE_NAME = "multicap"
 TASK_NAME = "multicap.work"
+
+
+class Queue(StrEnum):
+    """Queue of Celery. A worker receives messages for all workers, and those for workers of its own kind."""
+
+    ALL = "multicap"
+    GPU = "multicap.gpu"
+    CPU = "multicap.cpu"
+
 
 _TIMEOUT_S = 2.0
 _CONNECT_TIMEOUT_S = 5.0
@@ -47,13 +56,16 @@ class WorkQueue:
             broker_transport_options={**transport_options(_TIMEOUT_S), "max_retries": 0},
         )
 
-    def publish(self) -> bool:
-        """Wake a worker. ``False`` if the broker does not answer: the reaper wakes a worker later."""
+    def publish(self, queue: Queue = Queue.ALL) -> bool:
+        """Wake a worker that receives a queue's messages.
+
+        ``False`` if the broker does not answer: the reaper wakes a worker later.
+        """
         with _tracer.start_as_current_span("publish", kind=SpanKind.PRODUCER):
             headers: dict[str, str] = {}
             inject(headers)
             try:
-                self._celery.send_task(TASK_NAME, queue=QUEUE_NAME, headers=headers, retry=False)
+                self._celery.send_task(TASK_NAME, queue=queue, headers=headers, retry=False)
             except (OperationalError, OSError):
                 return False
             return True

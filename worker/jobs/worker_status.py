@@ -28,3 +28,4 @@ class WorkerStatus:
     formats: tuple[str, ...] = ()  # Formats of people's files that it can write
     codes: tuple[str, ...] = ()  # Digests of the stages' code that it runs
     provider: Provider = CPU  # Execution provider of its networks
+    memory_bytes: int = 0  # Limit of its memory; 0: not stated

@@ -23,6 +23,7 @@ from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_p
 from tests.pipeline.media import write_pictures
 from tests.warm_programs import WarmPrograms
 from worker.execution import run_chunk
+from worker.jobs.model.work import ANY_CHUNK
 from worker.runner import Runner
 
 SPEC = "charuco:5x4:0.16:0.12:DICT_4X4_50"
@@ -62,7 +63,19 @@ def videos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def work(live: Live) -> None:
     """Do the work that waits, as a worker does."""
     store, artifacts = live.services.store, live.services.artifacts
-    runner = Runner(store, artifacts, lambda: None, run_chunk, 60.0, 5.0, lambda: False, lambda: None, lambda: True)
+    runner = Runner(
+        store,
+        artifacts,
+        lambda: None,
+        run_chunk,
+        60.0,
+        5.0,
+        lambda: False,
+        lambda: None,
+        lambda: True,
+        ANY_CHUNK,
+        lambda: None,
+    )
     runner.work(claim_for_s=300.0)
 
 

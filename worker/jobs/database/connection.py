@@ -33,6 +33,9 @@ _CONNECT_TIMEOUT_S = 5
 # Age of a connection to PostgreSQL, and time that a transaction waits for one, after which a request is refused.
 _RECYCLE_S = 600
 _POOL_TIMEOUT_S = 10.0
+# Time after which PostgreSQL ends a transaction that asks nothing: its process may be frozen, and others wait for its
+# locks.
+_IDLE_TRANSACTION_S = 30.0
 # Options of the client's library. A dead connection is noticed in seconds; parameters of the URL replace them.
 _POSTGRES_OPTIONS: Mapping[str, int] = {
     "connect_timeout": _CONNECT_TIMEOUT_S,
@@ -173,6 +176,8 @@ class Database:
             if connection.dialect.name == "postgresql":  # SQLite always reads so
                 connection.execution_options(isolation_level="REPEATABLE READ")
             with connection.begin():
+                if connection.dialect.name == "postgresql":  # what is read may be worked on for long
+                    connection.execute(text("SET LOCAL idle_in_transaction_session_timeout = 0"))
                 yield connection
 
     def revision(self) -> str | None:
@@ -232,13 +237,15 @@ class Database:
     def _create_engine(self) -> Engine:
         if self._url.get_backend_name() != "sqlite":
             options = {name: value for name, value in _POSTGRES_OPTIONS.items() if name not in self._url.query}
-            return create_engine(
+            engine = create_engine(
                 self._url,
                 pool_pre_ping=True,
                 pool_recycle=_RECYCLE_S,
                 pool_timeout=_POOL_TIMEOUT_S,
                 connect_args=options,
             )
+            event.listen(engine, "connect", _limit_idle_transactions)
+            return engine
         engine = create_engine(self._url, connect_args={"timeout": _LOCK_TIMEOUT_S}, json_deserializer=self._read_json)
         event.listen(engine, "connect", _configure_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
@@ -273,6 +280,13 @@ def _renew_all_after_fork() -> None:
 
 
 os.register_at_fork(after_in_child=_renew_all_after_fork)
+
+
+def _limit_idle_transactions(connection: Any, record: Any) -> None:
+    milliseconds = round(1000 * _IDLE_TRANSACTION_S)
+    # No option of the connection: poolers such as PgBouncer refuse those that they don't know.
+    connection.execute(f"SET idle_in_transaction_session_timeout = {milliseconds}")
+    connection.commit()
 
 
 def _configure_sqlite(connection: sqlite3.Connection, record: Any) -> None:

@@ -168,13 +168,19 @@ chunks = Table(
     Column("state", String(16), nullable=False),
     Column("attempt", Integer, nullable=False, default=1),
     Column("reused", Boolean(create_constraint=False), nullable=False, default=False),
+    Column("memory_bytes", BigInteger, nullable=False, server_default="0"),  # that it is foreseen to need
     Column("worker", String),
     Column("lease_token", String(36)),
     Column("lease_until", UtcTimestamp),
-    Column("started_at", UtcTimestamp),
+    # Worker that runs it too, because it takes long, with a lease of its own; null: there is none
+    Column("copy_worker", String),
+    Column("copy_token", String(36)),
+    Column("copy_until", UtcTimestamp),
+    Column("started_at", UtcTimestamp),  # of the first try
+    Column("claimed_at", UtcTimestamp),  # of the last try
     Column("finished_at", UtcTimestamp),
     UniqueConstraint("job_id", "stage_index", "chunk_index"),
-    Index(None, "state", "job_id"),
+    Index(None, "state", "job_id", "stage_index", "chunk_index"),
     sqlite_autoincrement=True,  # a retry replaces a job's chunks: an old number must not come to mean a new chunk
 )
 
@@ -334,6 +340,7 @@ workers = Table(
     Column("formats", JSON, nullable=False, server_default="[]"),  # names of the formats that it can write
     Column("codes", JSON, nullable=False, server_default="[]"),  # digests of the code of its stages
     Column("provider", JSON, nullable=False, server_default="{}"),  # of its networks; empty: the CPU
+    Column("memory_bytes", BigInteger, nullable=False, server_default="0"),  # limit of the process; 0: not stated
     Column("seen_at", UtcTimestamp, nullable=False),
 )
 

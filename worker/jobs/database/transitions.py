@@ -24,7 +24,9 @@ from worker.jobs.repositories.webhooks import queue_delivery
 
 EventKind = Literal["state", "stage", "waiting"]
 
-_NO_LEASE = {"lease_token": None, "lease_until": None}
+NO_COPY = {"copy_worker": None, "copy_token": None, "copy_until": None}
+"""Columns of a chunk that only one worker runs."""
+_NO_LEASE = {"lease_token": None, "lease_until": None, **NO_COPY}
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 

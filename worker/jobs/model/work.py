@@ -25,6 +25,21 @@ class Precedence(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Ability:
+    """What a worker process can run."""
+
+    codes: frozenset[str] | None = None  # Digests of the stages' code that it runs; ``None``: any
+    gpu_codes: frozenset[str] = frozenset()  # Of these, the digests of networks on a GPU
+    reserves_gpu: bool = False  # Whether it leaves all other work to workers without a GPU, while there are any
+    memory_bytes: int | None = None  # Memory of the process; ``None``: not stated
+    machine_bytes: int | None = None  # Memory of all chunks that run on its machine at once; ``None``: without limit
+
+
+ANY_CHUNK = Ability()
+"""Ability to run any chunk."""
+
+
+@dataclass(frozen=True, slots=True)
 class ChunkPlan:
     """A chunk to be worked on. Its progress counts ``unit_count`` units, such as frames of a camera."""
 
@@ -34,6 +49,7 @@ class ChunkPlan:
     ]  # JSON object; in a map {"start_frame", "stop_frame"}, and "camera" for chunks of a camera
     unit_count: int
     output_key: str  # content-addressed key of its output, without the prefix of the session
+    memory_bytes: int = 0  # memory that it is foreseen to need; 0: not known
 
 
 @dataclass(frozen=True, slots=True)

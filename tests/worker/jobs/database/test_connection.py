@@ -11,6 +11,9 @@ from alembic.migration import MigrationContext
 from tests.worker.jobs.conftest import StoreBench
 from worker.jobs.database.connection import Database, now, upsert
 from worker.jobs.database.tables import artifacts, metadata
+from worker.jobs.database.tables import jobs as jobs_table
+from worker.jobs.database.transitions import lock_job
+from worker.jobs.outages import Outage, outage_of
 from worker.jobs.store import JobStore
 
 
@@ -106,3 +109,25 @@ def test_readers_see_a_state_while_another_writes(jobs: StoreBench) -> None:
         assert jobs.store.sessions.get(jobs.session_id).name == "take"
     database.close()
     assert jobs.store.outputs.find(jobs.session_id, "k") == ("0", 1)
+
+
+@pytest.mark.parametrize("backend", ["postgresql"])
+def test_a_frozen_process_holds_a_lock_for_a_while_only(
+    jobs: StoreBench, backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.jobs.database.connection._IDLE_TRANSACTION_S", 0.5)
+    job_id = jobs.queue().id
+    frozen, working = Database(jobs.url), Database(jobs.url)
+    with pytest.raises(sa.exc.DBAPIError) as caught, frozen.writing() as held:  # noqa: PT012 - it begins a transaction
+        assert lock_job(held, job_id) is not None
+        with working.writing() as connection:  # waits for the lock
+            assert lock_job(connection, job_id) is not None
+        lock_job(held, job_id)
+    assert outage_of(caught.value) is Outage.DATABASE
+    with frozen.writing() as connection:
+        assert lock_job(connection, job_id) is not None
+    with frozen.snapshot() as connection:
+        time.sleep(1.0)  # a backup may take long
+        assert connection.scalar(sa.select(jobs_table.c.id)) == job_id
+    for database in (frozen, working):
+        database.close()

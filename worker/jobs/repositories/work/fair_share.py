@@ -3,7 +3,7 @@
 import math
 import random
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from itertools import product
 
 from sqlalchemy import ColumnElement, Connection, func, select, true
@@ -16,14 +16,14 @@ from worker.jobs.repositories.rights.keys import count_tenants
 from worker.jobs.repositories.work.workers import count_ready
 
 
-def next_job(connection: Connection, codes: Collection[str] | None = None) -> str | None:
+def next_job(connection: Connection, takes: ColumnElement[bool] | None = None) -> str | None:
     """Job of the next chunk: of the tenant with the fewest running chunks, the oldest job with a ready chunk.
 
     A tenant's edits of people go before its other jobs: their files take a second, and somebody waits for them. The
     others are ordered by their priorities.
 
     Tenants with equal numbers are ordered at random, so that a long queue of one tenant does not delay the others. A
-    tenant that has its share of the workers waits, see ``has_share``. Only chunks of ``codes``, digests of code, count;
+    tenant that has its share of the workers waits, see ``has_share``. Only chunks with the condition ``takes`` count;
     ``None``: all.
     """
     tenants = sorted({tenant for state in AT_WORK for tenant in _tenants_in(connection, state)})
@@ -33,7 +33,7 @@ def next_job(connection: Connection, codes: Collection[str] | None = None) -> st
     tenants = sorted(
         (tenant for tenant in tenants if num_running[tenant] < most), key=lambda tenant: num_running[tenant]
     )
-    oldest = (_oldest_with_work(connection, tenant, codes) for tenant in tenants)
+    oldest = (_oldest_with_work(connection, tenant, true() if takes is None else takes) for tenant in tenants)
     return next((job_id for job_id in oldest if job_id is not None), None)
 
 
@@ -47,14 +47,13 @@ def has_share(connection: Connection, tenant: str) -> bool:
     return _num_running(connection)[tenant] < _largest_share(connection)
 
 
-def of_code(codes: Collection[str] | None) -> ColumnElement[bool]:
-    """Condition that a chunk was planned for some code; ``None``: for any code."""
-    return true() if codes is None else chunks.c.code.in_(codes)
-
-
 def _num_running(connection: Connection) -> Counter[str]:
-    """Running chunks by tenant."""
-    return Counter(connection.scalars(select(jobs.c.tenant).join(chunks).where(chunks.c.state == ChunkState.RUNNING)))
+    """Workers at work by tenant: one for each running chunk, and one more for its copy."""
+    running = select(jobs.c.tenant, chunks.c.copy_token.is_not(None)).join(chunks)
+    counts: Counter[str] = Counter()
+    for tenant, is_copied in connection.execute(running.where(chunks.c.state == ChunkState.RUNNING)):
+        counts[tenant] += 2 if is_copied else 1
+    return counts
 
 
 def _largest_share(connection: Connection) -> float:
@@ -74,9 +73,9 @@ def _tenants_in(connection: Connection, state: JobState) -> Iterator[str]:
             yield tenant
 
 
-def _oldest_with_work(connection: Connection, tenant: str, codes: Collection[str] | None) -> str | None:
+def _oldest_with_work(connection: Connection, tenant: str, takes: ColumnElement[bool]) -> str | None:
     """Oldest job of a tenant with a ready chunk, by precedence; running jobs are older than queued ones."""
-    ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY, of_code(codes))
+    ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY, takes)
     # One precedence and state at a time: the index has its jobs in order, so that a long queue is not sorted.
     for precedence, state in product(Precedence, (JobState.RUNNING, JobState.QUEUED)):
         is_one = jobs.c.state == state, jobs.c.tenant == tenant, jobs.c.precedence == precedence

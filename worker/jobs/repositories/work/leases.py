@@ -1,10 +1,12 @@
 """Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, give back, reap."""
 
+import contextlib
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, case, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, case, func, or_, select, update
 from uuid_utils import uuid7
 
 from pipeline.edits import PersonSpan
@@ -17,6 +19,7 @@ from worker.jobs.database.tables import artifacts, chunks, jobs
 from worker.jobs.database.totals import Total, count
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import (
+    NO_COPY,
     advance,
     fail_job,
     lock_job,
@@ -28,10 +31,13 @@ from worker.jobs.database.transitions import (
 from worker.jobs.model.calibrations import MadeCalibration
 from worker.jobs.model.jobs import JobProblem, Result
 from worker.jobs.model.states import AT_WORK, ChunkState, JobState
-from worker.jobs.model.work import Claim, KeptPiece
+from worker.jobs.model.work import ANY_CHUNK, Ability, Claim, KeptPiece
 from worker.jobs.repositories.attempts import note_failure
 from worker.jobs.repositories.calibrations import complete
-from worker.jobs.repositories.work.fair_share import has_share, next_job, of_code
+from worker.jobs.repositories.work.abilities import MachineFull, has_others, require_machine, turns
+from worker.jobs.repositories.work.affinity import first_chunk
+from worker.jobs.repositories.work.fair_share import has_share, next_job
+from worker.jobs.repositories.work.stragglers import find_straggler
 from worker.jobs.spec import JobSpec
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
@@ -48,71 +54,83 @@ class Leases:
     def __init__(self, transactions: Transactions) -> None:
         self._transactions = transactions
 
-    def claim(self, worker: str, lease_s: float, codes: Collection[str] | None = None) -> Claim | None:
-        """Take the next ready chunk; ``None`` if no job has one.
+    def claim(self, worker: str, lease_s: float, ability: Ability = ANY_CHUNK) -> Claim | None:
+        """Take the next ready chunk; without one, begin a straggler a second time; ``None`` if there is neither.
 
         Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
         ``worker.jobs.repositories.work.fair_share``. The jobs of a tenant are worked on in the order of their creation,
-        but those of a higher ``Precedence`` first. Only chunks that were planned for ``codes``, digests of the worker's
-        code, are taken; ``None``: any.
+        but those of a higher ``Precedence`` first. The chunks of ``ability`` are taken, see ``abilities``; if the next
+        one does not fit into the memory of the worker's machine beside those that run there, none is taken: otherwise
+        small chunks could delay a large one without end.
         """
+        with self._transactions.reading() as connection:
+            conditions = turns(connection, ability)
+        with contextlib.suppress(MachineFull):
+            for takes in conditions:
+                if (claim := self._next(worker, lease_s, takes, ability.machine_bytes)) is not None:
+                    return claim
+            return self._copy(worker, lease_s, conditions[-1], ability.machine_bytes)
+        return None
+
+    def waits_for_others(self, ability: Ability) -> bool:
+        """Return whether a chunk is ready, after a worker found none, and some ready worker has another ability."""
+        with self._transactions.reading() as connection:
+            return has_others(connection, ability) and next_job(connection) is not None
+
+    def _next(self, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None) -> Claim | None:
         while True:
             with self._transactions.reading() as connection:
-                job_id = next_job(connection, codes)
+                job_id = next_job(connection, takes)
             if job_id is None:
                 return None
-            if (claim := self._claim_of(job_id, worker, lease_s, codes)) is not None:
+            if (claim := self._claim_of(job_id, worker, lease_s, takes, machine_bytes)) is not None:
                 return claim
 
-    def _claim_of(self, job_id: str, worker: str, lease_s: float, codes: Collection[str] | None) -> Claim | None:
+    def _claim_of(
+        self, job_id: str, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None
+    ) -> Claim | None:
         """Take the next ready chunk of a job, unless another worker took the last one or the tenant's share."""
-        first = (
-            select(chunks.c.id)
-            .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY, of_code(codes))
-            .order_by(chunks.c.stage_index, chunks.c.chunk_index)
-            .limit(1)
-        )
-        take = (
-            update(chunks)
-            .where(chunks.c.id == first.scalar_subquery())
-            .values(
-                state=ChunkState.RUNNING,
-                worker=worker,
-                lease_token=str(uuid7()),
-                lease_until=now() + lease_s,
-                started_at=func.coalesce(chunks.c.started_at, now()),
-            )
-            .returning(chunks)
-        )
         with self._transactions.writing() as connection:
             job = lock_job(connection, job_id)
             if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
                 return None
-            chunk = connection.execute(take).one_or_none()
+            chunk = first_chunk(connection, job_id, takes, worker)
             if chunk is None:
                 return None
+            require_machine(connection, chunk, worker, machine_bytes)
+            token = str(uuid7())
+            taken = {
+                "state": ChunkState.RUNNING,
+                "worker": worker,
+                "lease_token": token,
+                "lease_until": now() + lease_s,
+                "started_at": func.coalesce(chunks.c.started_at, now()),
+                "claimed_at": now(),
+            }
+            connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(taken))
             move_job(connection, job_id, JobState.RUNNING, started_at=now())
-        return Claim(
-            chunk_id=chunk.id,
-            job_id=job_id,
-            session_id=job.session_id,
-            stage=chunk.stage,
-            index=chunk.chunk_index,
-            payload=chunk.payload,
-            unit_count=chunk.unit_count,
-            output_key=chunk.output_key,
-            spec=JobSpec.model_validate(job.spec),
-            lease_token=chunk.lease_token,
-            attempt=chunk.attempt,
-            job_attempt=job.attempt,
-            trace=job.trace,
-            making=making_of(job.kind, job.making),
-            edits=edits_of(job.edits),
-            revision=job.revision,
-            of_job=job.of_job,
-            provider=job.provider,
-            character=job_character_of(job.character),
-        )
+        return _claim(job, chunk, token)
+
+    def _copy(self, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None) -> Claim | None:
+        """Begin a chunk a second time that takes much longer than others of its stage, unless it has ended."""
+        with self._transactions.reading() as connection:
+            found = find_straggler(connection, worker, takes)
+        if found is None:
+            return None
+        with self._transactions.writing() as connection:
+            job = lock_job(connection, found.job_id)
+            held = select(chunks).where(
+                chunks.c.id == found.id, _is_held(found.lease_token), chunks.c.copy_token.is_(None)
+            )
+            chunk = connection.execute(held.with_for_update()).one_or_none()
+            if job is None or chunk is None or job.state != JobState.RUNNING or not has_share(connection, job.tenant):
+                return None
+            require_machine(connection, chunk, worker, machine_bytes)
+            token = str(uuid7())
+            values = {"copy_worker": worker, "copy_token": token, "copy_until": now() + lease_s}
+            connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(values))
+            count(connection, Total.CHUNKS_COPIED, chunk.stage)
+        return _claim(job, chunk, token)
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
         """Renew a lease and record the progress of its chunk. ``False``: the work is no longer wanted, stop now.
@@ -125,11 +143,17 @@ class Leases:
             (chunks.c.done_units < done_units, done_units),
             else_=chunks.c.done_units,
         )
+        until = {
+            f"{lease}_until": case(
+                (chunks.c[f"{lease}_token"] == lease_token, now() + lease_s), else_=chunks.c[f"{lease}_until"]
+            )
+            for lease in ("lease", "copy")
+        }
         with self._transactions.writing() as connection:
             renewed = connection.execute(
                 update(chunks)
                 .where(chunks.c.id == chunk_id, _is_held(lease_token), at_work)
-                .values(lease_until=now() + lease_s, done_units=further)
+                .values(done_units=further, **until)
             )
         return renewed.rowcount == 1
 
@@ -162,7 +186,11 @@ class Leases:
             _record_findings(connection, job.id, warnings, people)
             if calibration is not None:
                 complete(connection, job.id, calibration)
-            move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
+            finished: dict[str, Any] = {"done_units": chunk.unit_count, "reused": reused}
+            if chunk.copy_token == lease_token:
+                finished["worker"] = chunk.copy_worker
+                count(connection, Total.COPIES_FIRST, chunk.stage)
+            move_chunk(connection, chunk_id, ChunkState.DONE, **finished)
             _count_done(connection, chunk, reused)
             set_waiting(connection, job, None)
             if job.state == JobState.CANCELING:
@@ -174,7 +202,9 @@ class Leases:
         """Record a failed try, which the chunk repeats or which ends the job; return whether the chunk became ready."""
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
-            return held is not None and _try_again(connection, *held, problem)
+            if held is None or _pass_on(connection, held[1], lease_token):
+                return False
+            return _try_again(connection, *held, problem)
 
     def release(self, chunk_id: int, lease_token: str) -> bool:
         """Give a chunk back unfinished: its job is canceled or its worker stops. Return whether it became ready."""
@@ -195,6 +225,8 @@ class Leases:
             job, chunk = held
             if job.state == JobState.CANCELING:
                 _cancel(connection, job, chunk)
+                return False
+            if _pass_on(connection, chunk, lease_token):
                 return False
             move_chunk(connection, chunk.id, ChunkState.READY)
             if outage is not None:
@@ -229,19 +261,22 @@ class Leases:
             )
 
     def reap(self, lease_s: float, takes: bool = True) -> bool:
-        """Take chunks back whose leases have ended; return whether any chunk is ready now.
+        """Take chunks back whose leases have ended; return whether any chunk is ready now, or a straggler.
 
         A chunk that is taken back is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is
-        being canceled ends when its last running chunk is taken back. Leases longer than ``lease_s`` are shortened:
-        they were made before the clock was put back. Unless ``takes``, chunks are not taken back: their workers may
-        still renew the leases.
+        being canceled ends when its last running chunk is taken back. A chunk that a second worker runs too stays with
+        that worker. Leases longer than ``lease_s`` are shortened: they were made before the clock was put back. Unless
+        ``takes``, chunks are not taken back: their workers may still renew the leases.
         """
         with self._transactions.writing() as connection:
-            connection.execute(
-                update(chunks)
-                .where(chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until > now() + lease_s)
-                .values(lease_until=now() + lease_s)
-            )
+            for until in (chunks.c.lease_until, chunks.c.copy_until):
+                connection.execute(
+                    update(chunks)
+                    .where(chunks.c.state == ChunkState.RUNNING, until > now() + lease_s)
+                    .values({until: now() + lease_s})
+                )
+            if takes:
+                _drop_lost_copies(connection)
         expired = select(chunks.c.id, chunks.c.lease_token).where(
             chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
         )
@@ -252,13 +287,59 @@ class Leases:
                 held = _lock_held(connection, chunk_id, lease_token, expired=True)
                 if held is not None:
                     count(connection, Total.LEASES_LOST, held[1].stage)
-                    _try_again(connection, *held, _worker_lost(held[1].stage))
+                    if not _pass_on(connection, held[1], lease_token):
+                        _try_again(connection, *held, _worker_lost(held[1].stage))
         with self._transactions.reading() as connection:
-            return next_job(connection) is not None
+            return next_job(connection) is not None or find_straggler(connection) is not None
 
 
-def _is_held(lease_token: str) -> Any:
-    return (chunks.c.lease_token == lease_token) & (chunks.c.state == ChunkState.RUNNING)
+def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
+    return Claim(
+        chunk_id=chunk.id,
+        job_id=job.id,
+        session_id=job.session_id,
+        stage=chunk.stage,
+        index=chunk.chunk_index,
+        payload=chunk.payload,
+        unit_count=chunk.unit_count,
+        output_key=chunk.output_key,
+        spec=JobSpec.model_validate(job.spec),
+        lease_token=token,
+        attempt=chunk.attempt,
+        job_attempt=job.attempt,
+        trace=job.trace,
+        making=making_of(job.kind, job.making),
+        edits=edits_of(job.edits),
+        revision=job.revision,
+        of_job=job.of_job,
+        provider=job.provider,
+        character=job_character_of(job.character),
+    )
+
+
+def _is_held(lease_token: str) -> ColumnElement[bool]:
+    has_token = or_(chunks.c.lease_token == lease_token, chunks.c.copy_token == lease_token)
+    return and_(has_token, chunks.c.state == ChunkState.RUNNING)
+
+
+def _pass_on(connection: Connection, chunk: Row[Any], lease_token: str) -> bool:
+    """Leave a chunk to its other worker; return whether there is one. Its job is locked."""
+    if chunk.copy_token is None:
+        return False
+    values: dict[str, Any] = dict(NO_COPY)
+    if chunk.copy_token != lease_token:
+        copied = {"worker": "copy_worker", "lease_token": "copy_token", "lease_until": "copy_until"}
+        values |= {name: chunks.c[copy] for name, copy in copied.items()}
+    connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(values))
+    return True
+
+
+def _drop_lost_copies(connection: Connection) -> None:
+    """Forget the second workers whose leases have ended."""
+    lost = update(chunks).where(chunks.c.state == ChunkState.RUNNING, chunks.c.copy_until < now()).values(NO_COPY)
+    stages = Counter(connection.scalars(lost.returning(chunks.c.stage)))
+    for stage, number in sorted(stages.items()):
+        count(connection, Total.LEASES_LOST, stage, number)
 
 
 def _lock_held(

@@ -148,5 +148,6 @@ def _chunk_row(job_id: str, stage_index: int, stage: StagePlan, chunk: ChunkPlan
         "payload": dict(chunk.payload),
         "output_key": chunk.output_key,
         "unit_count": chunk.unit_count,
+        "memory_bytes": chunk.memory_bytes,
         "state": ChunkState.READY if is_first else ChunkState.WAITING,
     }

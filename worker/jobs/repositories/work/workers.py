@@ -6,7 +6,7 @@ Each process renews its own row. A row that was not renewed for a while belongs 
 from collections.abc import Collection, Iterable
 from dataclasses import asdict
 
-from sqlalchemy import ColumnElement, Connection, delete, func, or_, select
+from sqlalchemy import ColumnElement, Connection, and_, delete, func, or_, select
 
 from pipeline.providers import CPU, Provider
 from worker.jobs.database.connection import now, upsert
@@ -53,6 +53,7 @@ class Workers:
                     formats=tuple(row.formats),
                     codes=tuple(row.codes),
                     provider=Provider(**row.provider),
+                    memory_bytes=row.memory_bytes,
                 )
                 for row in rows
             ]
@@ -76,13 +77,13 @@ def provider_at_work(found: Iterable[WorkerStatus], earlier: str | None = None) 
 
 def count_ready(connection: Connection) -> int:
     """Number of worker processes that could start a chunk now, or are at work on one."""
-    ready = select(func.count()).select_from(workers).where(_is_alive(), workers.c.state == WorkerState.READY)
+    ready = select(func.count()).select_from(workers).where(is_ready())
     return connection.scalar(ready) or 0
 
 
 def codes_at_work(connection: Connection) -> frozenset[str]:
     """Digests of the stages' code that ready workers run, each of some worker."""
-    ready = select(workers.c.codes).where(_is_alive(), workers.c.state == WorkerState.READY)
+    ready = select(workers.c.codes).where(is_ready())
     return frozenset(code for codes in connection.scalars(ready) for code in codes)
 
 
@@ -104,6 +105,11 @@ def writable_formats(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
 def _of_all_ready(found: Iterable[tuple[WorkerState, tuple[str, ...]]]) -> frozenset[str] | None:
     ready = [frozenset(names) for state, names in found if state is WorkerState.READY]
     return frozenset.intersection(*ready) if ready else None
+
+
+def is_ready() -> ColumnElement[bool]:
+    """Condition of the workers that could start a chunk now, or are at work on one."""
+    return and_(_is_alive(), workers.c.state == WorkerState.READY)
 
 
 def _is_alive() -> ColumnElement[bool]:

@@ -6,7 +6,7 @@ import pytest
 
 from tests.worker.jobs.conftest import CODE, LEASE_S, StoreBench, stages
 from worker.jobs.model.states import ChunkState, JobState
-from worker.jobs.model.work import StagePlan
+from worker.jobs.model.work import Ability, StagePlan
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 OTHER = "d" * 64
@@ -22,8 +22,8 @@ def of_other_code(num_chunks: int) -> tuple[StagePlan, ...]:
 
 def test_a_worker_takes_chunks_of_its_own_code_only(jobs: StoreBench) -> None:
     jobs.queue(2)
-    assert jobs.store.leases.claim("worker", LEASE_S, {OTHER}) is None
-    claim = jobs.store.leases.claim("worker", LEASE_S, {OTHER, CODE})
+    assert jobs.store.leases.claim("worker", LEASE_S, Ability(frozenset({OTHER}))) is None
+    claim = jobs.store.leases.claim("worker", LEASE_S, Ability(frozenset({OTHER, CODE})))
     assert claim is not None
 
 
@@ -32,7 +32,7 @@ def test_two_versions_work_side_by_side(jobs: StoreBench) -> None:
     new = jobs.store.jobs.add(jobs.session_id, jobs.store.jobs.get(old).spec, of_other_code(1)).id
     for code, job_id in ((OTHER, new), (CODE, old)):
         for _ in range(2):
-            claim = jobs.store.leases.claim("worker", LEASE_S, {code})
+            claim = jobs.store.leases.claim("worker", LEASE_S, Ability(frozenset({code})))
             assert claim is not None
             assert claim.job_id == job_id
             jobs.finish(claim)
