@@ -1,6 +1,8 @@
 """Places of live captures of this process: limits on their number, in total and by owner."""
 
+import asyncio
 import contextlib
+import os
 from collections import Counter
 from collections.abc import Iterator
 
@@ -14,6 +16,8 @@ class LivePlaces:
     """Counts of open live captures."""
 
     def __init__(self, max_captures: int, max_of_owner: int) -> None:
+        # A start takes a processor for seconds; the others are left to captures that run.
+        self.starting = asyncio.Semaphore(max(1, len(os.sched_getaffinity(0)) // 2))
         self._max_captures, self._max_of_owner = max_captures, max_of_owner
         self._open: Counter[str] = Counter()
 

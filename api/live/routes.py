@@ -104,7 +104,7 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
         if start.keep:
             await run_in_threadpool(records.require_room, 0)
         calibration = await _calibration(services, caller, records, start, folder)
-        async with _ready(settings, start, calibration) as (process, ready):
+        async with _ready(services, start, calibration) as (process, ready):
             cameras: Sequence[str] = ready["cameras"]
             kept = KeptPackets(services, folder, start) if start.keep else None
             intake = Intake(cameras, start.layout, settings.max_live_people)
@@ -176,22 +176,27 @@ def _stored_calibration(records: TenantRecords, calibration_id: str) -> str:
 
 @contextlib.asynccontextmanager
 async def _ready(
-    settings: Settings, start: LiveStart, calibration: Path
+    services: Services, start: LiveStart, calibration: Path
 ) -> AsyncIterator[tuple[CaptureProcess, dict[str, Any]]]:
     """Process that has begun, and the contents of its first answer; raises ``LiveProblem``."""
+    settings = services.settings
     content = {
         "calibration": str(calibration),
         "layout": start.layout,
         "settings": start.settings(),
         "format": start.format,
     }
-    async with capture_process(settings.live_command, calibration.parent, settings.live_memory_bytes) as process:
-        try:
-            async with asyncio.timeout(_STARTS * settings.live_answer_s):
-                await process.send(json.dumps(content).encode())
-                kind, answer = await process.answer()
-        except TimeoutError:
-            raise failed() from None
+    async with contextlib.AsyncExitStack() as held:
+        async with services.live_places.starting:
+            process = await held.enter_async_context(
+                capture_process(settings.live_command, calibration.parent, settings.live_memory_bytes)
+            )
+            try:
+                async with asyncio.timeout(_STARTS * settings.live_answer_s):
+                    await process.send(json.dumps(content).encode())
+                    kind, answer = await process.answer()
+            except TimeoutError:
+                raise failed() from None
         if kind is CaptureAnswer.REFUSED:
             errors = [ErrorItem(**problem) for problem in json.loads(answer)]
             raise LiveProblem(LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)

@@ -1,21 +1,16 @@
 """Broken and hostile clients of live captures, beside good ones that get all of their instants."""
 
-import contextlib
-import json
-import random
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 
 import psutil
 import pytest
-import websockets
-from websockets.sync.client import ClientConnection
 
 from api.settings import Settings
 from tests.api.conftest import Live, running
-from tests.api.live.conftest import LiveSocket, keypoints_message, opened, start_message
+from tests.api.live.conftest import LiveSocket, opened, start_message
+from tests.api.live.hostile_clients import attack_by
 from tests.api.live.test_live import packet
 
 NUM_FRAMES = 200
@@ -40,70 +35,6 @@ def crowded(make_settings: Callable[..., Settings], live_commands: dict[str, tup
         yield live
 
 
-def silent(connection: ClientConnection) -> None:
-    drain(connection)
-
-
-def babbles(connection: ClientConnection) -> None:
-    connection.send("{" * 50_000)
-    drain(connection)
-
-
-def sends_nan(connection: ClientConnection) -> None:
-    connection.send(json.dumps(start_message()))
-    connection.recv(60)
-    connection.send(json.dumps(keypoints_message() | {"people": [[[float("nan")] * 3] * 17]}))
-    drain(connection)
-
-
-def sends_10_mb(connection: ClientConnection) -> None:
-    connection.send(bytes(10_000_000))
-    drain(connection)
-
-
-def floods(connection: ClientConnection) -> None:
-    connection.send(json.dumps(start_message()))
-    for number in range(5000):
-        connection.send(packet(time_s=number * 1e-3))
-    drain(connection)
-
-
-def reads_nothing(connection: ClientConnection) -> None:
-    connection.send(json.dumps(start_message()))
-    for number in range(150):
-        connection.send(packet(time_s=200.0 + number * 1e-3))
-    time.sleep(1.0)
-    connection.socket.shutdown(socket.SHUT_RDWR)
-
-
-def crashes_the_computation(connection: ClientConnection) -> None:
-    connection.send(json.dumps(start_message()))
-    connection.send(packet(time_s=random.choice([666.0, 999.0])))  # noqa: S311
-    drain(connection)
-
-
-def vanishes(connection: ClientConnection) -> None:
-    connection.send(json.dumps(start_message(keep=True)))
-    connection.send(packet())
-    connection.socket.shutdown(socket.SHUT_RDWR)
-
-
-HOSTILE: tuple[Callable[[ClientConnection], None], ...] = (
-    *(silent, babbles, sends_nan, sends_10_mb, floods, reads_nothing, crashes_the_computation, vanishes),
-)
-
-
-def drain(connection: ClientConnection) -> None:
-    while True:
-        connection.recv(60)
-
-
-def attack(service: Live, way: Callable[[ClientConnection], None]) -> None:
-    # Whatever becomes of them: refusals, closed connections, time-outs.
-    with contextlib.suppress(websockets.WebSocketException, OSError, TimeoutError), opened(service) as connection:
-        way(connection)
-
-
 def capture_well(service: Live, hostile: threading.Barrier, results: list[tuple[int, int]]) -> None:
     with opened(service) as connection:
         client = LiveSocket(connection)
@@ -124,12 +55,7 @@ def disturbed(service: Live, num_hostile: int) -> list[tuple[int, int]]:
     for thread in good:
         thread.start()
     barrier.wait(60)
-    bad = [
-        threading.Thread(target=attack, args=(service, HOSTILE[number % len(HOSTILE)])) for number in range(num_hostile)
-    ]
-    for thread in bad:
-        thread.start()
-        time.sleep(0.02)
+    bad = attack_by(f"ws://127.0.0.1:{service.address[1]}/v1/live", start_message(), num_hostile)
     for thread in (*good, *bad):
         thread.join(120)
         assert not thread.is_alive()
