@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pipeline.detect.models import install_networks
     from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
     from pipeline.export.results import WrittenResults, write_results
+    from pipeline.live.bodies import read_bodies
     from pipeline.live.capture import LiveCapture
     from pipeline.live.recorded import recorded_frames
     from pipeline.live.settings import LiveSettings
@@ -71,6 +72,7 @@ __all__ = [
     "install_sample",
     "open_keypoints",
     "open_session",
+    "read_bodies",
     "reconstruct",
     "reconstruct_to_files",
     "recorded_frames",
@@ -106,6 +108,7 @@ _REFERENCES = {
     "install_sample": "pipeline.runtime.packages.samples:install",
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",
+    "read_bodies": "pipeline.live.bodies:read_bodies",
     "reconstruct": "pipeline.stages.local:reconstruct",
     "reconstruct_to_files": "pipeline.stages.local:reconstruct_to_files",
     "recorded_frames": "pipeline.live.recorded:recorded_frames",

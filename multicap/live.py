@@ -63,6 +63,7 @@ class LiveOptions:
     window_s: float = 0.1
     is_ordered: bool = True
     learn_s: float = 3.0
+    bodies: tuple[tuple[float, ...], ...] = ()
     keep: bool = False
     name: str = "live"
     packed: bool = True  # Whether instants come as packets, which are shorter than JSON
@@ -280,6 +281,7 @@ def _start(calibration: StrPath | Mapping[str, Any], layout: str, frame_rate_hz:
             "window_s": options.window_s,
             "is_ordered": options.is_ordered,
             "learn_s": options.learn_s,
+            "bodies": options.bodies,
             "keep": options.keep,
             "name": options.name,
             "format": "packed" if options.packed else "json",

@@ -27,6 +27,10 @@ _Score = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 _Points = Annotated[tuple[tuple[_Pixels, _Pixels, _Score], ...], FailFast(), Field(max_length=max(POINTS.values()))]
 
 
+_Length = Annotated[float, Field(ge=0.0, le=2.0, allow_inf_nan=False)]
+_Lengths = Annotated[tuple[_Length, ...], FailFast(), Field(max_length=64)]
+
+
 class _Received(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -76,6 +80,12 @@ class LiveStart(_Received):
         allow_inf_nan=False,
         description="Time in sight after which a person's bones are learnt, and the person has a skeleton.",
     )
+    bodies: Annotated[tuple[_Lengths, ...], FailFast()] = Field(
+        default=(),
+        max_length=32,
+        description="Lengths of bones of people of earlier takes in metres, in the order of `bones` of `ready`. These "
+        "people have the first numbers, and are recognised by their proportions.",
+    )
     format: Literal["json", "packed"] = Field(default="json", description="Form of the instants that are sent back.")
     keep: bool = Field(
         default=False,
@@ -85,7 +95,9 @@ class LiveStart(_Received):
 
     def settings(self) -> dict[str, Any]:
         """Settings of the computation."""
-        return self.model_dump(include={"frame_rate_hz", "output_rate_hz", "window_s", "is_ordered", "learn_s"})
+        return self.model_dump(
+            include={"frame_rate_hz", "output_rate_hz", "window_s", "is_ordered", "learn_s", "bodies"}
+        )
 
 
 class LiveKeypoints(_Received):

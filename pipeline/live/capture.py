@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.joints import JointSet
 from pipeline.live.frames import FrameQueue, LiveFrame, make_frame
+from pipeline.live.identities import Identities
 from pipeline.live.records import LiveCounts, LiveInstant, LivePerson
 from pipeline.live.settings import LiveSettings
 from pipeline.live.skeleton import LiveBody
@@ -58,6 +60,7 @@ class LiveCapture:
         self._center_m = np.array([center_in_world(camera) for camera in cameras])
         self._ray_from_image = np.linalg.inv(projection_matrices(cameras)[:, :, :3])
         self._bodies: dict[int, LiveBody] = {}
+        self._identities = Identities(joints, [np.array(length_m) for length_m in settings.bodies])
         # True until somebody's bones are learnt at the current instant: those of several people would delay it.
         self._may_learn = True
         self._start_s: float | None = None
@@ -109,7 +112,7 @@ class LiveCapture:
     def num_kept(self) -> int:
         """Number of frames, detections and people that are kept; it does not grow with the length of the capture."""
         of_bodies = sum(1 + body.num_kept for body in self._bodies.values())
-        return len(self._queue) + self._tracker.num_kept() + of_bodies
+        return len(self._queue) + self._tracker.num_kept() + of_bodies + len(self._identities)
 
     def _process(self, frames: Sequence[LiveFrame]) -> list[LiveInstant]:
         """Process frames up to each instant, and return the instants."""
@@ -136,8 +139,9 @@ class LiveCapture:
 
     def _instant(self, time_s: float) -> LiveInstant:
         self._bodies = {number: body for number, body in self._bodies.items() if number in self._tracker.numbers}
+        self._identities.keep(self._tracker.numbers)
         self._may_learn = True
-        people = [self._person(time_s, seen) for seen in self._tracker.people_at(time_s)]
+        people = sorted((self._person(time_s, seen) for seen in self._tracker.people_at(time_s)), key=attrgetter("id"))
         return LiveInstant(time_s, tuple(people), max(0.0, self._queue.newest_s - time_s))
 
     def _person(self, time_s: float, seen: Sighting) -> LivePerson:
@@ -151,13 +155,19 @@ class LiveCapture:
         rays = homogeneous @ self._ray_from_image.swapaxes(-1, -2)
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         body = self._bodies[seen.number]
-        had_bones = body.has_bones
+        known = self._identities.see(seen.number, time_s, seen.xyz_m)
+        if known is not None and body.bones is None:
+            body.recall(known.length_m, known.bones)
+        had_bones = body.bones is not None
         followed = body.follow(time_s, seen.xyz_m, rays.swapaxes(0, 1), seen.score.T, self._may_learn)
-        self._may_learn &= body.has_bones == had_bones
+        if body.bones is not None and not had_bones:
+            self._may_learn = False
+            self._identities.learn(seen.number, body.bones)
+        number = self._identities.number_of(seen.number)
         if followed is None:
-            return LivePerson(seen.number, seen.xyz_m, None)
+            return LivePerson(number, seen.xyz_m, None)
         skeleton, xyz_m = followed
-        return LivePerson(seen.number, np.where(np.isfinite(xyz_m), xyz_m, seen.xyz_m), skeleton)
+        return LivePerson(number, np.where(np.isfinite(xyz_m), xyz_m, seen.xyz_m), skeleton)
 
     def _problems(
         self, camera: int | str, number: int, time_s: float, points_px: np.ndarray, score: np.ndarray

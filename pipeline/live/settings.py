@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import PARAMETER_RANGE
+from pipeline.skeleton.model import SKELETON
+
+MAX_BODIES, MAX_BONE_M = 32, 2.0
+"""Largest number of people of earlier takes, and largest length of a bone of theirs in metres."""
 
 # Part of a period.
 _SAME_INSTANT = 1e-3
@@ -34,6 +38,9 @@ class LiveSettings:
         Whether the frames of each camera come in their order. If not, every frame waits for ``window_s``.
     learn_s
         Time in sight after which a person's bones are learnt.
+    bodies
+        Lengths of bones of people of earlier takes, in metres, in the order of the skeleton's joints. These people have
+        the first numbers, in this order, and need no learning once they are recognised by their proportions.
 
     Raises
     ------
@@ -46,6 +53,7 @@ class LiveSettings:
     window_s: float = 0.1
     is_ordered: bool = True
     learn_s: float = 3.0
+    bodies: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if problems := tuple(self._problems()):
@@ -69,3 +77,9 @@ class LiveSettings:
             if not (isinstance(value, int | float) and math.isfinite(value) and lowest <= value <= highest):
                 message = f"{name} must be a number from {lowest:g} to {highest:g}."
                 yield Problem(PARAMETER_RANGE, message, field=name)
+        if len(self.bodies) > MAX_BODIES:
+            yield Problem(PARAMETER_RANGE, f"bodies must be of at most {MAX_BODIES} people.", field="bodies")
+        for number, lengths_m in enumerate(self.bodies[:MAX_BODIES], 1):
+            if len(lengths_m) != len(SKELETON) or not all(0.0 <= length_m <= MAX_BONE_M for length_m in lengths_m):
+                message = f"Body {number} must have {len(SKELETON)} lengths of bones, from 0 to {MAX_BONE_M:g} metres."
+                yield Problem(PARAMETER_RANGE, message, field="bodies")

@@ -140,12 +140,20 @@ class LearntBones:
     skeleton: Articulation
 
 
-def learn_bones(learnt_m: Float[np.ndarray, "instants joints 3"], joints: JointSet) -> LearntBones:
-    """Learn a person's bones from located joints (metres, NaN where unknown), by medians as the finished fit begins."""
+def learn_bones(
+    learnt_m: Float[np.ndarray, "instants joints 3"],
+    joints: JointSet,
+    length_m: Float[np.ndarray, " bones"] | None = None,
+) -> LearntBones:
+    """Learn a person's bones from located joints (metres, NaN where unknown), by medians as the finished fit begins.
+
+    With known lengths only the landmarks of head and feet are learnt.
+    """
     source = np.where(np.isfinite(learnt_m[..., 0]), Source.MEASURED, Source.ABSENT)
     nothing = np.zeros(source.shape)
     track = Track3D(1, 0, learnt_m, nothing, source, nothing, np.zeros(source.shape, int))
-    length_m = bone_lengths_m(Landmarks(learnt_m, source, joints))
+    if length_m is None:
+        length_m = bone_lengths_m(Landmarks(learnt_m, source, joints))
     return LearntBones(length_m, articulate(length_m, joints, landmark_offsets_m(track, joints, length_m)))
 
 
@@ -158,7 +166,8 @@ class PoseFilter:
     def __init__(
         self, bones: LearntBones, joints: JointSet, center_m: Float[np.ndarray, "cameras 3"], rate_hz: float
     ) -> None:
-        self._bones, self._joints, self._center_m, self._rate_hz = bones, joints, center_m, rate_hz
+        self.bones = bones
+        self._joints, self._center_m, self._rate_hz = joints, center_m, rate_hz
         self._steps = PoseSteps(bones.skeleton)
         # Second differences at 1 Hz are accelerations.
         usual_m_s2 = usual_step_m(joints, Timebase(0.0, 1.0, 1))[bones.skeleton.landmark]
@@ -175,7 +184,7 @@ class PoseFilter:
         score: Float[np.ndarray, "joints cameras"],
     ) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]] | None:
         """Find the pose at an instant; see ``LiveBody.follow``."""
-        landmark = self._bones.skeleton.landmark
+        landmark = self.bones.skeleton.landmark
         is_seen = (score > _MIN_SCORE) & np.isfinite(ray).all(-1)
         rays = np.where(is_seen[..., None], ray, 0.0)[landmark]
         weight = (np.where(is_seen, score**3, 0.0) / _SIGMA_M**2)[landmark]
@@ -196,10 +205,10 @@ class PoseFilter:
         weight: Float[np.ndarray, "landmarks cameras"],
     ) -> tuple[JointPoses, _Motion]:
         """Find a first pose from the located joints."""
-        skeleton, count = self._bones.skeleton, len(self._bones.skeleton.landmark)
+        skeleton, count = self.bones.skeleton, len(self.bones.skeleton.landmark)
         source = np.where(np.isfinite(xyz_m[None, :, 0]), Source.MEASURED, Source.ABSENT)
         landmarks = Landmarks(xyz_m[None], source, self._joints)
-        poses = start_from(*solve_pose(landmarks, self._bones.length_m, self._rate_hz), skeleton)
+        poses = start_from(*solve_pose(landmarks, self.bones.length_m, self._rate_hz), skeleton)
         evidence = PoseEvidence(ray, weight, self._center_m, np.zeros((count, 3)), np.full(count, np.inf))
         self._steps.take(poses, evidence, _NUM_FIRST_STEPS)
         landmark_m = Posed(poses, skeleton).landmark_m[0]
@@ -219,18 +228,18 @@ class PoseFilter:
         motion.predict(step_s, self._noise_m_s2)
         evidence = PoseEvidence(ray, weight, self._center_m, motion.place_m, motion.place_m2)
         self._steps.take(poses, evidence, _NUM_STEPS)
-        landmark_m = Posed(poses, self._bones.skeleton).landmark_m[0]
+        landmark_m = Posed(poses, self.bones.skeleton).landmark_m[0]
         motion.correct(landmark_m, evidence.spread_m2(landmark_m), evidence.precision(landmark_m), step_s)
 
     def _shown(self, poses: JointPoses) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]]:
         """Skeleton in a pose, and positions of the detector's joints; rotations continue those before."""
-        posed, quat = Posed(poses, self._bones.skeleton), quat_xyzw_of(poses.local[0])
+        posed, quat = Posed(poses, self.bones.skeleton), quat_xyzw_of(poses.local[0])
         if self._quat is not None:
             quat = quat * np.where((quat * self._quat).sum(-1) < 0, -1.0, 1.0)[:, None]
         self._quat = quat
         xyz_m = np.full((len(self._joints.names), 3), np.nan)
-        xyz_m[self._bones.skeleton.landmark] = posed.landmark_m[0]
-        return LiveSkeleton(poses.root_m[0].copy(), quat, self._bones.length_m, posed.joint_m[0]), xyz_m
+        xyz_m[self.bones.skeleton.landmark] = posed.landmark_m[0]
+        return LiveSkeleton(poses.root_m[0].copy(), quat, self.bones.length_m, posed.joint_m[0]), xyz_m
 
 
 class LiveBody:
@@ -246,9 +255,16 @@ class LiveBody:
         self._filter: PoseFilter | None = None
 
     @property
-    def has_bones(self) -> bool:
-        """True as soon as bones are learnt."""
-        return self._filter is not None
+    def bones(self) -> LearntBones | None:
+        """The person's bones, as soon as they are learnt."""
+        return None if self._filter is None else self._filter.bones
+
+    def recall(self, length_m: Float[np.ndarray, " bones"], bones: LearntBones | None) -> None:
+        """Take the bones of a person who was there before, or their lengths alone, in place of those to be learnt."""
+        if bones is None:
+            bones = learn_bones(np.array(self._learnt), self._joints, length_m)
+        self._filter = PoseFilter(bones, self._joints, self._center_m, self._rate_hz)
+        self._learnt.clear()
 
     @property
     def num_kept(self) -> int:
