@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
 from pipeline.joints import JointSet
+from pipeline.live.feet import StandingFeet
 from pipeline.live.pose_steps import PoseSteps, quat_xyzw_of
 from pipeline.live.records import LiveSkeleton
 from pipeline.skeleton.fitting.articulated import JointPoses, Posed, start_from
@@ -42,6 +43,9 @@ _FIRST_SPEED_M_S = 2.0
 # Noise of accelerations over the usual ones: the filter takes those of one instant as independent of those before, but
 # they last. Of 0.35 to 2.5 this is best or nearly so in the simulated room, at 25 and at 60 Hz.
 _MANOEUVRE = 1.6
+# Uncertainty of the place of a foot that stands.
+_STANDING_M = 0.005
+_ANKLES = ("left_ankle", "right_ankle")
 _TORSO = ("left_hip", "right_hip", "left_shoulder", "right_shoulder")
 
 
@@ -131,6 +135,16 @@ class _Motion:
         self.velocity_m2_s2 = velocity_m2_s2 - gain * both_m2_s**2 / place_m2
         self.place_m2, self.both_m2_s = (1.0 - gain) * place_m2, (1.0 - gain) * both_m2_s
 
+    def hold(self, number: int, place_m: Float[np.ndarray, " 3"]) -> None:
+        """Expect a landmark at the place where it stands."""
+        self.place_m[number], self.velocity_m_s[number] = place_m, 0.0
+        self.place_m2[number], self.both_m2_s[number], self.velocity_m2_s2[number] = _STANDING_M**2, 0.0, 0.0
+
+    def release(self, number: int) -> None:
+        """Expect a landmark that stood before to move from now on."""
+        self.place_m2[number], self.both_m2_s[number] = _SIGMA_M**2, 0.0
+        self.velocity_m2_s2[number] = _FIRST_SPEED_M_S**2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearntBones:
@@ -173,6 +187,12 @@ class PoseFilter:
         usual_m_s2 = usual_step_m(joints, Timebase(0.0, 1.0, 1))[bones.skeleton.landmark]
         self._noise_m_s2 = _MANOEUVRE * usual_m_s2
         self._state: tuple[JointPoses, _Motion] | None = None
+        self._feet = StandingFeet()
+        ankles = [joints.names.index(name) for name in _ANKLES if name in joints.names]
+        carried = bones.skeleton.landmark.tolist()
+        self._ankles = ankles if len(ankles) == len(_ANKLES) and set(ankles) <= set(carried) else []
+        self._ankle_landmarks = [carried.index(ankle) for ankle in self._ankles]
+        self._is_held = np.zeros(len(self._ankles), bool)
         self._pose_s = -np.inf
         self._quat: np.ndarray | None = None
 
@@ -189,6 +209,10 @@ class PoseFilter:
         rays = np.where(is_seen[..., None], ray, 0.0)[landmark]
         weight = (np.where(is_seen, score**3, 0.0) / _SIGMA_M**2)[landmark]
         step_s = time_s - self._pose_s
+        if self._ankles and step_s > _LONGEST_GAP_S:
+            self._feet.forget()
+        if self._ankles:
+            self._feet.update(time_s, xyz_m[self._ankles])
         if self._state is not None and step_s <= _LONGEST_GAP_S:
             self._step(*self._state, step_s, rays, weight)
         elif _has_torso(xyz_m[None], self._joints)[0]:
@@ -226,10 +250,26 @@ class PoseFilter:
     ) -> None:
         """Find the pose that follows, in place."""
         motion.predict(step_s, self._noise_m_s2)
+        self._hold_feet(motion)
         evidence = PoseEvidence(ray, weight, self._center_m, motion.place_m, motion.place_m2)
         self._steps.take(poses, evidence, _NUM_STEPS)
         landmark_m = Posed(poses, self.bones.skeleton).landmark_m[0]
         motion.correct(landmark_m, evidence.spread_m2(landmark_m), evidence.precision(landmark_m), step_s)
+
+    def _hold_feet(self, motion: _Motion) -> None:
+        """Expect feet that stand at their places, in place."""
+        if not self._ankles:
+            return
+        places_m = self._feet.places_m
+        stands = np.isfinite(places_m).all(-1)
+        for number, place_m, is_standing, was_held in zip(
+            self._ankle_landmarks, places_m, stands.tolist(), self._is_held.tolist(), strict=True
+        ):
+            if is_standing:
+                motion.hold(number, place_m)
+            elif was_held:
+                motion.release(number)
+        self._is_held = stands
 
     def _shown(self, poses: JointPoses) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]]:
         """Skeleton in a pose, and positions of the detector's joints; rotations continue those before."""

@@ -136,6 +136,24 @@ def test_steps_are_those_of_the_finished_fit(room: Simulation) -> None:
         np.testing.assert_allclose(by_steps.root_m, by_fit.root_m, atol=1e-7)
 
 
+def test_feet_that_stand_hardly_slide(room: Simulation, instants: list[LiveInstant]) -> None:
+    """Without holding them standing ankles move at 0.3 m/s, by the detector's noise."""
+    ankles = room.joints.indices(("left_ankle", "right_ankle"))
+    speeds_m_s, before = [], dict[int, np.ndarray]()
+    for frame, instant in enumerate(instants):
+        after = {each.id: each.skeleton.joint_m for each in instant.people if each.skeleton is not None}
+        for number in before.keys() & after.keys():
+            located_m = after[number][[INDEX["LeftFoot"], INDEX["RightFoot"]]]
+            true_m = min(room.truth_m[:, frame, ankles], key=lambda each_m: np.linalg.norm(each_m - located_m))
+            person = int(np.argmin(np.linalg.norm(room.truth_m[:, frame, ankles] - true_m, axis=(1, 2))))
+            stands = np.linalg.norm(np.diff(room.truth_m[person, frame - 1 : frame + 1, ankles], axis=1)[:, 0], axis=-1)
+            moved_m = np.linalg.norm(located_m - before[number][[INDEX["LeftFoot"], INDEX["RightFoot"]]], axis=-1)
+            speeds_m_s += (moved_m[stands * RATE_HZ < 0.02] * RATE_HZ).tolist()
+        before = after
+    assert len(speeds_m_s) > 100
+    assert np.mean(speeds_m_s) < 0.15
+
+
 def test_a_skeleton_keeps_still_in_memory(room: Simulation) -> None:
     """Kept arrays are the same after learning, however long people stay."""
     capture = LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ, learn_s=1.0))
