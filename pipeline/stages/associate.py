@@ -18,21 +18,19 @@ def associate(task: Task, context: Context) -> Output:
     """Turn bodies or poses of all frames into tracks."""
     from pipeline.data.people import Poses3D
     from pipeline.hands.attach import without_fingers
-    from pipeline.joints import without_hands
-    from pipeline.stages.association import MeasuredBones, link, track
+    from pipeline.stages.association import MeasuredBones
     from pipeline.stages.people import write_people
 
-    config, on_share = context.config, context.on_share(task)
-    if config.method == "clustering":
-        session = context.wanted(context.outline())
-        joints = without_hands(context.detections.joints(session))
-        people = link(session, context.records(POSES, Poses3D), joints, config, on_share)
+    on_share = context.on_share(task)
+    if context.config.method == "clustering":
+        association = context.association(context.wanted(context.outline()))
+        people = association.link(context.records(POSES, Poses3D), on_share)
         damaged = context.record(LENGTHS, MeasuredBones).damaged
     else:
         bodies, damaged = context.gathered_bodies()
         session = context.wanted(context.outline())
         bodies = without_fingers(bodies, context.detections.joints(session))
-        people = track(session, bodies, config, on_share)
+        people = context.association(session).track(bodies, on_share)
         del bodies
     path = context.scratch / "people.npz"
     write_people(path, people, damaged)

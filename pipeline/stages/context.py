@@ -25,10 +25,11 @@ from pipeline.detect.entries import entry_of
 from pipeline.detect.look import CameraLook
 from pipeline.detect.profiles.detection import detection_joints, mark_offsets
 from pipeline.errors import PipelineError
-from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
 from pipeline.progress import OnShare, in_units
 from pipeline.providers import ProviderName
 from pipeline.runtime.npz import decode_arrays
+from pipeline.stages.association import Association
 from pipeline.stages.codec import decode
 from pipeline.stages.people import StoredPeople
 from pipeline.stages.refinement import RefinedCalibration
@@ -183,6 +184,11 @@ class Context(ABC):
     def detections(self) -> "DetectionSource":
         """Detections in the session."""
         return _VideoDetections(self) if self.facts.has_videos else _FileDetections(self)
+
+    def association(self, session: Session) -> Association:
+        """Association of the detections in a session, whole or wanted, to people."""
+        joints, fields = without_hands(self.detections.joints(session)), self.detections.finds_fields
+        return Association(session.cameras, session.times, session.timebase, joints, self.config, fields)
 
     def gathered_bodies(self) -> tuple[Detections2D, tuple[DamagedVideo, ...]]:
         """Bodies of all cameras as tracking takes them, and the damaged videos among those that show them."""

@@ -19,10 +19,8 @@ from pipeline.stages.stage import (
 def expect_again(task: Task, context: Context) -> Output:
     """Find the pictures in which leaning people are elsewhere than they were looked for; none if nobody was found."""
     from pipeline.data.detections import Detections
-    from pipeline.joints import without_hands
     from pipeline.redetection.elsewhere import expected_elsewhere
     from pipeline.redetection.expect import expect_leaning
-    from pipeline.stages.association import accept_redetected, assign_identities, assign_limbs
     from pipeline.stages.codec import decode, encode
 
     (content,) = context.outputs(EXPECT)
@@ -30,15 +28,18 @@ def expect_again(task: Task, context: Context) -> Output:
     found = tuple(context.records(REDETECT, Detections))
     if not any(len(bodies.frame) for bodies in found):
         return Output(encode(tuple(bodies.within(range(0)) for bodies in looked_for)))
-    session, detections, config = context.wanted(context.outline()), context.detections, context.config
-    joints = without_hands(detections.joints(session))
-    people = assign_identities(session, context.people(ASSOCIATE).people, joints, config)
-    people = assign_limbs(session, accept_redetected(session, people, found, joints, config), joints, config)
-    cameras = session.cameras, session.times, session.timebase
+    association, turns_deg = context.association(context.wanted(context.outline())), context.detections.turns_deg
+    people = association.assign_identities(context.people(ASSOCIATE).people)
+    people = association.assign_limbs(association.accept_redetected(people, found))
     expected = expect_leaning(
-        zip(people.tracks, people.observations, strict=True), *cameras, joints, detections.turns_deg
+        zip(people.tracks, people.observations, strict=True),
+        association.cameras,
+        association.times,
+        association.timebase,
+        association.joints,
+        turns_deg,
     )
-    return Output(encode(expected_elsewhere(expected, looked_for, detections.turns_deg)))
+    return Output(encode(expected_elsewhere(expected, looked_for, turns_deg)))
 
 
 STAGE = Stage(

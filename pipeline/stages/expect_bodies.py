@@ -6,19 +6,22 @@ from pipeline.stages.stage import ASSOCIATE, EXPECT, LOOK, REFINE, SYNCHRONIZE, 
 
 def expect_bodies(task: Task, context: Context) -> Output:
     """Find the frames of each camera in which people are expected who lean, and their places there."""
-    from pipeline.joints import without_hands
     from pipeline.redetection.expect import expect_leaning
-    from pipeline.stages.association import assign_identities
     from pipeline.stages.codec import encode
 
-    session, detections = context.wanted(context.outline()), context.detections
-    joints = without_hands(detections.joints(session))
+    association = context.association(context.wanted(context.outline()))
     # Places of people do not depend on the colours of their clothes, by which `identify` tells them apart, too.
-    people = assign_identities(session, context.people(ASSOCIATE).people, joints, context.config)
-    cameras = session.cameras, session.times, session.timebase
+    people = association.assign_identities(context.people(ASSOCIATE).people)
     return Output(
         encode(
-            expect_leaning(zip(people.tracks, people.observations, strict=True), *cameras, joints, detections.turns_deg)
+            expect_leaning(
+                zip(people.tracks, people.observations, strict=True),
+                association.cameras,
+                association.times,
+                association.timebase,
+                association.joints,
+                context.detections.turns_deg,
+            )
         )
     )
 

@@ -20,33 +20,24 @@ def identify(task: Task, context: Context) -> Output:
     """Find out who is who, give people the bodies that were detected again, and each limb one person and one side."""
     from pipeline.data.detections import Detections
     from pipeline.hands.attach import has_hands
-    from pipeline.joints import without_hands
-    from pipeline.stages.association import (
-        accept_redetected,
-        assign_identities,
-        assign_limbs,
-        attach,
-        follow_by_one_camera,
-    )
     from pipeline.stages.people import write_people
 
     session = context.wanted(context.outline())
-    joints, tracked = context.detections.joints(session), context.people(ASSOCIATE)
-    body = without_hands(joints)
+    association, joints = context.association(session), context.detections.joints(session)
+    tracked = context.people(ASSOCIATE)
     colour = context.gathered_bodies()[0].colour if context.detections.measures_colours else None
-    people = assign_identities(session, tracked.people, body, context.config, colour)
+    people = association.assign_identities(tracked.people, colour)
     del colour
     if is_redetecting(context.facts, context.config):
-        people = accept_redetected(session, people, context.records(REDETECT, Detections), body, context.config)
+        people = association.accept_redetected(people, context.records(REDETECT, Detections))
         found_elsewhere = tuple(context.records(REDETECT_AGAIN, Detections))
         if any(len(bodies.frame) for bodies in found_elsewhere):
             # They were expected of people whose limbs were assigned.
-            people = assign_limbs(session, people, body, context.config)
-            people = accept_redetected(session, people, found_elsewhere, body, context.config)
-    people = assign_limbs(session, people, body, context.config)
-    people = follow_by_one_camera(session, people, tracked.people.leftovers, context.config)
+            people = association.accept_redetected(association.assign_limbs(people), found_elsewhere)
+    people = association.assign_limbs(people)
+    people = association.follow_by_one_camera(people, tracked.people.leftovers)
     if has_hands(joints):
-        people = attach(session, people, context.gathered_bodies()[0], joints, context.config)
+        people = association.attach(people, context.gathered_bodies()[0], joints)
     path = context.scratch / "people.npz"
     write_people(path, people, tracked.damaged)
     del people

@@ -13,11 +13,10 @@ _MEASURED_HZ = 5.0
 
 def measure_lengths(task: Task, context: Context) -> Output:
     """Measure everybody's bones, a range of frames at a time; and list the damaged videos."""
-    from pipeline.stages.association import MeasuredBones, measure_bones
+    from pipeline.stages.association import MeasuredBones
     from pipeline.stages.codec import encode
 
     session = context.wanted(context.session())
-    joints = context.detections.joints(session)
     pictures: list[Any] = []
 
     def ranges() -> Iterator[tuple[range, Any]]:
@@ -26,7 +25,7 @@ def measure_lengths(task: Task, context: Context) -> Output:
             pictures.extend((camera, seen.damaged, seen.changes) for camera, seen in detected.items())
             yield context.numbered_from_first(frames, session), detected
 
-    lengths = measure_bones(session, ranges(), joints, context.config, context.on_unit)
+    lengths = context.association(session).measure_bones(ranges(), context.on_unit)
     return Output(encode(MeasuredBones(lengths, context.detections.damaged_videos(session, pictures))))
 
 

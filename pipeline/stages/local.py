@@ -274,8 +274,8 @@ def _check(session: Session, config: ReconstructionConfig) -> None:
     require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))
     require_cameras(session.cameras, config)
     wanted = session.restricted(config.frames)
-    tracking_parameters(wanted, config.tracking)
-    clustering_parameters(wanted, config)
+    tracking_parameters(wanted.cameras, wanted.timebase, config.tracking)
+    clustering_parameters(wanted.cameras, config, config.uses_fields and bool(wanted.video_of))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,14 @@ from pipeline.stages.stage import DETECT, LENGTHS, POSES, REFINE, SYNCHRONIZE, C
 
 def find_poses(task: Task, context: Context) -> Output:
     """Find all people in a range of output frames."""
-    from pipeline.stages.association import MeasuredBones, locate_people
+    from pipeline.stages.association import MeasuredBones
     from pipeline.stages.codec import encode
 
     session = context.wanted(context.session())
-    joints = context.detections.joints(session)
     detected = context.detections.in_range(task, session, task.index, task.frames)
     lengths = context.record(LENGTHS, MeasuredBones).lengths
     frames = context.numbered_from_first(task.frames, session)
-    return Output(encode(locate_people(session, frames, detected, lengths, joints, context.config, context.on_unit)))
+    return Output(encode(context.association(session).locate_people(frames, detected, lengths, context.on_unit)))
 
 
 STAGE = Stage(

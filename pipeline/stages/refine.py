@@ -20,16 +20,16 @@ def refine(task: Task, context: Context) -> Output:
 
     config, detections, on_share = context.config, context.detections, context.on_share(task)
     session = context.on_clocks(context.session())
-    joints = detections.joints(session)
+    association = context.association(session)
 
     def chunks() -> Iterator[tuple[range, Any]]:
         for number, frames in enumerate(task.cut(context.facts)):
             yield from_first(frames, task.frames), detections.in_range(task, session, number, frames)
 
     if detections.finds_fields:
-        refined = refine_from_fields(session, chunks, joints, config, on_share)
+        refined = refine_from_fields(association, chunks, on_share)
     else:
-        refined = refine_from_bodies(session, detections.bodies(session), joints, config, on_share)
+        refined = refine_from_bodies(association, detections.bodies(session), detections.joints(session), on_share)
     if is_deferred(context.record(CHECK, SessionCheck), session.cameras, config):
         judge_refined(check_refined(task, context, refined.cameras), refined.cameras)
     return Output(encode(refined))

@@ -12,24 +12,22 @@ from pipeline.calibration.refinement.level import Level, find_level
 from pipeline.calibration.refinement.refine import RefinedCameras, refine
 from pipeline.calibration.refinement.sightings import choose_sightings, sampled_frames, sampled_poses
 from pipeline.calibration.similarity import move_world, shift_m, turn_deg
-from pipeline.capture.session import Session
 from pipeline.clustering.bone_lengths import unknown_lengths
 from pipeline.clustering.skeleton import skeleton_of
-from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
 from pipeline.data.detections import Detections, DetectionsByCamera
 from pipeline.data.people import Poses3D
 from pipeline.hands.attach import without_fingers
-from pipeline.joints import JointSet, without_hands
+from pipeline.joints import JointSet
 from pipeline.likenesses.of_poses import without_likenesses
 from pipeline.progress import OnShare, ignore, split
-from pipeline.stages.association import locate_people, track
+from pipeline.stages.association import Association
 from pipeline.tracking.observations import gather
 
 # Differences from the given camera below which a refined camera is not reported as moved.
 _MOVED_DEG, _MOVED_M, _MOVED_FOCAL = 0.05, 0.005, 0.001
 
-_Associate = Callable[[Session, OnShare], Iterable[Poses3D]]
+_Associate = Callable[[Association, OnShare], Iterable[Poses3D]]
 
 
 class RefinedCalibration(NamedTuple):
@@ -40,58 +38,50 @@ class RefinedCalibration(NamedTuple):
 
 
 def refine_from_bodies(
-    session: Session,
-    detections: Mapping[str, Detections],
-    joints: JointSet,
-    config: ReconstructionConfig,
-    on_share: OnShare = ignore,
+    association: Association, detections: Mapping[str, Detections], joints: JointSet, on_share: OnShare = ignore
 ) -> RefinedCalibration:
-    """Refine a session's calibration from whole bodies, which tracking associates."""
+    """Refine a session's calibration from whole bodies with ``joints``, which tracking associates."""
 
-    def associate(current: Session, on_round: OnShare) -> Iterable[Poses3D]:
+    def associate(current: Association, on_round: OnShare) -> Iterable[Poses3D]:
         bodies = without_fingers(gather(current.cameras, current.times, detections), joints)
-        return sampled_poses(track(current, bodies, config, on_round), current.timebase)
+        return sampled_poses(current.track(bodies, on_round), current.timebase)
 
-    return _refine(session, associate, without_hands(joints), on_share)
+    return _refine(association, associate, on_share)
 
 
 def refine_from_fields(
-    session: Session,
+    association: Association,
     chunks: Callable[[], Iterable[tuple[range, DetectionsByCamera]]],
-    joints: JointSet,
-    config: ReconstructionConfig,
     on_share: OnShare = ignore,
 ) -> RefinedCalibration:
     """Refine a session's calibration from peaks and fields, which clustering associates instant by instant.
 
     ``chunks`` gives ranges of output frames in order of time, with their detections.
     """
-    frames = sampled_frames(session.timebase)
-    lengths = unknown_lengths(skeleton_of(joints))
+    frames = sampled_frames(association.timebase)
+    lengths = unknown_lengths(skeleton_of(association.joints))
 
-    def associate(current: Session, on_round: OnShare) -> Iterable[Poses3D]:
+    def associate(current: Association, on_round: OnShare) -> Iterable[Poses3D]:
         numbers = itertools.count(1)
         for chunk, detections in chunks():
             wanted = range(chunk.start + -chunk.start % frames.step, chunk.stop, frames.step)
-            yield locate_people(
-                current, wanted, detections, lengths, joints, config, lambda: on_round(next(numbers) / len(frames))
-            )
+            yield current.locate_people(wanted, detections, lengths, lambda: on_round(next(numbers) / len(frames)))
 
-    return _refine(session, associate, joints, on_share)
+    return _refine(association, associate, on_share)
 
 
-def _refine(session: Session, associate: _Associate, joints: JointSet, on_share: OnShare) -> RefinedCalibration:
-    given = session.cameras
+def _refine(association: Association, associate: _Associate, on_share: OnShare) -> RefinedCalibration:
+    given, joints, timebase = association.cameras, association.joints, association.timebase
 
     def refine_from(start: tuple[Camera, ...], on_round: OnShare) -> tuple[RefinedCameras, list[Poses3D]]:
         poses = without_likenesses(
-            list(associate(replace(session, cameras=start), on_round)),
+            list(associate(replace(association, cameras=start), on_round)),
             start,
             joints,
-            session.timebase,
-            sampled_frames(session.timebase).step,
+            timebase,
+            sampled_frames(timebase).step,
         )
-        return refine(given, start, choose_sightings(poses, joints, session.timebase)), poses
+        return refine(given, start, choose_sightings(poses, joints, timebase)), poses
 
     on_first, on_second = split(on_share, (1, 1))
     refined, poses = refine_from(given, on_first)

@@ -17,11 +17,10 @@ from pipeline.data.people import People
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Clock, Layout, Rig
 from pipeline.simulation.scenes import Scene, record
-from pipeline.stages.association import assign_identities, link, locate_people, measure_bones, track
+from pipeline.stages.association import Association
 from pipeline.tracking.observations import Detections2D, gather
 from tests.hostile.crowds import hostile_crowds
 
-CLUSTERING = ReconstructionConfig(method="clustering")
 NAMES = list(hostile_crowds(1, 2, 1))
 MAX_FRAME_S = 60.0  # a shared machine takes 16 s for the worst crowd
 MAX_RESIDENT_KIB = 2 * 2**20
@@ -38,19 +37,26 @@ def gathered(session: KeypointSession) -> Detections2D:
     return gather(session.cameras, session.times, session.detections)
 
 
-def cluster(session: KeypointSession) -> People:
+def association_of(session: KeypointSession, method: Method) -> Association:
+    setting = session.cameras, session.times, session.timebase, session.joints
+    return Association(*setting, ReconstructionConfig(method))
+
+
+def associated(session: KeypointSession, method: Method) -> People:
+    association = association_of(session, method)
+    if method == "tracking":
+        return association.track(gathered(session))
     frames = range(session.timebase.num_frames)
-    lengths = measure_bones(session, [(frames, session.detections)], session.joints, CLUSTERING)
-    poses = locate_people(session, frames, session.detections, lengths, session.joints, CLUSTERING)
-    return link(session, [poses], session.joints, CLUSTERING)
+    lengths = association.measure_bones([(frames, session.detections)])
+    return association.link([association.locate_people(frames, session.detections, lengths)])
 
 
 def reconstruct(method: Method, name: str, num_cameras: int, num_frames: int) -> tuple[float, int, int]:
     """Reconstruct; return seconds of computing, number of approximate frames, and the process's peak memory in KiB."""
     session = hostile_crowds(MAX_PEOPLE, num_cameras, num_frames)[name]()
     started_s = time.process_time()
-    people = track(session, gathered(session)) if method == "tracking" else cluster(session)
-    assign_identities(session, people, session.joints, ReconstructionConfig(method))
+    people = associated(session, method)
+    association_of(session, method).assign_identities(people)
     taken_s = time.process_time() - started_s
     return taken_s, people.num_approximate_frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
@@ -87,10 +93,10 @@ def people_in_a_hall(num_people: int, num_cameras: int, num_frames: int) -> tupl
 
 
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_a_hundred_people_in_a_frame(method: str) -> None:
+def test_a_hundred_people_in_a_frame(method: Method) -> None:
     session, truth_m = people_in_a_hall(100, 8, 6 if method == "tracking" else 4)
     assert max(int(np.bincount(one.frame).max()) for one in session.detections.values()) > 90
-    people = track(session, gathered(session)) if method == "tracking" else cluster(session)
+    people = associated(session, method)
     middle_m = np.nanmean(truth_m[:, 2], axis=1)
     of_frame = [one for one in people.tracks if one.start_frame <= 2 < one.start_frame + one.num_frames]
     found_m = [np.nanmean(one.xyz_m[2 - one.start_frame], axis=0) for one in of_frame]
@@ -101,7 +107,7 @@ def test_a_hundred_people_in_a_frame(method: str) -> None:
 def test_progress_comes_from_within_a_pass_over_a_crowd() -> None:
     session = hostile_crowds(40, 4, 20)["elsewhere in each frame"]()
     shares: list[float] = []
-    track(session, gathered(session), on_share=shares.append)
+    association_of(session, "tracking").track(gathered(session), shares.append)
     assert len(shares) >= 20
     assert shares == sorted(shares)
 

@@ -17,8 +17,7 @@ from pipeline.detect.detector import Detector
 from pipeline.detect.profiles import detection
 from pipeline.detect.registry import NetworkHead, NetworkInput
 from pipeline.joints import COCO_17
-from pipeline.stages import association
-from pipeline.stages.association import track
+from pipeline.stages.association import Association
 from pipeline.stages.local import reconstruct
 from pipeline.tracking.observations import Detections2D
 from tests.pipeline.conftest import ring_camera
@@ -76,11 +75,13 @@ def tracked(monkeypatch: pytest.MonkeyPatch) -> list[Detections2D]:
     """Bodies that were tracked, in the order of the calls."""
     calls: list[Detections2D] = []
 
-    def recorded(session: Any, bodies: Detections2D, *others: Any) -> Any:
-        calls.append(bodies)
-        return track(session, bodies, *others)
+    track = Association.track
 
-    monkeypatch.setattr(association, "track", recorded)
+    def recorded(self: Association, bodies: Detections2D, *others: Any) -> Any:
+        calls.append(bodies)
+        return track(self, bodies, *others)
+
+    monkeypatch.setattr(Association, "track", recorded)
     return calls
 
 

@@ -24,6 +24,7 @@ from pipeline.progress import Progress
 from pipeline.quality.report import quality_report
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.simulation.views.fields import GRID, render
+from pipeline.stages.association import Association
 from pipeline.stages.codec import decode, encode
 from pipeline.stages.local import reconstruct
 from pipeline.stages.refinement import RefinedCalibration, refine_from_bodies, refine_from_fields
@@ -132,8 +133,8 @@ def test_disturbed_cameras_in_a_tilted_world_come_back(scene: str, seed: int) ->
     tilted = [replace(one, cam_from_world=one.cam_from_world @ true_from_tilted) for one in simulation.cameras]
     given = disturb_calibration(replace(simulation, cameras=tuple(tilted)), 1.0, 0.02, seed).cameras
     detections, joints = simulation.detections, simulation.joints
-    session = KeypointSession(given, simulation.times, simulation.timebase, detections, joints, {}, ())
-    cameras, report = refine_from_bodies(session, detections, joints, CONFIG)
+    association = Association(given, simulation.times, simulation.timebase, joints, CONFIG)
+    cameras, report = refine_from_bodies(association, detections, joints)
     assert report.world is not None
     errors = camera_errors(simulation.cameras, cameras)
     assert errors["rotation_deg"] <= 0.1
@@ -184,7 +185,6 @@ def test_reports_come_back_from_their_bytes(session: KeypointSession) -> None:
 def test_a_disturbed_calibration_is_refined_from_fields() -> None:
     simulation = record(replace(find_scene("room"), duration_s=4.0), seed=2)
     disturbed = disturb_calibration(simulation, 1.0, 0.0, seed=1)
-    session = KeypointSession(disturbed.cameras, simulation.times, simulation.timebase, {}, COCO_18, {}, ())
 
     def chunks() -> Iterator[tuple[range, Mapping[str, PafFields]]]:
         for start in range(0, simulation.timebase.num_frames, 25):
@@ -195,8 +195,9 @@ def test_a_disturbed_calibration_is_refined_from_fields() -> None:
     config = ReconstructionConfig(
         "clustering", "openpose-mobilenet-thin", refine_calibration="auto", clustering={"tau2": GRID.tau2}
     )
+    association = Association(disturbed.cameras, simulation.times, simulation.timebase, COCO_18, config, True)
     shares: list[float] = []
-    cameras, report = refine_from_fields(session, chunks, COCO_18, config, shares.append)
+    cameras, report = refine_from_fields(association, chunks, shares.append)
     assert report.refined
     assert report.error_after_px < 0.6 * report.error_before_px
     given, refined = (camera_errors(simulation.cameras, some) for some in (disturbed.cameras, cameras))

@@ -5,14 +5,13 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera, FrameTimes, Refinement, Timebase
 from pipeline.data.detections import Detections
 from pipeline.data.people import People
 from pipeline.job_choices import MAX_STATURE_M, MIN_STATURE_M
-from pipeline.joints import JointSet
-from pipeline.stages.association import assign_identities, assign_limbs
+from pipeline.joints import JointSet, without_hands
+from pipeline.stages.association import Association
 from pipeline.stages.refinement import refine_from_bodies
 
 StatureOption = Annotated[
@@ -38,8 +37,8 @@ def refined(
     """Cameras of an evaluation, refined if that is asked for, and the report."""
     if config.refine_calibration == "off":
         return cameras, None
-    session = KeypointSession(cameras, times, timebase, detections, joints, {}, ())
-    return refine_from_bodies(session, detections, joints, config)
+    association = Association(cameras, times, timebase, without_hands(joints), config)
+    return refine_from_bodies(association, detections, joints)
 
 
 def refinement_scores(refinement: Refinement | None) -> dict[str, Any]:
@@ -63,8 +62,8 @@ def identified(
     config: ReconstructionConfig,
 ) -> People:
     """People after the global pass, with one person and one side for each limb, as of the stage ``identify``."""
-    session = KeypointSession(cameras, times, timebase, {}, joints, {}, ())
-    return assign_limbs(session, assign_identities(session, people, joints, config), joints, config)
+    association = Association(cameras, times, timebase, joints, config)
+    return association.assign_limbs(association.assign_identities(people))
 
 
 def shown(value: float | None) -> str:

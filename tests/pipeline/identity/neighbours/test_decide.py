@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.geometry.camera import project
@@ -16,7 +15,7 @@ from pipeline.identity.neighbours import decide
 from pipeline.identity.neighbours.decide import return_limbs
 from pipeline.joints import COCO_17, JointSet
 from pipeline.simulation.scenes import Simulation, find_scene, record
-from pipeline.stages.association import assign_identities, track
+from pipeline.stages.association import Association
 from pipeline.tracking.observations import gather
 
 _MIN_SCORE = 0.15
@@ -30,12 +29,11 @@ def crowded() -> tuple[Simulation, tuple[Person, ...]]:
     A third of the bodies take a limb from a neighbour.
     """
     simulation = record(replace(find_scene("exchange"), duration_s=4.0), 5, 6)
-    session = KeypointSession(
-        simulation.cameras, simulation.times, simulation.timebase, simulation.detections, simulation.joints, {}, ()
+    association = Association(
+        simulation.cameras, simulation.times, simulation.timebase, simulation.joints, ReconstructionConfig()
     )
-    config = ReconstructionConfig()
     bodies = gather(simulation.cameras, simulation.times, simulation.detections)
-    people = assign_identities(session, track(session, bodies, config), simulation.joints, config)
+    people = association.assign_identities(association.track(bodies))
     return simulation, tuple(zip(people.tracks, people.observations, strict=True))
 
 
