@@ -16,7 +16,7 @@ UFBX := .venv-ufbx
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow verify-exports verify-converters verify-calibration verify-speed verify-containers soak hostile check benchmark format lock clean blender-extension
+.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-containers soak hostile check benchmark format lock clean blender-extension
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -172,8 +172,10 @@ DESELECTED := not benchmark and not blender and not soak and not hostile
 test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (10 minutes)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
-test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests, and those of the pipeline again with shapes checked (two hours)
+test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests
 	$(PYTEST) -m "$(DESELECTED) and slow"
+
+test-shapes: test-data ffmpeg readers  ## Run the tests of the pipeline again, with shapes and types of all calls checked
 	MULTICAP_CHECK_SHAPES=1 $(PYTEST) -m "$(DESELECTED) and not slow" tests/pipeline
 
 soak: setup  ## Run 200 jobs disturbed by faults, and 100 rounds of 20 jobs under outages (two hours)

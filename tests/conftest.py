@@ -16,14 +16,14 @@ from pipeline.runtime import child_processes
 from tests.warm_programs import WarmPrograms
 
 # The machines are shared: how long an example takes says nothing. Laws of the pipeline have the usual 100 examples in
-# `make test-slow`, where shapes are checked.
+# `make test-shapes`.
 settings.register_profile("shared", deadline=None, max_examples=100 if os.environ.get("MULTICAP_CHECK_SHAPES") else 40)
 settings.load_profile("shared")
 
 # A shell starts background programs with SIGINT ignored, and their children inherit it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Shapes and types of every public call, checked at twice the time: `make test-slow` does.
+# Shapes and types of every public call, checked at twice the time: `make test-shapes` does.
 if os.environ.get("MULTICAP_CHECK_SHAPES"):
     importlib.import_module("tests.type_checker")  # the hook looks the name up in packages that are loaded
     install_import_hook("pipeline", "tests.type_checker.checked")

@@ -213,6 +213,7 @@ def test_a_board_that_is_not_there_fails_the_job_with_the_cameras(making: Live, 
     assert "calibration_unmade" in {one["code"] for one in problem["errors"]}
 
 
+@pytest.mark.slow
 def test_a_canceled_calibration_can_be_tried_again(making: Live, videos: list[Path]) -> None:
     answer = send(making, videos[:1], method="board", board=SPEC)
     assert answer.status_code == 202, answer.text

@@ -151,6 +151,7 @@ def test_two_that_send_the_same_at_once_disturb_nothing(uploads: SharedUploads) 
     assert uploads.file(upload).read_bytes() == CONTENT
 
 
+@pytest.mark.slow
 def test_thousands_of_pieces_become_few_blocks(
     uploads: SharedUploads, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,8 +12,8 @@ from tests.pipeline.geometry.test_camera import camera
 @pytest.mark.parametrize("kind", ["read-only", "with steps"])
 def test_other_arrays_compile_no_kernel_and_change_nothing(kind: str) -> None:
     rng = np.random.default_rng(1)
-    matrices, points_px = rng.normal(size=(3, 3, 4)), rng.uniform(0.0, 100.0, (5, 3, 2, 2))
-    weights, xyz_m = np.ones((5, 3, 2)), rng.normal(size=(5, 2, 3))
+    matrices, points_px = rng.normal(size=(3, 3, 4)), rng.uniform(0.0, 100.0, (5, 3, 17, 2))
+    weights, xyz_m = np.ones((5, 3, 17)), rng.normal(size=(5, 17, 3))
 
     def computed(*arrays: np.ndarray) -> list[np.ndarray]:
         points, factors, places = arrays

@@ -34,6 +34,7 @@ COST = JobCost(
 )
 
 
+@pytest.mark.slow
 def test_a_job_is_measured_in_a_process_of_its_own() -> None:
     simulation = crowd(3, 1, 1.0)
     cost = measure_job(partial(simulated_session, simulation), ReconstructionConfig(), "cpu")

@@ -35,6 +35,7 @@ def test_frames_wait_while_the_core_is_busy(monkeypatch: pytest.MonkeyPatch) -> 
     assert len(taken_ms) == 50
 
 
+@pytest.mark.slow
 def test_switches_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     room = record(replace(SCENES["room"], duration_s=5.0), 0)
     figures = live.compare_with_finished(room)

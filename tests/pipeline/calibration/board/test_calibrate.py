@@ -38,6 +38,7 @@ def distance_mm(found: tuple[Camera, ...], truth: tuple[Camera, ...], board: Boa
     return min((1000 * np.linalg.norm(found_m - way_m, axis=1) for way_m in ways_m), key=np.max)
 
 
+@pytest.mark.slow
 def test_a_small_rig_is_recovered_from_a_short_video() -> None:
     made = calibrate_board(simulated(CHARUCO, num_cameras=3, num_poses=24), CHARUCO, None, 25.0)
     truth = ring(3)

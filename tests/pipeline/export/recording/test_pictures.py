@@ -63,6 +63,7 @@ def test_heads_are_blurred(tmp_path: Path) -> None:
     np.testing.assert_array_equal(blurred[0], plain[0])
 
 
+@pytest.mark.slow
 def test_pictures_that_compress_badly_are_fewer(tmp_path: Path) -> None:
     session, timebase = noisy_session(tmp_path, 10), Timebase(0.0, 10.0, 10)
     all_of_them = list(small_pictures(session, timebase, "front", 2**30, ignore))

@@ -71,6 +71,7 @@ def hinge_angles_rad(motion: SkeletonMotion, side: Side) -> np.ndarray:
     return np.stack(found, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", SIDES)
 def test_fingers_are_accurate_in_noise(side: Side) -> None:
     error = error_m(noisy(), side)
