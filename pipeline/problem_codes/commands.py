@@ -91,3 +91,6 @@ TAKE_UNCALIBRATED = COMMANDS.code(
     "A take has no calibration.",
     "Give `--calibration`, or put a file `calibration.*` into the take.",
 )
+OUTPUT_EXISTS = COMMANDS.code(
+    "output_exists", _COMMAND, "The folder for new files has files already.", "Name a new or empty folder."
+)

@@ -72,3 +72,27 @@ LIVE_FAILED = LIVE.code(
     "The computation of the capture failed or did not answer in time; other captures go on.",
     "Start the capture again; if it fails again, send the operator the `request_id`.",
 )
+
+
+STREAMS = CodeGroup(
+    "Cameras of live captures", "Problems of the cameras of `multicap live`; see [live cameras](live_cameras.md)."
+)
+
+CAMERA_SOURCE = STREAMS.code(
+    "camera_source",
+    ("command",),
+    "`--camera` is not CAMERA=SOURCE, names an unknown camera or one twice, or there are fewer than two.",
+    "Name two cameras of the calibration or more, each with its stream, device or file.",
+)
+STREAM_REFUSED = STREAMS.code(
+    "stream_refused",
+    ("command",),
+    "The address of a stream answers, but gives no stream, or nothing is at the address.",
+    "Check the address, and user and password in it.",
+)
+STREAM_SILENT = STREAMS.code(
+    "stream_silent",
+    ("command",),
+    "A camera does not answer, or sends no pictures for seconds.",
+    "See that the camera is on and reached from this machine.",
+)

@@ -36,14 +36,17 @@ _READ_BYTES = 2**16
 _WAIT_S = 0.01
 
 
-def start_child(max_cpu_s: int) -> None:
+def start_child(max_cpu_s: int | None) -> None:
     """Limit this process's memory, computing time and files, and print the line ``READY``.
+
+    ``None`` is no limit on the time: the parent watches the process of a stream without an end.
 
     The process opens one file. It writes nothing but its log, and no core dump when it crashes.
     """
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     # SIGXCPU at the first limit, which is caused by the file; SIGKILL, whose cause is unknown, at the second.
-    resource.setrlimit(resource.RLIMIT_CPU, (max_cpu_s, max_cpu_s + 5))
+    if max_cpu_s is not None:
+        resource.setrlimit(resource.RLIMIT_CPU, (max_cpu_s, max_cpu_s + 5))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (_MAX_LOG_BYTES, _MAX_LOG_BYTES))
     resource.setrlimit(resource.RLIMIT_NOFILE, (_MAX_OPEN_FILES, _MAX_OPEN_FILES))

@@ -79,11 +79,11 @@ def _write_frames(request: Request, shared_file: int) -> None:
                 continue
             is_wanted = request.first_pts <= pts <= request.last_pts and (only_pts is None or pts in only_pts)
             if is_wanted and (frame.width, frame.height) == (request.width, request.height):
-                to_rgb = to_rgb or _rgb_converter(frame, request.square_width)
+                to_rgb = to_rgb or rgb_converter(frame, request.square_width)
                 to_rgb.vpush(frame)
                 rgb = to_rgb.vpull()
                 is_free.acquire()
-                _write_rows(rgb, picture)
+                write_rows(rgb, memoryview(picture))
             else:
                 is_wanted = False
             sys.stdout.buffer.write(FRAME.pack(pts, frame.width, frame.height, is_damaged, is_wanted))
@@ -108,7 +108,7 @@ def _read_stdin(is_free: threading.Semaphore) -> None:
     os._exit(1)
 
 
-def _rgb_converter(frame: VideoFrame, square_width: int) -> Graph:
+def rgb_converter(frame: VideoFrame, square_width: int) -> Graph:
     """Build a converter for frames of this size and format: a filter graph, which reuses the memory of pictures."""
     is_square = frame.width == square_width
     graph = Graph()
@@ -121,8 +121,8 @@ def _rgb_converter(frame: VideoFrame, square_width: int) -> Graph:
     return graph.link_nodes(source, scale, rgb, graph.add("buffersink"))
 
 
-def _write_rows(frame_rgb: VideoFrame, picture: mmap.mmap) -> None:
-    """Copy a picture to the shared file without the padding of its rows."""
+def write_rows(frame_rgb: VideoFrame, picture: memoryview) -> None:
+    """Copy a picture to shared memory without the padding of its rows."""
     plane = frame_rgb.planes[0]
     rows, row_bytes = memoryview(plane), 3 * frame_rgb.width
     if plane.line_size == row_bytes:

@@ -1,0 +1,184 @@
+"""`multicap live`: cameras or streams in, people out, while it happens."""
+
+import contextlib
+import signal
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api.cli.console import JsonOption, console, print_table, reporting
+from api.cli.live.outputs import JsonLines, KeptKeypoints, Outputs, Terminal, VmcReceivers, summary_line
+from api.cli.options import (
+    ProviderOption,
+    UnitsOption,
+    UpOption,
+    checked,
+    known_units,
+    known_up,
+    take_provider,
+    with_choices,
+)
+from pipeline.calibration.registry import read_calibration
+from pipeline.config import PROFILES
+from pipeline.errors import ChildError, InputError, PipelineError, Problem
+from pipeline.live.cameras.detection import num_processes, start_detecting
+from pipeline.live.cameras.run import CameraRun, LiveListener
+from pipeline.live.cameras.sources import read_sources
+from pipeline.live.cameras.totals import LiveTotals
+from pipeline.live.vmc import VmcSender
+from pipeline.problem_codes.commands import OUTPUT_EXISTS, PARAMETER_RANGE
+from pipeline.rules import require
+from pipeline.runtime.child_processes import ProcessPool
+from pipeline.warm_up import warm_up
+
+
+@with_choices("joints")
+def command(
+    calibration: Annotated[Path, typer.Option(help="Calibration file, as of multicap reconstruct.")],
+    camera: Annotated[
+        list[str],
+        typer.Option(
+            metavar="CAMERA=SOURCE",
+            help="Source of a camera: rtsp://..., http://... (MJPEG, MPEG-TS), a device (/dev/video0), or a video "
+            "file, which is played at its own pace. Repeatable.",
+        ),
+    ],
+    *,
+    units: UnitsOption = None,
+    up: UpOption = "z",
+    profile: Annotated[
+        str, typer.Option(metavar="|".join(PROFILES), help="Networks that find the 2D joints, by speed and accuracy.")
+    ] = "fast",
+    chosen: Mapping[str, Any],
+    provider: ProviderOption = None,
+    vmc: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="Receiver of the VMC protocol, which shows one person; repeatable for further people.",
+        ),
+    ] = None,
+    allow_network: Annotated[bool, typer.Option("--allow-network", help="Allow receivers on other machines.")] = False,
+    output: Annotated[
+        Path | None, typer.Option(help="File for the people of each instant, a line of JSON each.")
+    ] = None,
+    keep: Annotated[
+        Path | None, typer.Option(help="New folder for the keypoints, as a session that multicap reconstruct takes.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Capture people live from cameras, streams or files, until Ctrl-C or the end of the files.
+
+    With --json each instant is a line of JSON on stdout.
+    """
+    with reporting(as_json), contextlib.ExitStack() as opened:
+        choices = checked({**chosen, "profile": profile})
+        take_provider(provider)
+        with collecting() as collect:
+            cameras = collect(lambda: read_calibration(calibration, known_units(units), known_up(up))) or ()
+            sources = collect(lambda: read_sources(camera, [known.name for known in cameras])) if cameras else None
+            senders = [
+                collect(partial(opened.enter_context, sender))
+                for address in vmc or ()
+                if (sender := collect(partial(_vmc_sender, address, allow_network))) is not None
+            ]
+            collect(lambda: require(_keep_problems(keep)))
+        by_name = {known.name: known for known in cameras}
+        lines = [JsonLines(sys.stdout)] if as_json else []
+        if output is not None:
+            lines.append(JsonLines(opened.enter_context(_opened(output))))
+        outputs: list[LiveListener] = [*lines, VmcReceivers(senders)]
+        if keep is not None:
+            outputs.append(KeptKeypoints(keep))
+        if not as_json:
+            outputs.append(Terminal(opened.enter_context(console.status("Opening the cameras ..."))))
+        run = CameraRun([by_name[source.camera] for source in sources or ()], sources or (), choices, Outputs(outputs))
+        warm_up([run.joints])
+        try:
+            with _stopped_by_signals(run.stop), ProcessPool(num_processes(), start_detecting, [choices]) as pool:
+                run.run(pool)
+        except BrokenProcessPool as error:
+            raise ChildError(
+                "A process that detects was ended from outside, most likely for lack of memory."
+            ) from error
+        for file in lines:
+            file.write({"type": "ended", **run.totals.document()})
+    if not as_json:
+        _print_summary(run.totals)
+
+
+@contextlib.contextmanager
+def collecting() -> Iterator[Callable[[Callable[[], Any]], Any]]:
+    """Collect the problems of several steps, and raise them together at the end of the block."""
+    problems: list[Problem] = []
+
+    def collect(step: Callable[[], Any]) -> Any:
+        try:
+            return step()
+        except InputError as error:
+            problems.extend(error.problems)
+            return None
+
+    yield collect
+    require(problems)
+
+
+def _vmc_sender(address: str, allow_network: bool) -> VmcSender:
+    host, _, port = address.rpartition(":")
+    if not port.isdecimal():
+        message, hint = f"{address!r} is not [HOST:]PORT.", "Write it as 39539 or 127.0.0.1:39539."
+        raise InputError([Problem(PARAMETER_RANGE, message, field="vmc", hint=hint)])
+    return VmcSender(host.strip("[]") or "127.0.0.1", [int(port)], allow_network=allow_network)
+
+
+def _keep_problems(folder: Path | None) -> Iterator[Problem]:
+    if folder is not None and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        message = "There are files already."
+        yield Problem(OUTPUT_EXISTS, message, file=folder.name, field="keep", hint="Name a new or empty folder.")
+
+
+def _opened(path: Path) -> Any:
+    try:
+        return path.open("w", encoding="utf-8")
+    except OSError as error:
+        raise PipelineError(f"{path.name} can't be written: {error.strerror}.") from error
+
+
+@contextlib.contextmanager
+def _stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
+    """End the capture at the first SIGINT or SIGTERM; another one interrupts as usual."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in numbers}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def stop_once(*_: object) -> None:
+        restore()
+        stop()
+
+    for number in numbers:
+        signal.signal(number, stop_once)
+    try:
+        yield
+    finally:
+        restore()
+
+
+def _print_summary(totals: LiveTotals) -> None:
+    """Frames of each camera, then rate, people and latency."""
+    print_table(
+        ("camera", "frames", "detected", "dropped", "times lost"),
+        (
+            (camera.name, str(camera.decoded), str(camera.detected), str(camera.dropped), str(camera.lost))
+            for camera in totals.cameras
+        ),
+    )
+    p99 = totals.latencies.percentile_ms(99)
+    typer.echo(summary_line(totals) + ("" if p99 is None else f", p99 {p99:.0f} ms"))

@@ -1,0 +1,211 @@
+"""Outputs of `multicap live`: each listens to the capture."""
+
+import csv
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, Any
+
+from rich.status import Status
+
+from api.cli.console import console
+from pipeline.calibration.write import encode
+from pipeline.capture.keypoint_files.writing import encode_frame
+from pipeline.data.cameras import Camera
+from pipeline.errors import PipelineError
+from pipeline.joints import JointSet
+from pipeline.live.cameras.run import LiveListener
+from pipeline.live.cameras.totals import LiveTotals
+from pipeline.live.packing import instant_json
+from pipeline.live.recorded import RecordedFrame
+from pipeline.live.records import LiveInstant
+from pipeline.live.vmc import VmcSender
+from pipeline.skeleton.model import SKELETON
+
+# A receiver whose person is out of sight for so long gets the next person.
+_GONE_S = 2.0
+
+
+class Outputs(LiveListener):
+    """Several outputs as one listener."""
+
+    def __init__(self, outputs: Iterable[LiveListener]) -> None:
+        self._outputs = tuple(outputs)
+
+    def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
+        """See ``LiveListener``."""
+        for output in self._outputs:
+            output.begin(cameras, joints, frame_rate_hz)
+
+    def take(self, camera: Camera, frame: RecordedFrame) -> None:
+        """See ``LiveListener``."""
+        for output in self._outputs:
+            output.take(camera, frame)
+
+    def show(self, instant: LiveInstant, latency_s: float) -> None:
+        """See ``LiveListener``."""
+        for output in self._outputs:
+            output.show(instant, latency_s)
+
+    def tell(self, sentence: str) -> None:
+        """See ``LiveListener``."""
+        for output in self._outputs:
+            output.tell(sentence)
+
+    def tick(self, totals: LiveTotals) -> None:
+        """See ``LiveListener``."""
+        for output in self._outputs:
+            output.tick(totals)
+
+
+def ready_document(cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> dict[str, Any]:
+    """Names of what instants have, as of the message ``ready`` of the service."""
+    return {
+        "type": "ready",
+        "cameras": [camera.name for camera in cameras],
+        "joints": joints.names,
+        "bones": [joint.name for joint in SKELETON],
+        "parents": [joint.parent for joint in SKELETON],
+        "frame_rate_hz": frame_rate_hz,
+    }
+
+
+class JsonLines(LiveListener):
+    """Lines of JSON in an open file: ``ready``, an ``instant`` each, ``notice`` in between."""
+
+    def __init__(self, file: IO[str]) -> None:
+        self._file, self._sequence = file, 0
+
+    def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
+        """Write the names, and the time at which the capture begins."""
+        started_at = datetime.now(UTC).isoformat(timespec="milliseconds")
+        self.write(ready_document(cameras, joints, frame_rate_hz) | {"started_at": started_at})
+
+    def show(self, instant: LiveInstant, latency_s: float) -> None:
+        """Write an instant."""
+        document = instant_json(instant, self._sequence)
+        self.write({"type": "instant", **document, "latency_s": round(latency_s, 4)})
+        self._sequence += 1
+
+    def tell(self, sentence: str) -> None:
+        """Write what has changed."""
+        self.write({"type": "notice", "message": sentence})
+
+    def write(self, document: dict[str, Any]) -> None:
+        """Write a line."""
+        with _writing("The lines"):
+            self._file.write(json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":")) + "\n")
+            self._file.flush()
+
+
+class KeptKeypoints(LiveListener):
+    """Session of keypoints in a folder, which ``multicap reconstruct`` takes: files as they come.
+
+    Parameters
+    ----------
+    folder
+        New or empty folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._num_frames: dict[str, int] = {}
+        self._joints: JointSet | None = None
+
+    def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
+        """Write the calibration, and make the folders."""
+        self._joints = joints
+        with _writing(self._folder.name):
+            for camera in cameras:
+                (self._folder / "keypoints" / camera.name).mkdir(parents=True, exist_ok=True)
+            (self._folder / "calibration.json").write_bytes(encode(cameras))
+            self._write_times([("camera", "frame", "time_s")])
+
+    def take(self, camera: Camera, frame: RecordedFrame) -> None:
+        """Write a frame and its time."""
+        if self._joints is None:
+            return
+        number = self._num_frames.get(camera.name, 0)
+        path = self._folder / "keypoints" / camera.name / f"frame_{number:012d}_keypoints.json"
+        with _writing(self._folder.name):
+            path.write_bytes(encode_frame(frame.points_px, frame.score, self._joints))
+            self._write_times([(camera.name, number, repr(frame.time_s))])
+        self._num_frames[camera.name] = number + 1
+
+    def _write_times(self, rows: Iterable[Sequence[object]]) -> None:
+        with (self._folder / "timestamps.csv").open("a", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+
+class VmcReceivers(LiveListener):
+    """Receivers of VMC, each of which shows one person.
+
+    The first person goes to the first receiver, and so on. A receiver whose person has gone gets the next one.
+    """
+
+    def __init__(self, senders: Sequence[VmcSender]) -> None:
+        self._senders = senders
+        self._shown: list[int | None] = [None] * len(senders)
+        self._seen_s = [0.0] * len(senders)
+
+    def show(self, instant: LiveInstant, latency_s: float) -> None:
+        """Send the people."""
+        people = {person.id: person for person in instant.people}
+        for place, number in enumerate(self._shown):
+            if number in people:
+                self._seen_s[place] = instant.time_s
+            elif instant.time_s - self._seen_s[place] > _GONE_S:
+                self._shown[place] = None
+        waiting = iter(sorted(people.keys() - set(self._shown)))
+        for place, sender in enumerate(self._senders):
+            if self._shown[place] is None and (number := next(waiting, None)) is not None:
+                self._shown[place], self._seen_s[place] = number, instant.time_s
+            person = people.get(self._shown[place] or 0)
+            if person is not None:
+                sender.send(replace(instant, people=(replace(person, id=1),)))
+
+
+class Terminal(LiveListener):
+    """Line on stderr that says how the capture goes, and what changes."""
+
+    def __init__(self, status: Status) -> None:
+        self._status = status
+
+    def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
+        """Tell that it begins."""
+        console.print(f"{len(cameras)} cameras, {frame_rate_hz:.4g} Hz. Ctrl-C ends the capture.")
+
+    def tell(self, sentence: str) -> None:
+        """Print what has changed."""
+        console.print(sentence, soft_wrap=True)
+
+    def tick(self, totals: LiveTotals) -> None:
+        """Show rate, latency and dropped frames."""
+        self._status.update(summary_line(totals))
+
+
+def summary_line(totals: LiveTotals) -> str:
+    """Rate that was reached, people, latency and dropped frames, in one line."""
+    p50, p95 = (totals.latencies.percentile_ms(percent) for percent in (50, 95))
+    decoded = sum(camera.decoded for camera in totals.cameras)
+    dropped = sum(camera.dropped for camera in totals.cameras)
+    parts = [
+        f"{totals.duration_s:.0f} s",
+        f"{totals.instants / max(totals.duration_s, 1e-3):.1f} Hz",
+        f"{totals.people} people",
+        "no people yet" if p50 is None else f"latency {p50:.0f} ms (p95 {p95:.0f} ms)",
+        f"{100 * dropped / max(decoded, 1):.0f} % of frames dropped",
+    ]
+    return ", ".join(parts)
+
+
+@contextmanager
+def _writing(name: str) -> Iterator[None]:
+    """Turn an error of the disk into a sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise PipelineError(f"{name} can't be written: {error.strerror}.") from error

@@ -1,0 +1,1 @@
+"""Cameras of a live capture: streams opened and decoded in child processes, people detected in the newest pictures."""
