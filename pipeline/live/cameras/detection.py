@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -9,11 +10,14 @@ from jaxtyping import Float
 
 from pipeline.config import MotionChoices, detected_joints, networks_of
 from pipeline.detect.profiles.detection import open_detection
+from pipeline.detect.profiles.sizes import RULES, USUAL_PX, CameraSizes, SizeRule, body_spans_px, choose_sizes
 from pipeline.detect.providers.find import current_provider
 from pipeline.video.rotation import Rotator
 
 # Below the processes that decode, which must not fall behind.
 _NICE = 5
+# Pictures by which a size is chosen.
+_NUM_LATEST = 50
 
 
 class DetectionJob(NamedTuple):
@@ -25,6 +29,7 @@ class DetectionJob(NamedTuple):
     slot: int  # Number of the picture in the file
     rotation_deg: int  # Counterclockwise turn of the picture for display
     turn_deg: float  # Counterclockwise turn that brings the shown picture upright
+    sizes: CameraSizes | None  # Size of the picture in the network's input; ``None``: the usual one
 
 
 class DetectedBodies(NamedTuple):
@@ -32,6 +37,7 @@ class DetectedBodies(NamedTuple):
 
     keypoints_px: Float[np.ndarray, "bodies joints 2"]  # NaN where a joint was not found
     score: Float[np.ndarray, "bodies joints"]
+    spans_px: Float[np.ndarray, " bodies"]  # Size of each body, see ``body_spans_px``
     duration_s: float  # Time that the detection took: of a core, which other programs don't lengthen, or of the GPU
 
 
@@ -52,6 +58,37 @@ def detect_bodies(job: DetectionJob) -> DetectedBodies:
     started_s = clock()
     pictures = np.memmap(job.path, np.uint8, "r", shape=job.shape)
     image_rgb = Rotator()(pictures[job.slot], job.rotation_deg // 90)
-    detector = open_detection(networks_of(job.choices), detected_joints(job.choices), turn_deg=job.turn_deg)
+    detector = open_detection(networks_of(job.choices), detected_joints(job.choices), job.sizes, job.turn_deg)
     bodies = detector.detect(image_rgb)
-    return DetectedBodies(bodies.keypoints_px, bodies.score, clock() - started_s)
+    spans_px = body_spans_px(bodies, job.turn_deg)
+    return DetectedBodies(bodies.keypoints_px, bodies.score, spans_px, clock() - started_s)
+
+
+class PictureSize:
+    """Size of a camera's pictures in the network's input, by the people in the latest pictures.
+
+    The rule is that of finished sessions, but for one pass that is at most as large as the usual one: what is found out
+    about people must not make the detection slower than it was measured at the start.
+
+    Parameters
+    ----------
+    size_px
+        Width and height of the upright pictures.
+    """
+
+    def __init__(self, choices: MotionChoices, size_px: tuple[int, int]) -> None:
+        rule = RULES[choices.profile]
+        self._rule = SizeRule(rule.span_px, min(rule.max_px, USUAL_PX)) if networks_of(choices).is_sized else None
+        self._size_px = size_px
+        self._spans_px: deque[Float[np.ndarray, " bodies"]] = deque(maxlen=_NUM_LATEST)
+        self._num_until_choice = 1
+        self.sizes: CameraSizes | None = None
+
+    def add(self, spans_px: Float[np.ndarray, " bodies"]) -> None:
+        """Take the bodies of a picture; choose the size by the first one, and anew after many."""
+        self._spans_px.append(spans_px)
+        self._num_until_choice -= 1
+        if self._num_until_choice == 0 and self._rule is not None:
+            self._num_until_choice = _NUM_LATEST
+            chosen = choose_sizes(list(self._spans_px), self._size_px, self._rule)
+            self.sizes = CameraSizes(chosen.scaled_px[-1:])

@@ -7,12 +7,13 @@ import statistics
 import time
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 
 from pipeline.calibration.sizes import fit_to_video
 from pipeline.config import MotionChoices, networks_of
 from pipeline.data.cameras import Camera
+from pipeline.data.turns import upright_size_px
 from pipeline.detect.models import verify
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.detect.upright import turn_of_roll
@@ -21,6 +22,7 @@ from pipeline.joints import JointSet
 from pipeline.live.cameras.detection import (
     DetectedBodies,
     DetectionJob,
+    PictureSize,
     detect_bodies,
     num_processes,
 )
@@ -34,7 +36,6 @@ from pipeline.live.recorded import RecordedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
 from pipeline.problem_codes.sessions import SIZE_MISMATCH
-from pipeline.runtime.child_processes import ProcessPool
 
 # Time in which the rates of streams are measured.
 _MEASURED_S = 1.0
@@ -130,7 +131,7 @@ class CameraRun:
         self._is_stopped = True
         self._events.put(None)
 
-    def run(self, pool: ProcessPool) -> None:
+    def run(self, pool: Executor) -> None:
         """Run to the end of all files, or until ``stop``.
 
         Raises
@@ -144,7 +145,8 @@ class CameraRun:
         ]
         try:
             self._open()
-            self._run(feeds, pool)
+            if not self._is_stopped:
+                self._run(feeds, pool)
         finally:
             for feed in feeds:
                 feed.close()
@@ -169,12 +171,17 @@ class CameraRun:
                     self._listener.tell(f"{camera.name}: {fitted[1]}.")
         if problems:
             raise InputError([problems[number] for number in sorted(problems)])
+        self._turns_deg = [turn_of_roll(camera) or 0.0 for camera in self._cameras]
+        self._sizes = [
+            PictureSize(self._choices, upright_size_px(camera.size_px, turn_deg))
+            for camera, turn_deg in zip(self._cameras, self._turns_deg, strict=True)
+        ]
 
-    def _run(self, feeds: Sequence[CameraFeed], pool: ProcessPool) -> None:
+    def _run(self, feeds: Sequence[CameraFeed], pool: Executor) -> None:
         detections_hz = self._measure_detection(feeds, pool)
-        rate_hz = self._measure_rate()
         if self._is_stopped:
             return
+        rate_hz = self._measure_rate()
         every = frames_in_slot(rate_hz, len(feeds), (1 - _REST) * detections_hz)
         period_s = every / rate_hz
         settings = LiveSettings(1 / period_s, window_s=max(_WINDOW_S, _WINDOW_PERIODS * period_s))
@@ -207,7 +214,7 @@ class CameraRun:
         for instant in capture.flush():
             self._show(instant, start_s)
 
-    def _measure_detection(self, feeds: Sequence[CameraFeed], pool: ProcessPool) -> float:
+    def _measure_detection(self, feeds: Sequence[CameraFeed], pool: Executor) -> float:
         """Pictures that the processes detect in a second, by the first picture of each camera."""
         for feed in feeds:
             feed.ask(0)
@@ -220,6 +227,8 @@ class CameraRun:
         for _ in range(_NUM_PASSES) if ready else ():
             jobs = [self._job(picture) for picture in itertools.islice(itertools.cycle(ready), num_jobs)]
             futures = [pool.submit(detect_bodies, job) for job in jobs]
+            for job_number, future in enumerate(futures):
+                self._sizes[ready[job_number % len(ready)].camera].add(future.result().spans_px)
             durations_s = [future.result().duration_s for future in futures]
         return self._num_processes / statistics.median(durations_s)
 
@@ -256,7 +265,7 @@ class CameraRun:
             case FeedEnded(_, Problem() as problem):
                 raise InputError([problem])
 
-    def _handle(self, event: FeedEvent | None, pace: Pace, pool: ProcessPool) -> None:
+    def _handle(self, event: FeedEvent | None, pace: Pace, pool: Executor) -> None:
         match event:
             case FrameDecoded(camera, number, time_s):
                 totals = self.totals.cameras[camera]
@@ -314,6 +323,7 @@ class CameraRun:
             while tickets and tickets[0].bodies.done():
                 ticket = tickets.popleft()
                 bodies = ticket.bodies.result()
+                self._sizes[camera].add(bodies.spans_px)
                 self._free[camera].add(ticket.slot)
                 self._num_pending -= 1
                 self.totals.cameras[camera].detected += 1
@@ -336,9 +346,9 @@ class CameraRun:
     def _job(self, picture: PictureReady) -> DetectionJob:
         """Detection in a picture, which the calibration turns upright."""
         number, pictures = picture.camera, picture.pictures
-        turn_deg = turn_of_roll(self._cameras[number]) or 0.0
-        rotation_deg = self._opened[number].format.rotation_deg
-        return DetectionJob(self._choices, pictures.path, pictures.shape, picture.slot, rotation_deg, turn_deg)
+        rotation_deg, turn_deg = self._opened[number].format.rotation_deg, self._turns_deg[number]
+        sizes = self._sizes[number].sizes
+        return DetectionJob(self._choices, pictures.path, pictures.shape, picture.slot, rotation_deg, turn_deg, sizes)
 
 
 def _size_problem(camera: Camera, opened: FeedOpened, source: CameraSource) -> Problem:

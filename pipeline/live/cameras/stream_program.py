@@ -225,7 +225,8 @@ def _usual_problem(error: Exception) -> UnusableError:
         return UnusableError(STREAM_REFUSED, "The camera wants a user and a password, or others.", hint)
     if isinstance(error, ConnectionError | FileNotFoundError) or (isinstance(error, OSError) and error.errno):
         return UnusableError(STREAM_REFUSED, f"The stream can't be opened: {text}.", "Check the address.")
-    return UnusableError(VIDEO_UNREADABLE, "The stream can't be read: it is damaged or of an unknown format.")
+    hint = "Send H.264 or HEVC by RTSP, or MJPEG or MPEG-TS by HTTP; play files of MP4, MOV, MKV, AVI or MPEG."
+    return UnusableError(VIDEO_UNREADABLE, "The stream can't be read: it is damaged or of an unknown format.", hint)
 
 
 def _say(kind: str, **values: object) -> None:

@@ -1,0 +1,89 @@
+"""Outputs of live captures: lines of JSON, kept keypoints, receivers of VMC."""
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from api.cli.live.outputs import JsonLines, KeptKeypoints, VmcReceivers
+from pipeline.capture.keypoints import open_keypoints
+from pipeline.errors import PipelineError
+from pipeline.live.capture import LiveCapture
+from pipeline.live.recorded import recorded_frames
+from pipeline.live.records import LiveInstant, LivePerson
+from pipeline.live.settings import LiveSettings
+from pipeline.simulation.scenes import SCENES, Joints, record
+
+RATE_HZ = 25.0
+
+
+@pytest.mark.parametrize("joints", ["body", "feet"])
+def test_what_is_kept_is_a_session(tmp_path: Path, joints: Joints) -> None:
+    simulation = record(replace(SCENES["room"], duration_s=1.0), 0, 3, joints)
+    kept = KeptKeypoints(tmp_path / "kept")
+    kept.begin(simulation.cameras, simulation.joints, RATE_HZ)
+    cameras = simulation.cameras
+    for frame in recorded_frames(cameras, simulation.times, simulation.detections):
+        kept.take(cameras[frame.camera], frame)
+    folder = tmp_path / "kept"
+    session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
+    assert [camera.name for camera in session.cameras] == [camera.name for camera in cameras]
+    shared = [name for name in simulation.joints.names if name in session.joints.names]
+    assert len(shared) == len(simulation.joints.names)
+    for camera in cameras:
+        given, found = simulation.detections[camera.name], session.detections[camera.name]
+        np.testing.assert_array_equal(found.frame, given.frame)
+        np.testing.assert_allclose(session.times[camera.name].time_s, simulation.times[camera.name].time_s)
+        places = session.joints.indices(simulation.joints.names)
+        np.testing.assert_allclose(found.keypoints_px[:, places], given.keypoints_px, atol=1e-9)
+
+
+def test_a_line_is_an_instant() -> None:
+    simulation, file = record(replace(SCENES["room"], duration_s=0.4), 0, 3), io.StringIO()
+    lines = JsonLines(file)
+    lines.begin(simulation.cameras, simulation.joints, RATE_HZ)
+    lines.tell("cam_00 is lost.")
+    capture = LiveCapture(simulation.cameras, simulation.joints, LiveSettings(RATE_HZ))
+    for frame in recorded_frames(simulation.cameras, simulation.times, simulation.detections):
+        for instant in capture.push(*frame):
+            lines.show(instant, 0.0123)
+    ready, notice, *instants = map(json.loads, file.getvalue().splitlines())
+    assert (ready["type"], ready["joints"], ready["frame_rate_hz"]) == ("ready", list(simulation.joints.names), 25.0)
+    assert notice == {"type": "notice", "message": "cam_00 is lost."}
+    assert [instant["sequence"] for instant in instants] == list(range(10))
+    assert {instant["latency_s"] for instant in instants} == {0.0123}
+    assert len(instants[-1]["people"]) == 3
+
+
+def test_a_full_disk_is_a_sentence(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w", encoding="utf-8") as full, pytest.raises(PipelineError, match="No space left"):
+        JsonLines(full).tell("x")
+    (tmp_path / "kept").touch()
+    simulation = record(replace(SCENES["room"], duration_s=0.1), 0, 2)
+    with pytest.raises(PipelineError, match="kept can't be written"):
+        KeptKeypoints(tmp_path / "kept").begin(simulation.cameras, simulation.joints, RATE_HZ)
+
+
+class Receiver:
+    """Receiver of VMC that notes whom it got."""
+
+    def __init__(self) -> None:
+        self.got: list[float] = []
+
+    def send(self, instant: LiveInstant) -> int:
+        (person,) = instant.people
+        assert person.id == 1
+        self.got.append(float(person.xyz_m[0, 0]))
+        return 1
+
+
+def test_a_receiver_keeps_its_person_and_gets_the_next_one() -> None:
+    receivers = [Receiver(), Receiver()]
+    vmc = VmcReceivers(receivers)  # type: ignore[arg-type]
+    for time_s, numbers in [(0.0, (1, 2, 3)), (1.0, (2, 3)), (2.5, (2, 3)), (3.0, (1, 2, 3))]:
+        people = tuple(LivePerson(number, np.full((17, 3), float(number)), None) for number in numbers)
+        vmc.show(LiveInstant(time_s, people, 0.0), 0.0)
+    assert [receiver.got for receiver in receivers] == [[1, 3, 3], [2, 2, 2, 2]]

@@ -1,0 +1,172 @@
+"""Live captures from files, with detections of a simulation in the place of networks."""
+
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data.cameras import Camera
+from pipeline.errors import InputError
+from pipeline.joints import COCO_17, JointSet
+from pipeline.live.cameras import feed as feeds
+from pipeline.live.cameras import run as runs
+from pipeline.live.cameras.detection import DetectedBodies, DetectionJob
+from pipeline.live.cameras.run import CameraRun, LiveListener
+from pipeline.live.cameras.sources import CameraSource
+from pipeline.live.cameras.totals import LiveTotals
+from pipeline.live.recorded import RecordedFrame
+from pipeline.live.records import LiveInstant
+from pipeline.problem_codes.live import STREAM_REFUSED, STREAM_SILENT
+from pipeline.problem_codes.sessions import SIZE_MISMATCH
+from pipeline.simulation.scenes import SCENES, Simulation, record
+from tests.pipeline.live.cameras.servers import serving, silent
+from tests.pipeline.media import write_pictures, write_video
+
+NUM_CAMERAS, SCALE = 3, 10
+CHOICES = ReconstructionConfig(profile="fast", joints="body")
+
+
+@pytest.fixture(scope="module")
+def room() -> Simulation:
+    return record(replace(SCENES["room"], duration_s=2.4), 0, NUM_CAMERAS)
+
+
+@pytest.fixture(scope="module")
+def clips(room: Simulation, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """A clip of each camera: its left half tells the number of the frame, the right one that of the camera."""
+    folder, paths = tmp_path_factory.mktemp("clips"), []
+    for number, camera in enumerate(room.cameras):
+        width, height = (side // SCALE for side in camera.size_px)
+        pictures = np.full((room.timebase.num_frames, height, width, 3), 20 + 40 * number, np.uint8)
+        pictures[:, :, : width // 2] = 20 + 3 * np.arange(len(pictures), dtype=np.uint8)[:, None, None, None]
+        paths.append(write_pictures(folder / f"{camera.name}.mp4", list(pictures)))
+    return paths
+
+
+class Seen(LiveListener):
+    """What was told of a capture."""
+
+    def __init__(self) -> None:
+        self.rate_hz, self.frames = 0.0, list[tuple[str, RecordedFrame]]()
+        self.instants, self.sentences = list[LiveInstant](), list[str]()
+        self.latencies_s, self.ticks = list[float](), 0
+
+    def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
+        self.rate_hz = frame_rate_hz
+
+    def take(self, camera: Camera, frame: RecordedFrame) -> None:
+        self.frames.append((camera.name, frame))
+
+    def show(self, instant: LiveInstant, latency_s: float) -> None:
+        self.instants.append(instant)
+        self.latencies_s.append(latency_s)
+
+    def tell(self, sentence: str) -> None:
+        self.sentences.append(sentence)
+
+    def tick(self, totals: LiveTotals) -> None:
+        self.ticks += 1
+
+
+def play(
+    room: Simulation, clips: Sequence[Path], monkeypatch: pytest.MonkeyPatch, detection_s: float, stop_s: float = 60.0
+) -> tuple[Seen, LiveTotals]:
+    """Capture the clips, with one process that takes some time for a picture."""
+    turn = threading.Lock()
+
+    def detect(job: DetectionJob) -> DetectedBodies:
+        with turn:
+            time.sleep(detection_s)
+        image = np.memmap(job.path, np.uint8, "r", shape=job.shape)[job.slot]
+        width = image.shape[1]
+        number = round((np.median(image[:, : width // 2 - 4]) - 20) / 3)
+        camera = room.cameras[round((np.median(image[:, width // 2 + 4 :]) - 20) / 40)]
+        detections = room.detections[camera.name]
+        rows = detections.frame == number
+        points_px = (detections.keypoints_px[rows] + 0.5) / SCALE - 0.5
+        return DetectedBodies(points_px, detections.score[rows], np.full(rows.sum(), 30.0), detection_s)
+
+    monkeypatch.setattr(runs, "verify", lambda name: None)
+    monkeypatch.setattr(runs, "num_processes", lambda: 1)
+    monkeypatch.setattr(runs, "detect_bodies", detect)
+    sources = [CameraSource(camera.name, "file", str(clip)) for camera, clip in zip(room.cameras, clips, strict=True)]
+    seen = Seen()
+    run = CameraRun(room.cameras, sources, CHOICES, seen)
+    timer = threading.Timer(stop_s, run.stop)
+    timer.start()
+    with ThreadPoolExecutor(2) as pool:
+        run.run(pool)
+    timer.cancel()
+    return seen, run.totals
+
+
+def test_people_are_where_they_are(room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, totals = play(room, clips, monkeypatch, detection_s=0.001)
+    num_frames = room.timebase.num_frames
+    assert [camera.decoded for camera in totals.cameras] == [num_frames] * NUM_CAMERAS
+    assert {camera.state for camera in totals.cameras} == {"ended"}
+    assert seen.rate_hz == pytest.approx(25.0)
+    assert seen.ticks in {1, 2, 3}
+    assert len(seen.frames) == sum(camera.detected for camera in totals.cameras)
+    assert all(latency_s >= 0.0 for latency_s in seen.latencies_s)
+    assert totals.document()["latency_ms"]["p50"] < 2000
+    shoulder, num_near = COCO_17.index("left_shoulder"), 0
+    for instant in seen.instants:
+        truth_m = room.truth_m[:, round(25 * instant.time_s), shoulder]
+        for person in instant.people:
+            num_near += bool((np.linalg.norm(truth_m - person.xyz_m[shoulder], axis=-1) < 0.15).any())
+    assert num_near > 0.9 * sum(len(instant.people) for instant in seen.instants) > num_frames
+    assert any(person.skeleton is not None for person in seen.instants[-1].people) == (seen.instants[-1].time_s > 3.0)
+
+
+def test_too_many_frames_are_dropped_evenly(
+    room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """22 pictures a second can be detected, of 75 that come."""
+    seen, totals = play(room, clips, monkeypatch, detection_s=0.045)
+    assert seen.rate_hz == pytest.approx(5.0)
+    assert "every 5th frame is used" in " ".join(seen.sentences)
+    detected = [camera.detected for camera in totals.cameras]
+    assert min(detected) >= 8
+    assert max(detected) - min(detected) <= 2
+    assert all(camera.dropped == camera.decoded - camera.detected for camera in totals.cameras)
+    assert max(seen.latencies_s) < 2.0
+
+
+@pytest.mark.parametrize("stop_s", [0.05, 1.5])
+def test_a_capture_is_stopped(
+    room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch, stop_s: float
+) -> None:
+    started_s = time.monotonic()
+    _, totals = play(room, clips, monkeypatch, detection_s=0.001, stop_s=stop_s)
+    assert time.monotonic() - started_s < 20.0
+    assert totals.duration_s < 2.4
+
+
+def test_all_cameras_that_are_wrong_are_named(
+    room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(runs, "verify", lambda name: None)
+    monkeypatch.setattr(feeds, "_OPEN_S", 4.0)
+    cameras = [*room.cameras, replace(room.cameras[0], name="other")]
+    square = write_video(tmp_path / "square.mp4", 3, (64, 64))
+    with serving(silent) as server:
+        sources = [
+            CameraSource(cameras[0].name, "rtsp", f"rtsp://127.0.0.1:{server.port}/"),
+            CameraSource(cameras[1].name, "file", str(clips[1])),
+            CameraSource(cameras[2].name, "file", str(square)),
+            CameraSource("other", "http", "http://127.0.0.1:1/"),
+        ]
+        with ThreadPoolExecutor(1) as pool, pytest.raises(InputError) as error:
+            CameraRun(cameras, sources, CHOICES, LiveListener()).run(pool)
+    assert [(problem.camera, problem.code) for problem in error.value.problems] == [
+        (cameras[0].name, STREAM_SILENT),
+        (cameras[2].name, SIZE_MISMATCH),
+        ("other", STREAM_REFUSED),
+    ]
