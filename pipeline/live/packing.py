@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.data.cameras import Camera
 from pipeline.live.packets import PERSON_HEAD, Dropped, InstantHead, KeypointsHead
 from pipeline.live.records import LiveInstant, LivePerson, LiveSkeleton
 
@@ -82,6 +83,17 @@ def _person(record: memoryview, head: InstantHead) -> LivePerson:
     )
     skeleton = LiveSkeleton(root, turns.reshape(bones, 4), lengths, joints.reshape(bones, 3))
     return LivePerson(number, located.reshape(head.num_joints, 3), skeleton if has_skeleton else None)
+
+
+def described_camera(camera: Camera) -> dict[str, object]:
+    """Camera as viewers draw it, in metres, Z up."""
+    pose = camera.cam_from_world
+    return {
+        "name": camera.name,
+        "size_px": camera.size_px,
+        "matrix": camera.matrix.tolist(),
+        "cam_from_world": {"rotation": pose.rotation.tolist(), "translation_m": pose.translation_m.tolist()},
+    }
 
 
 def instant_json(instant: LiveInstant, sequence: int) -> dict[str, Any]:

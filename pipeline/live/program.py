@@ -19,7 +19,7 @@ from pipeline.data.cameras import Camera
 from pipeline.errors import InputError
 from pipeline.layouts import LAYOUTS, KeypointLayout
 from pipeline.live.capture import LiveCapture
-from pipeline.live.packing import instant_json, pack_instant, unpack_keypoints
+from pipeline.live.packing import described_camera, instant_json, pack_instant, unpack_keypoints
 from pipeline.live.pipes import CaptureAnswer, framed, read_message
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
@@ -77,17 +77,6 @@ def found_points(
     return np.where(is_found[..., None], people[..., :2], np.nan), np.where(is_found, people[..., 2].clip(0, 1), 0.0)
 
 
-def _described(camera: Camera) -> dict[str, object]:
-    """Camera as viewers draw it, in metres, Z up."""
-    pose = camera.cam_from_world
-    return {
-        "name": camera.name,
-        "size_px": camera.size_px,
-        "matrix": camera.matrix.tolist(),
-        "cam_from_world": {"rotation": pose.rotation.tolist(), "translation_m": pose.translation_m.tolist()},
-    }
-
-
 def _open(start: dict[str, object], send: Callable[[CaptureAnswer, bytes], None]) -> _Run:
     cameras: tuple[Camera, ...] = read_calibration(Path(str(start["calibration"])))
     layout = LAYOUTS[str(start["layout"])]
@@ -97,7 +86,7 @@ def _open(start: dict[str, object], send: Callable[[CaptureAnswer, bytes], None]
         "joints": layout.joints.names,
         "bones": [joint.name for joint in SKELETON],
         "parents": [joint.parent for joint in SKELETON],
-        "rig": [_described(camera) for camera in cameras],
+        "rig": [described_camera(camera) for camera in cameras],
     }
     send(CaptureAnswer.READY, json.dumps(ready).encode())
     return _Run(capture, layout, start["format"] == "packed", send)

@@ -12,7 +12,16 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.console import JsonOption, console, print_table, reporting
-from api.cli.live.outputs import JsonLines, KeptKeypoints, Outputs, Terminal, VmcReceivers, summary_line
+from api.cli.live.outputs import (
+    JsonLines,
+    KeptKeypoints,
+    LiveOutputs,
+    Terminal,
+    VmcReceivers,
+    opened_output,
+    summary_line,
+)
+from api.cli.live.preview import PreviewPage
 from api.cli.options import (
     ProviderOption,
     UnitsOption,
@@ -25,7 +34,7 @@ from api.cli.options import (
 )
 from pipeline.calibration.registry import read_calibration
 from pipeline.config import PROFILES
-from pipeline.errors import ChildError, InputError, PipelineError, Problem
+from pipeline.errors import ChildError, InputError, Problem
 from pipeline.live.cameras.detection import num_processes, start_detecting
 from pipeline.live.cameras.run import CameraRun, LiveListener
 from pipeline.live.cameras.sources import read_sources
@@ -70,6 +79,10 @@ def command(
     keep: Annotated[
         Path | None, typer.Option(help="New folder for the keypoints, as a session that multicap reconstruct takes.")
     ] = None,
+    preview: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Port on loopback of a page with the people in 3D; 0 for a free one."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Capture people live from cameras, streams or files, until Ctrl-C or the end of the files.
@@ -88,16 +101,22 @@ def command(
                 if (sender := collect(partial(_vmc_sender, address, allow_network))) is not None
             ]
             collect(lambda: require(_keep_problems(keep)))
+            page = None if preview is None else collect(lambda: opened.enter_context(PreviewPage(preview)))
         by_name = {known.name: known for known in cameras}
         lines = [JsonLines(sys.stdout)] if as_json else []
         if output is not None:
-            lines.append(JsonLines(opened.enter_context(_opened(output))))
+            lines.append(JsonLines(opened.enter_context(opened_output(output))))
         outputs: list[LiveListener] = [*lines, VmcReceivers(senders)]
         if keep is not None:
             outputs.append(KeptKeypoints(keep))
+        if page is not None:
+            outputs.append(page)
+            console.print(f"Preview: {page.url}")
         if not as_json:
             outputs.append(Terminal(opened.enter_context(console.status("Opening the cameras ..."))))
-        run = CameraRun([by_name[source.camera] for source in sources or ()], sources or (), choices, Outputs(outputs))
+        run = CameraRun(
+            [by_name[source.camera] for source in sources or ()], sources or (), choices, LiveOutputs(outputs)
+        )
         warm_up([run.joints])
         try:
             with _stopped_by_signals(run.stop), ProcessPool(num_processes(), start_detecting, [choices]) as pool:
@@ -140,13 +159,6 @@ def _keep_problems(folder: Path | None) -> Iterator[Problem]:
     if folder is not None and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         message = "There are files already."
         yield Problem(OUTPUT_EXISTS, message, file=folder.name, field="keep", hint="Name a new or empty folder.")
-
-
-def _opened(path: Path) -> Any:
-    try:
-        return path.open("w", encoding="utf-8")
-    except OSError as error:
-        raise PipelineError(f"{path.name} can't be written: {error.strerror}.") from error
 
 
 @contextlib.contextmanager

@@ -3,7 +3,7 @@
 import csv
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,7 +19,7 @@ from pipeline.errors import PipelineError
 from pipeline.joints import JointSet
 from pipeline.live.cameras.run import LiveListener
 from pipeline.live.cameras.totals import LiveTotals
-from pipeline.live.packing import instant_json
+from pipeline.live.packing import described_camera, instant_json
 from pipeline.live.recorded import RecordedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.live.vmc import VmcSender
@@ -29,7 +29,7 @@ from pipeline.skeleton.model import SKELETON
 _GONE_S = 2.0
 
 
-class Outputs(LiveListener):
+class LiveOutputs(LiveListener):
     """Several outputs as one listener."""
 
     def __init__(self, outputs: Iterable[LiveListener]) -> None:
@@ -69,6 +69,7 @@ def ready_document(cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: f
         "joints": joints.names,
         "bones": [joint.name for joint in SKELETON],
         "parents": [joint.parent for joint in SKELETON],
+        "rig": [described_camera(camera) for camera in cameras],
         "frame_rate_hz": frame_rate_hz,
     }
 
@@ -200,6 +201,19 @@ def summary_line(totals: LiveTotals) -> str:
         f"{100 * dropped / max(decoded, 1):.0f} % of frames dropped",
     ]
     return ", ".join(parts)
+
+
+@contextmanager
+def opened_output(path: Path) -> Iterator[IO[str]]:
+    """Open a new file for lines; raises ``PipelineError`` if it can't be written."""
+    with _writing(path.name):
+        file = path.open("w", encoding="utf-8")
+    try:
+        yield file
+    finally:
+        # What could not be written was told by the line.
+        with suppress(OSError):
+            file.close()
 
 
 @contextmanager

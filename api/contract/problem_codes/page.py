@@ -10,7 +10,7 @@ from pipeline.problem_codes.commands import COMMANDS
 from pipeline.problem_codes.fields import FIELDS
 from pipeline.problem_codes.findings import FILES, FINDINGS, PEOPLE
 from pipeline.problem_codes.jobs import EDITS, JOBS, READINESS
-from pipeline.problem_codes.live import LIVE
+from pipeline.problem_codes.live import LIVE, STREAMS
 from pipeline.problem_codes.model import CodeGroup
 from pipeline.problem_codes.requests import ANSWERS, PARTS
 from pipeline.problem_codes.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
@@ -21,7 +21,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
 
 GROUPS: tuple[CodeGroup, ...] = (
     *(ANSWERS, FIELDS, PARTS, SPECS, CALIBRATIONS, VIDEOS, KEYPOINTS, TIMES),
-    *(LIVE, FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, CHARACTERS, COMMANDS, FINDINGS),
+    *(LIVE, STREAMS, FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, CHARACTERS, COMMANDS, FINDINGS),
 )
 """All problem codes, in the order of the page."""
 

@@ -9,7 +9,7 @@ _APART = 0.25
 _MIN_RATE_HZ = 5.0
 
 
-class Pace:
+class DetectionPace:
     """Choice of the frames that are detected.
 
     Of each camera the newest frame counts, so that no lag grows, and the camera whose last detected frame is the oldest

@@ -27,7 +27,7 @@ from pipeline.live.cameras.detection import (
     num_processes,
 )
 from pipeline.live.cameras.feed import CameraFeed, FeedEnded, FeedEvent, FeedOpened, FrameDecoded, PictureReady
-from pipeline.live.cameras.pace import Pace, frames_in_slot
+from pipeline.live.cameras.pace import DetectionPace, frames_in_slot
 from pipeline.live.cameras.sources import CameraSource
 from pipeline.live.cameras.stream_process import SharedPictures
 from pipeline.live.cameras.totals import CameraTotals, LiveTotals
@@ -196,7 +196,7 @@ class CameraRun:
         start_s = time.monotonic() + _START_S
         for feed in feeds:
             feed.start(start_s)
-        pace = Pace(len(feeds), start_s, rate_hz, every)
+        pace = DetectionPace(len(feeds), start_s, rate_hz, every)
         next_tick_s = start_s + _TICK_S
         while not self._is_stopped and not (len(self._over) == len(feeds) and not self._num_pending):
             try:
@@ -265,7 +265,7 @@ class CameraRun:
             case FeedEnded(_, Problem() as problem):
                 raise InputError([problem])
 
-    def _handle(self, event: FeedEvent | None, pace: Pace, pool: Executor) -> None:
+    def _handle(self, event: FeedEvent | None, pace: DetectionPace, pool: Executor) -> None:
         match event:
             case FrameDecoded(camera, number, time_s):
                 totals = self.totals.cameras[camera]
@@ -302,7 +302,7 @@ class CameraRun:
             again = "" if is_over else " It is opened again as soon as it answers."
             self._listener.tell(f"{totals.name} is lost: {problem.message}{again}")
 
-    def _ask(self, feeds: Sequence[CameraFeed], pace: Pace) -> None:
+    def _ask(self, feeds: Sequence[CameraFeed], pace: DetectionPace) -> None:
         """Ask for pictures as long as there is somebody to detect in them."""
         while self._num_pending < self._max_pending:
             free = [

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.cli.live.outputs import JsonLines, KeptKeypoints, VmcReceivers
+from api.cli.live.outputs import JsonLines, KeptKeypoints, VmcReceivers, opened_output
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.errors import PipelineError
 from pipeline.live.capture import LiveCapture
@@ -59,16 +59,18 @@ def test_a_line_is_an_instant() -> None:
 
 
 def test_a_full_disk_is_a_sentence(tmp_path: Path) -> None:
-    with Path("/dev/full").open("w", encoding="utf-8") as full, pytest.raises(PipelineError, match="No space left"):
+    with pytest.raises(PipelineError, match="No space left"), opened_output(Path("/dev/full")) as full:
         JsonLines(full).tell("x")
+    with pytest.raises(PipelineError, match="No such file"), opened_output(tmp_path / "none" / "file.jsonl"):
+        pass
     (tmp_path / "kept").touch()
     simulation = record(replace(SCENES["room"], duration_s=0.1), 0, 2)
     with pytest.raises(PipelineError, match="kept can't be written"):
         KeptKeypoints(tmp_path / "kept").begin(simulation.cameras, simulation.joints, RATE_HZ)
 
 
-class Receiver:
-    """Receiver of VMC that notes whom it got."""
+class PersonReceiver:
+    """PersonReceiver of VMC that notes whom it got."""
 
     def __init__(self) -> None:
         self.got: list[float] = []
@@ -81,7 +83,7 @@ class Receiver:
 
 
 def test_a_receiver_keeps_its_person_and_gets_the_next_one() -> None:
-    receivers = [Receiver(), Receiver()]
+    receivers = [PersonReceiver(), PersonReceiver()]
     vmc = VmcReceivers(receivers)  # type: ignore[arg-type]
     for time_s, numbers in [(0.0, (1, 2, 3)), (1.0, (2, 3)), (2.5, (2, 3)), (3.0, (1, 2, 3))]:
         people = tuple(LivePerson(number, np.full((17, 3), float(number)), None) for number in numbers)

@@ -3,12 +3,12 @@
 from collections import Counter
 from itertools import pairwise
 
-from pipeline.live.cameras.pace import Pace, frames_in_slot
+from pipeline.live.cameras.pace import DetectionPace, frames_in_slot
 
 
 def played(every: int, detection_s: float, num_processes: int = 2, seconds: float = 8.0) -> dict[int, list[float]]:
     """Times of the frames of four cameras at 25 Hz that are detected, each of which takes ``detection_s``."""
-    pace, taken = Pace(4, 0.0, 25.0, every), {camera: list[float]() for camera in range(4)}
+    pace, taken = DetectionPace(4, 0.0, 25.0, every), {camera: list[float]() for camera in range(4)}
     busy_until = [0.0] * num_processes
     for frame in range(int(25 * seconds)):
         for camera in range(4):
@@ -16,8 +16,8 @@ def played(every: int, detection_s: float, num_processes: int = 2, seconds: floa
         for step in range(8):
             now_s = frame / 25 + 0.005 * (step + 1)
             for process in range(num_processes):
-                if busy_until[process] <= now_s and (camera := pace.choose([0, 1, 2, 3])) is not None:
-                    taken[camera].append(frame / 25)
+                if busy_until[process] <= now_s and (chosen := pace.choose([0, 1, 2, 3])) is not None:
+                    taken[chosen].append(frame / 25)
                     busy_until[process] = now_s + detection_s
     return taken
 
