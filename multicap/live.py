@@ -24,6 +24,7 @@ from jaxtyping import Float
 from websockets.asyncio.client import ClientConnection as AsyncConnection
 from websockets.asyncio.client import connect as open_async
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection as SyncConnection
 from websockets.sync.client import connect as open_sync
 
@@ -31,6 +32,7 @@ from pipeline.live.packets import Dropped
 from pipeline.live.packing import instant_of_json, pack_keypoints, unpack_instant
 from pipeline.live.records import LiveInstant
 from pipeline.paths import StrPath
+from pipeline.problem_codes.live import LIVE_STOPPED
 
 __all__ = ["AsyncLive", "CaptureEnd", "LiveError", "LiveOptions", "SyncLive", "connect", "connect_sync"]
 
@@ -312,6 +314,8 @@ def _closed_as_problem() -> Iterator[None]:
         yield
     except ConnectionClosed as closed:
         frame = closed.rcvd
+        if frame is not None and frame.code == CloseCode.SERVICE_RESTART:
+            raise LiveError(LIVE_STOPPED, "The service was stopped; begin again when it answers.", {}) from None
         code = frame.reason if frame is not None and frame.reason else "client_disconnected"
         raise LiveError(code, "The connection was closed.", {}) from None
 

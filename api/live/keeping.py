@@ -3,6 +3,7 @@
 import hashlib
 import json
 import subprocess
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from api.sessions.intake import CheckedSession, check, stored
 from api.sessions.receiving import Sent
 from pipeline.live.packets import KeypointsHead
 from pipeline.live.pipes import framed
+from worker.jobs.files.disk import is_disk_full
 from worker.jobs.tenant_records import TenantRecords
 
 _log = structlog.get_logger(__name__)
@@ -35,7 +37,9 @@ _NO_PLACES = FieldPlaces(lambda: ({}, {}))
 
 
 class KeptPackets:
-    """Packets of a capture in a file, as many as a session may have.
+    """Packets of a capture in a file, as many as a session may have and the disk takes.
+
+    A capture whose disk is full goes on; what was kept up to then stays.
 
     Parameters
     ----------
@@ -46,27 +50,30 @@ class KeptPackets:
     def __init__(self, services: Services, folder: Path, start: LiveStart) -> None:
         self._services, self._num_points = services, POINTS[start.layout]
         self.path = folder / "packets"
+        self.path.touch()
         self._buffer = bytearray()
         self._left_joints = services.settings.max_session_joints
-        self._frames: dict[int, int] = {}
+        self._frames: Counter[int] = Counter()
+        self._buffered: Counter[int] = Counter()  # Those of the frames that are in memory alone
+        self._num_bytes = 0
         self.is_full = False
 
     @property
     def num_frames(self) -> int:
         """Number of frames that are kept."""
-        return sum(self._frames.values())
+        return self._frames.total()
 
     async def add(self, packet: bytes) -> None:
-        """Keep a packet, unless a session can't have it or an earlier one; raises ``OSError`` if the disk is full."""
+        """Keep a packet, unless a session can't have it or an earlier one, or the disk is full."""
         head = KeypointsHead.decode(packet)
         if head is None or self.is_full:
             return
         self._left_joints -= head.num_people * self._num_points
-        self._frames[head.camera] = self._frames.get(head.camera, 0) + 1
-        if self._left_joints < 0 or self._frames[head.camera] > _MAX_FRAMES_OF_CAMERA:
-            self._frames[head.camera] -= 1
+        if self._left_joints < 0 or self._frames[head.camera] >= _MAX_FRAMES_OF_CAMERA:
             self.is_full = True
             return
+        self._frames[head.camera] += 1
+        self._buffered[head.camera] += 1
         self._buffer += framed(packet)
         if len(self._buffer) >= _BLOCK_BYTES:
             await self.flush()
@@ -74,12 +81,26 @@ class KeptPackets:
     async def flush(self) -> None:
         """Write what is in memory."""
         block, self._buffer = bytes(self._buffer), bytearray()
-        await run_in_threadpool(self._write, block)
+        buffered, self._buffered = self._buffered, Counter()
+        try:
+            await run_in_threadpool(self._write, block)
+        except OSError as error:
+            if not is_disk_full(error):
+                raise
+            self.is_full = True
+            self._frames -= buffered
+            _log.warning("live_keeping_stopped", reason="disk_full", kept_frames=self.num_frames)
 
     def _write(self, block: bytes) -> None:
         self._services.disk.require_room(len(block))
         with self.path.open("ab") as file:
-            file.write(block)
+            try:
+                file.write(block)
+                file.flush()
+            except OSError:
+                file.truncate(self._num_bytes)  # no half of a packet
+                raise
+        self._num_bytes += len(block)
 
 
 async def keep_session(

@@ -72,6 +72,12 @@ LIVE_FAILED = LIVE.code(
     "The computation of the capture failed or did not answer in time; other captures go on.",
     "Start the capture again; if it fails again, send the operator the `request_id`.",
 )
+LIVE_STOPPED = LIVE.code(
+    "live_stopped",
+    _WHERE,
+    "The service was stopped during the capture, and closed the connection with 1012; nothing of the capture is kept.",
+    "Begin another capture when the service answers again.",
+)
 
 
 STREAMS = CodeGroup(

@@ -102,6 +102,6 @@ export function liveAddress() {
 
 /** Description of a connection that was closed without a message. Browsers don't tell pages why none was opened. */
 function lost(code) {
-  if (code === 1012) return { detail: "The service is being restarted, and the capture has ended.", hint: "Begin again in a minute." };
+  if (code === 1012) return { code: "live_stopped", detail: "The service is being restarted, and the capture has ended.", hint: "Begin again in a minute." };
   return { detail: "The connection to the service was lost, or was not opened.", hint: "The service may have as many live captures as it can compute. Begin again." };
 }
