@@ -37,6 +37,8 @@ ALL_RESULTS = "results.zip"
 _READING = frozenset({"GET", "HEAD", "OPTIONS"})
 
 _bearer = HTTPBearer(auto_error=False, scheme_name="key", description="A key, `mc_...`, of `multicap keys create`.")
+KEY_SUBPROTOCOL = "mc.key."
+"""Start of a subprotocol of WebSockets that pages of other origins offer; their key follows."""
 
 
 class _BrowserCookie(APIKeyCookie):
@@ -127,17 +129,21 @@ def websocket_caller(websocket: WebSocket, services: Services) -> Caller:
     """Identify the caller who opens a WebSocket, by which things are made; errors as of routes that change something.
 
     Browsers send no headers of a page's own with a WebSocket, but their cookie: the service's own page needs no more.
+    Pages of other origins offer a subprotocol with their key.
     """
     scheme, credentials = get_authorization_scheme_param(websocket.headers.get("authorization"))
     cookie = websocket.cookies.get(cookie_name(websocket))
     bearer = credentials if scheme.lower() == "bearer" else None
+    if "authorization" not in websocket.headers:
+        offered = [name for name in websocket.scope["subprotocols"] if name.startswith(KEY_SUBPROTOCOL)]
+        bearer = offered[0].removeprefix(KEY_SUBPROTOCOL) if offered else None
     return _require(_identify(websocket, services, bearer, cookie, is_reading=False), Scope.WRITE)
 
 
 def _identify(
     request: HTTPConnection, services: Services, bearer: str | None, cookie: str | None, *, is_reading: bool
 ) -> Caller:
-    if "authorization" in request.headers:
+    if bearer is not None or "authorization" in request.headers:
         key = services.store.keys.find(bearer) if bearer else None
         if key is None:
             raise wrong_key(request, services)

@@ -40,6 +40,9 @@ _log = structlog.get_logger(__name__)
 
 router = APIRouter(prefix="/v1")
 
+SUBPROTOCOL = "multicap.live"
+"""Subprotocol of live captures, for clients that offer one."""
+
 _STARTS = 6
 _CLOSE_S = 5.0
 _CLIENT_GONE = 1005
@@ -60,7 +63,8 @@ async def live(websocket: WebSocket) -> None:
             metrics.refused(refusal.code)
             await deny(websocket, refusal)
             return
-        await websocket.accept()
+        # Browsers ask for one of the subprotocols that they offered; that with the key is not repeated.
+        await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in websocket.scope["subprotocols"] else None)
         with metrics.open.track_inprogress():
             metrics.ended(await _serve(websocket, services, caller, ended))
 

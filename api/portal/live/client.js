@@ -2,6 +2,8 @@
 
 import { packKeypoints, unpackInstant } from "./packets.js";
 
+// Browsers send no headers of a page's own with a WebSocket: the key is a subprotocol that is offered.
+const [SUBPROTOCOL, KEY_SUBPROTOCOL] = ["multicap.live", "mc.key."];
 // Bytes that wait in the browser, beyond which frames are left out: some seconds of a few cameras.
 const MAX_WAITING_BYTES = 2 ** 20;
 
@@ -25,10 +27,13 @@ export class LiveClient extends EventTarget {
   #isOver = false;
   notSent = 0; // frames that were left out because the connection is slow
 
-  /** Open a capture; `start` has the fields of the message `start` without `type` and `format`. */
-  constructor(start, address = liveAddress()) {
+  /**
+   * Open a capture; `start` has the fields of the message `start` without `type` and `format`. Pages of other origins state the
+   * address of the service, `wss://SERVICE/v1/live`, and a key.
+   */
+  constructor(start, { address = liveAddress(), key = null } = {}) {
     super();
-    this.#socket = new WebSocket(address);
+    this.#socket = new WebSocket(address, key === null ? [] : [SUBPROTOCOL, `${KEY_SUBPROTOCOL}${key}`]);
     this.#socket.binaryType = "arraybuffer";
     this.#ready = new Promise((resolve, reject) => {
       this.addEventListener("ready", ({ detail }) => resolve(detail), { once: true });

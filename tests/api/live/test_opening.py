@@ -54,6 +54,28 @@ def test_keys_and_scopes_count_as_elsewhere(own: Live) -> None:
         assert LiveSocket(connection).start()["type"] == "ready"
 
 
+def test_pages_of_allowed_origins_offer_their_key_as_a_subprotocol(
+    make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
+) -> None:
+    origin = "https://stage.example"
+    with running(make_settings(**live_commands, allowed_origins=frozenset({origin}))) as service:
+        _, secret = service.services.store.keys.add("studio-a", "page", frozenset({Scope.WRITE}))
+        _, reading = service.services.store.keys.add("studio-a", "reader", frozenset({Scope.READ}))
+
+        def offer(key: str, origin: str = origin) -> dict[str, object]:
+            return {"origin": origin, "subprotocols": ["multicap.live", f"mc.key.{key}"]}
+
+        with opened(service, **offer(secret)) as connection:
+            assert connection.subprotocol == "multicap.live"
+            assert LiveSocket(connection).start()["type"] == "ready"
+        assert refusal(service, **offer("mc_wrong")) == (401, "key_required")
+        assert refusal(service, **offer(reading)) == (403, "scope_missing")
+        assert refusal(service, **offer(secret, "https://elsewhere.example")) == (403, "origin_not_allowed")
+        # A key in a header counts alone.
+        both = offer(secret) | bearer("mc_wrong")
+        assert refusal(service, **both) == (401, "key_required")
+
+
 def test_revoked_keys_end_captures(own: Live) -> None:
     key, secret = own.services.store.keys.add("studio-a", "writer", frozenset({Scope.READ, Scope.WRITE}))
     with opened(own, **bearer(secret)) as connection:
