@@ -5,6 +5,7 @@ import threading
 import time
 from dataclasses import replace
 
+import pytest
 from playwright.sync_api import expect
 
 from api.cli.live.preview import PreviewPage
@@ -17,6 +18,7 @@ from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.test_live_page import num_bright
 
 
+@pytest.mark.slow
 def test_people_move_in_the_page() -> None:
     room = record(replace(SCENES["room"], duration_s=1.0), 0, 3)
     capture = LiveCapture(room.cameras, room.joints, LiveSettings(25.0))

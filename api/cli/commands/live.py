@@ -65,6 +65,15 @@ def command(
     ] = "fast",
     chosen: Mapping[str, Any],
     provider: ProviderOption = None,
+    sync: Annotated[
+        float | None,
+        typer.Option(
+            min=3.0,
+            max=25.0,
+            metavar="SECONDS",
+            help="Find constant offsets of the cameras' clocks from the people of the first seconds, 3 to 25.",
+        ),
+    ] = None,
     vmc: Annotated[
         list[str] | None,
         typer.Option(
@@ -115,7 +124,7 @@ def command(
         if not as_json:
             outputs.append(Terminal(opened.enter_context(console.status("Opening the cameras ..."))))
         run = CameraRun(
-            [by_name[source.camera] for source in sources or ()], sources or (), choices, LiveOutputs(outputs)
+            [by_name[source.camera] for source in sources or ()], sources or (), choices, LiveOutputs(outputs), sync
         )
         warm_up([run.joints])
         try:

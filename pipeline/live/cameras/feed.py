@@ -121,8 +121,11 @@ class CameraFeed:
             self._process.tell(slot=slot)
 
     def close(self) -> None:
-        """End the process."""
+        """End the process soon; ``join`` waits for its end."""
         self._is_closed.set()
+
+    def join(self) -> None:
+        """Wait for the end of the process."""
         self._thread.join()
 
     def _run(self) -> None:

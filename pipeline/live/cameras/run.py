@@ -27,6 +27,7 @@ from pipeline.live.cameras.detection import (
     num_processes,
 )
 from pipeline.live.cameras.feed import CameraFeed, FeedEnded, FeedEvent, FeedOpened, FrameDecoded, PictureReady
+from pipeline.live.cameras.offsets import OffsetSearch
 from pipeline.live.cameras.pace import DetectionPace, frames_in_slot
 from pipeline.live.cameras.sources import CameraSource
 from pipeline.live.cameras.stream_process import SharedPictures
@@ -95,6 +96,8 @@ class CameraRun:
         Source of each camera.
     choices
         Choices of the networks.
+    sync_s
+        Length of the beginning from which the offsets of the cameras' clocks are found; ``None``: they are in step.
 
     Raises
     ------
@@ -103,12 +106,17 @@ class CameraRun:
     """
 
     def __init__(
-        self, cameras: Sequence[Camera], sources: Sequence[CameraSource], choices: MotionChoices, listener: LiveListener
+        self,
+        cameras: Sequence[Camera],
+        sources: Sequence[CameraSource],
+        choices: MotionChoices,
+        listener: LiveListener,
+        sync_s: float | None = None,
     ) -> None:
         for name in networks_of(choices).names:
             verify(name)
         self._cameras, self._sources, self._choices = list(cameras), sources, choices
-        self._listener, self.joints = listener, detection_joints(choices)
+        self._sync_s, self._listener, self.joints = sync_s, listener, detection_joints(choices)
         self._events: queue.SimpleQueue[FeedEvent | None] = queue.SimpleQueue()
         self._num_processes = num_processes()
         # A picture waits while each process works, and a camera may have as many pictures as it takes for that.
@@ -150,6 +158,8 @@ class CameraRun:
         finally:
             for feed in feeds:
                 feed.close()
+            for feed in feeds:
+                feed.join()
 
     def _open(self) -> None:
         """Wait until each stream has begun, or has failed, and fit the calibration to the pictures."""
@@ -186,6 +196,7 @@ class CameraRun:
         period_s = every / rate_hz
         settings = LiveSettings(1 / period_s, window_s=max(_WINDOW_S, _WINDOW_PERIODS * period_s))
         capture = LiveCapture(self._cameras, self.joints, settings)
+        search = OffsetSearch(self._cameras, self.joints, self._sync_s)
         self.totals.frame_rate_hz = settings.frame_rate_hz
         self._listener.begin(self._cameras, self.joints, settings.frame_rate_hz)
         if every > 1:
@@ -204,13 +215,17 @@ class CameraRun:
             except queue.Empty:
                 event = None
             self._handle(event, pace, pool)
-            self._take_detected(capture, start_s)
+            self._take_detected(capture, search, start_s)
+            if search.advance(time.monotonic() - start_s, pool):
+                self._tell_offsets(search)
             self._ask(feeds, pace)
             if time.monotonic() >= next_tick_s:
                 next_tick_s += _TICK_S
                 self.totals.duration_s = time.monotonic() - start_s
                 self._listener.tick(self.totals)
         self.totals.duration_s = time.monotonic() - start_s
+        if search.offsets_s is None:
+            self._listener.tell("The capture ended before the offsets were found: nobody was captured.")
         for instant in capture.flush():
             self._show(instant, start_s)
 
@@ -317,7 +332,15 @@ class CameraRun:
             self._num_pending += 1
             feeds[camera].ask(slot)
 
-    def _take_detected(self, capture: LiveCapture, start_s: float) -> None:
+    def _tell_offsets(self, search: OffsetSearch) -> None:
+        """Tell the offsets, and pass on the frames from which they were found."""
+        found = zip(self._cameras, search.offsets_s or (), strict=True)
+        self._listener.tell(f"Offsets: {', '.join(f'{camera.name} {offset_s:+.3f} s' for camera, offset_s in found)}.")
+        for frame in search.frames:
+            self._listener.take(self._cameras[frame.camera], search.moved(frame))
+        search.frames.clear()
+
+    def _take_detected(self, capture: LiveCapture, search: OffsetSearch, start_s: float) -> None:
         """Pass on the bodies that were detected, of each camera in the order of its frames."""
         for camera, tickets in enumerate(self._tickets):
             while tickets and tickets[0].bodies.done():
@@ -331,6 +354,10 @@ class CameraRun:
                 if time_s < 0.0:
                     continue
                 frame = RecordedFrame(camera, time_s, bodies.keypoints_px, bodies.score)
+                if search.offsets_s is None:
+                    search.add(frame)
+                    continue
+                frame = search.moved(frame)
                 self._listener.take(self._cameras[camera], frame)
                 for instant in capture.push(*frame):
                     self._show(instant, start_s)

@@ -47,6 +47,7 @@ def feeding(kind: str, address: str) -> Iterator[tuple[CameraFeed, Events]]:
         yield feed, happened()
     finally:
         feed.close()
+        feed.join()
 
 
 def until(events: Events, kind: type, number: int = 1) -> list[FeedEvent]:
@@ -97,6 +98,23 @@ def test_mjpeg_over_http_has_times_of_arrival() -> None:
         assert np.mean(np.diff(times_s)) == pytest.approx(0.08, abs=0.02)
 
 
+@pytest.mark.slow
+def test_mpeg_ts_over_http(tmp_path: Path) -> None:
+    clip = write_video(tmp_path / "clip.ts", 50, SIZE_PX, options={"g": "5", "bf": "0"}).read_bytes()
+
+    def camera(connection: socket.socket) -> None:
+        connection.recv(65_536)
+        connection.sendall(b"HTTP/1.0 200 OK\r\nContent-Type: video/mp2t\r\n\r\n")
+        for start in range(0, len(clip), len(clip) // 50):
+            connection.sendall(clip[start : start + len(clip) // 50])
+            time.sleep(0.04)
+
+    with serving(camera) as server, feeding("http", f"http://127.0.0.1:{server.port}/") as (_, events):
+        seen = until(events, FrameDecoded, 10)
+        assert isinstance(seen[0], FeedOpened)
+        assert seen[0].format.shown_size_px == SIZE_PX
+
+
 def test_a_file_is_played_at_its_own_pace(tmp_path: Path) -> None:
     clip = write_video(tmp_path / "clip.mp4", 12, SIZE_PX)
     with feeding("file", str(clip)) as (feed, events):
@@ -143,10 +161,10 @@ def endless(connection: socket.socket) -> None:
     ("kind", "answer", "codes"),
     [
         ("http", playlist, {VIDEO_UNREADABLE}),
-        ("http", noise, {VIDEO_UNREADABLE, NO_VIDEO_STREAM, STREAM_SILENT}),
-        ("rtsp", unauthorised, {STREAM_REFUSED}),
+        pytest.param("http", noise, {VIDEO_UNREADABLE, NO_VIDEO_STREAM, STREAM_SILENT}, marks=pytest.mark.slow),
+        pytest.param("rtsp", unauthorised, {STREAM_REFUSED}, marks=pytest.mark.slow),
         ("rtsp", silent, {STREAM_SILENT}),
-        ("rtsp", endless, {STREAM_SILENT, STREAM_REFUSED, VIDEO_UNREADABLE}),
+        pytest.param("rtsp", endless, {STREAM_SILENT, STREAM_REFUSED, VIDEO_UNREADABLE}, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_no_camera_ends_with_a_problem(
@@ -160,6 +178,14 @@ def test_what_is_no_camera_ends_with_a_problem(
         assert event.problem.code in codes
         assert "secret" not in str(event.problem)
         assert event.problem.hint
+
+
+def test_what_is_no_video_device_is_refused_by_its_driver() -> None:
+    with feeding("device", "/dev/null") as (_, events):
+        event = next(events)
+        assert isinstance(event, FeedEnded)
+        assert event.problem is not None
+        assert (event.problem.code, "ioctl" in event.problem.message) == (STREAM_REFUSED, True)
 
 
 def test_tries_are_further_and_further_apart(monkeypatch: pytest.MonkeyPatch) -> None:

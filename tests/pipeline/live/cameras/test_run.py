@@ -15,6 +15,7 @@ from pipeline.data.cameras import Camera
 from pipeline.errors import InputError
 from pipeline.joints import COCO_17, JointSet
 from pipeline.live.cameras import feed as feeds
+from pipeline.live.cameras import offsets
 from pipeline.live.cameras import run as runs
 from pipeline.live.cameras.detection import DetectedBodies, DetectionJob
 from pipeline.live.cameras.run import CameraRun, LiveListener
@@ -75,7 +76,12 @@ class Seen(LiveListener):
 
 
 def play(
-    room: Simulation, clips: Sequence[Path], monkeypatch: pytest.MonkeyPatch, detection_s: float, stop_s: float = 60.0
+    room: Simulation,
+    clips: Sequence[Path],
+    monkeypatch: pytest.MonkeyPatch,
+    detection_s: float,
+    stop_s: float = 60.0,
+    sync_s: float | None = None,
 ) -> tuple[Seen, LiveTotals]:
     """Capture the clips, with one process that takes some time for a picture."""
     turn = threading.Lock()
@@ -97,7 +103,7 @@ def play(
     monkeypatch.setattr(runs, "detect_bodies", detect)
     sources = [CameraSource(camera.name, "file", str(clip)) for camera, clip in zip(room.cameras, clips, strict=True)]
     seen = Seen()
-    run = CameraRun(room.cameras, sources, CHOICES, seen)
+    run = CameraRun(room.cameras, sources, CHOICES, seen, sync_s)
     timer = threading.Timer(stop_s, run.stop)
     timer.start()
     with ThreadPoolExecutor(2) as pool:
@@ -139,7 +145,7 @@ def test_too_many_frames_are_dropped_evenly(
     assert max(seen.latencies_s) < 2.0
 
 
-@pytest.mark.parametrize("stop_s", [0.05, 1.5])
+@pytest.mark.parametrize("stop_s", [0.05, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_a_capture_is_stopped(
     room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch, stop_s: float
 ) -> None:
@@ -170,3 +176,24 @@ def test_all_cameras_that_are_wrong_are_named(
         (cameras[2].name, SIZE_MISMATCH),
         ("other", STREAM_REFUSED),
     ]
+
+
+def test_offsets_of_the_beginning_move_all_frames(
+    room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(offsets, "find_offsets", lambda cameras, frames, joints: [0.0, 0.25, -0.1])
+    seen, _ = play(room, clips, monkeypatch, detection_s=0.001, sync_s=0.6)
+    assert "Offsets: cam_00 +0.000 s, cam_01 +0.250 s, cam_02 -0.100 s." in seen.sentences
+    for name, offset_s in [("cam_00", 0.0), ("cam_01", 0.25), ("cam_02", -0.1)]:
+        times_s = np.array([frame.time_s for camera, frame in seen.frames if camera == name])
+        assert times_s[0] == pytest.approx(offset_s, abs=0.3)
+        np.testing.assert_allclose((times_s - offset_s) * 25, np.round((times_s - offset_s) * 25), atol=1e-3)
+    assert min(instant.time_s for instant in seen.instants) > 0.4
+
+
+def test_a_capture_that_ends_before_its_offsets_says_so(
+    room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen, totals = play(room, clips, monkeypatch, detection_s=0.001, stop_s=2.0, sync_s=9.0)
+    assert (totals.instants, seen.frames) == (0, [])
+    assert "before the offsets were found" in seen.sentences[-1]
