@@ -66,6 +66,7 @@ class LiveOptions:
     is_ordered: bool = True
     learn_s: float = 3.0
     bodies: tuple[tuple[float, ...], ...] = ()
+    joint_centers: str = "off"
     keep: bool = False
     name: str = "live"
     packed: bool = True  # Whether instants come as packets, which are shorter than JSON
@@ -284,6 +285,7 @@ def _start(calibration: StrPath | Mapping[str, Any], layout: str, frame_rate_hz:
             "is_ordered": options.is_ordered,
             "learn_s": options.learn_s,
             "bodies": options.bodies,
+            "joint_centers": options.joint_centers,
             "keep": options.keep,
             "name": options.name,
             "format": "packed" if options.packed else "json",

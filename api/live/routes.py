@@ -189,6 +189,7 @@ async def _ready(
         "layout": start.layout,
         "settings": start.settings(),
         "format": start.format,
+        "joint_centers": start.joint_centers,
     }
     async with contextlib.AsyncExitStack() as held:
         async with services.live_places.starting:

@@ -86,6 +86,10 @@ class LiveStart(_Received):
         description="Lengths of bones of people of earlier takes in metres, in the order of `bones` of `ready`. These "
         "people have the first numbers, and are recognised by their proportions.",
     )
+    joint_centers: Literal["off", "movenet-multipose", "openpose-mobilenet-thin"] = Field(
+        default="off",
+        description="Network whose offsets of the marks from the joints' centres are used, as of jobs; off: none.",
+    )
     format: Literal["json", "packed"] = Field(default="json", description="Form of the instants that are sent back.")
     keep: bool = Field(
         default=False,

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world, projection_matrices
-from pipeline.joints import JointSet
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.live.frames import FrameQueue, LiveFrame, make_frame
 from pipeline.live.identities import Identities
 from pipeline.live.records import LiveCounts, LiveInstant, LivePerson
@@ -41,6 +41,8 @@ class LiveCapture:
         Joint set of the detector.
     settings
         Rates and times.
+    offsets
+        Offsets of the detector's marks from the joints' centres, as of ``joint_centers`` of a job.
 
     Raises
     ------
@@ -48,7 +50,14 @@ class LiveCapture:
         If there are fewer than two cameras, or two of the same name.
     """
 
-    def __init__(self, cameras: Sequence[Camera], joints: JointSet, settings: LiveSettings) -> None:
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        joints: JointSet,
+        settings: LiveSettings,
+        offsets: JointOffsets = MARKED_AT_CENTERS,
+    ) -> None:
+        self._offsets = offsets
         self._names = {camera.name: number for number, camera in enumerate(cameras)}
         if len(self._names) < max(2, len(cameras)):
             message = "A live capture needs at least two cameras, with different names."
@@ -60,7 +69,7 @@ class LiveCapture:
         self._center_m = np.array([center_in_world(camera) for camera in cameras])
         self._ray_from_image = np.linalg.inv(projection_matrices(cameras)[:, :, :3])
         self._bodies: dict[int, LiveBody] = {}
-        self._identities = Identities(joints, [np.array(length_m) for length_m in settings.bodies])
+        self._identities = Identities(joints, [np.array(length_m) for length_m in settings.bodies], offsets)
         # True until somebody's bones are learnt at the current instant: those of several people would delay it.
         self._may_learn = True
         self._start_s: float | None = None
@@ -148,7 +157,7 @@ class LiveCapture:
         """A person with the skeleton, once bones are learnt."""
         if seen.number not in self._bodies:
             rate_hz, learn_s = self._settings.instants_hz, self._settings.learn_s
-            self._bodies[seen.number] = LiveBody(self._joints, self._center_m, rate_hz, learn_s)
+            self._bodies[seen.number] = LiveBody(self._joints, self._center_m, rate_hz, learn_s, self._offsets)
         num_cameras, num_joints = seen.score.shape
         points_px = seen.flat_px.reshape(num_cameras, num_joints, 2)
         homogeneous = np.concatenate([points_px, np.ones((num_cameras, num_joints, 1))], axis=-1)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from pipeline.data.people import Source, Track3D
 from pipeline.identity.proportions import NUM_LIMBS, LimbProportions, Measured, limb_lengths_m, measure
-from pipeline.joints import JointSet
+from pipeline.joints import MARKED_AT_CENTERS, JointOffset, JointOffsets, JointSet
 from pipeline.live.skeleton import LearntBones
 from pipeline.skeleton.marks import trunk_length_m
 from pipeline.skeleton.model import INDEX
@@ -74,9 +74,16 @@ class Identities:
         Joint set of the detector.
     bodies
         Lengths of the skeleton's bones of people of earlier takes, in metres; they have the first numbers.
+    offsets
+        Offsets of the detector's marks from the joints' centres.
     """
 
-    def __init__(self, joints: JointSet, bodies: Sequence[Float[np.ndarray, " bones"]]) -> None:
+    def __init__(
+        self,
+        joints: JointSet,
+        bodies: Sequence[Float[np.ndarray, " bones"]],
+        offsets: JointOffsets = MARKED_AT_CENTERS,
+    ) -> None:
         self._joints = joints
         self._first = len(bodies)
         self._number: dict[int, int] = {}  # of the people whom the tracker follows, by its number
@@ -88,7 +95,7 @@ class Identities:
         self._square_m2 = _USUAL_M**2 * self._count
         for number, length_m in enumerate(bodies, 1):
             self._known[number] = KnownBody(np.asarray(length_m), None)
-            limbs_m = limbs_of_bones_m(np.asarray(length_m))
+            limbs_m = limbs_of_bones_m(np.asarray(length_m), offsets)
             self._seconds[number] = _Seconds(_EARLIER_S * limbs_m, np.full(NUM_LIMBS, _EARLIER_S))
 
     def __len__(self) -> int:
@@ -188,12 +195,23 @@ class Identities:
         into.duration_s += seconds.duration_s
 
 
-def limbs_of_bones_m(length_m: Float[np.ndarray, " bones"]) -> Float[np.ndarray, " limbs"]:
-    """Lengths of the limbs of ``identity.proportions`` from those of a skeleton's bones, in metres."""
+def limbs_of_bones_m(
+    length_m: Float[np.ndarray, " bones"], offsets: JointOffsets = MARKED_AT_CENTERS
+) -> Float[np.ndarray, " limbs"]:
+    """Lengths of the limbs of ``identity.proportions`` from those of a skeleton's bones, in metres.
+
+    Shoulders and hips are where a detector with such offsets marks them on somebody who stands upright.
+    """
+    trunk_m = trunk_length_m(length_m)
 
     def of(kind: str) -> float:
         return float(length_m[[INDEX[f"Left{kind}"], INDEX[f"Right{kind}"]]].mean())
 
-    shoulders_m, hips_m = 2 * of("Arm"), 2 * of("UpLeg")
-    flank_m = float(np.hypot(trunk_length_m(length_m), (shoulders_m - hips_m) / 2))
-    return np.array([of("ForeArm"), of("Hand"), of("Leg"), of("Foot"), flank_m, shoulders_m, hips_m])
+    def mark_m(kind: str, outwards_m: float, up_m: float) -> Float[np.ndarray, " 3"]:
+        offset = offsets.get(kind, JointOffset())
+        return np.array([outwards_m, 0.0, up_m]) + trunk_m * np.array([offset.outwards, offset.forward, offset.up])
+
+    shoulder_m, hip_m = mark_m("shoulder", of("Arm"), trunk_m), mark_m("hip", of("UpLeg"), 0.0)
+    flank_m = float(np.linalg.norm(shoulder_m - hip_m))
+    limbs_m = [of("ForeArm"), of("Hand"), of("Leg"), of("Foot")]
+    return np.array([*limbs_m, flank_m, 2 * shoulder_m[0], 2 * hip_m[0]])

@@ -16,7 +16,9 @@ from jaxtyping import Float
 
 from pipeline.calibration.registry import read_calibration
 from pipeline.data.cameras import Camera
+from pipeline.detect.entries import entry_of
 from pipeline.errors import InputError
+from pipeline.joints import MARKED_AT_CENTERS
 from pipeline.layouts import LAYOUTS, KeypointLayout
 from pipeline.live.capture import LiveCapture
 from pipeline.live.packing import described_camera, instant_json, pack_instant, unpack_keypoints
@@ -80,7 +82,9 @@ def found_points(
 def _open(start: dict[str, object], send: Callable[[CaptureAnswer, bytes], None]) -> _Run:
     cameras: tuple[Camera, ...] = read_calibration(Path(str(start["calibration"])))
     layout = LAYOUTS[str(start["layout"])]
-    capture = LiveCapture(cameras, layout.joints, LiveSettings(**start["settings"]))  # type: ignore[arg-type]
+    network = str(start["joint_centers"])
+    offsets = MARKED_AT_CENTERS if network == "off" else entry_of(network).offsets
+    capture = LiveCapture(cameras, layout.joints, LiveSettings(**start["settings"]), offsets)  # type: ignore[arg-type]
     ready = {
         "cameras": [camera.name for camera in cameras],
         "joints": layout.joints.names,

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
-from pipeline.joints import JointSet
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.live.feet import StandingFeet
 from pipeline.live.pose_steps import PoseSteps, quat_xyzw_of
 from pipeline.live.records import LiveSkeleton
@@ -23,6 +23,7 @@ from pipeline.skeleton.fitting.articulation import Articulation, articulate
 from pipeline.skeleton.fitting.positions import usual_step_m
 from pipeline.skeleton.fitting.solve import solve_pose
 from pipeline.skeleton.landmarks import Landmarks, bone_lengths_m
+from pipeline.skeleton.marks import centers_from_marks, mark_offsets_m, trunk_length_m
 from pipeline.skeleton.rigid_parts import landmark_offsets_m
 
 # Most instants from which bones are learnt, and the least: a person may be hidden for most of the time.
@@ -151,24 +152,35 @@ class LearntBones:
     """A person's bones: lengths, and the skeleton with the person's landmarks of head and feet."""
 
     length_m: Float[np.ndarray, " bones"]
-    skeleton: Articulation
+    skeleton: Articulation  # Its landmarks are the detector's marks
+    centers: Articulation  # The same with the joints' centres in their place
 
 
 def learn_bones(
     learnt_m: Float[np.ndarray, "instants joints 3"],
     joints: JointSet,
     length_m: Float[np.ndarray, " bones"] | None = None,
+    offsets: JointOffsets = MARKED_AT_CENTERS,
 ) -> LearntBones:
     """Learn a person's bones from located joints (metres, NaN where unknown), by medians as the finished fit begins.
 
-    With known lengths only the landmarks of head and feet are learnt.
+    With known lengths only the landmarks of head and feet are learnt. ``offsets`` are those of the detector's marks
+    from the joints' centres.
     """
     source = np.where(np.isfinite(learnt_m[..., 0]), Source.MEASURED, Source.ABSENT)
+    if offsets and _has_torso(learnt_m, joints).any():
+        landmarks = Landmarks(learnt_m, source, joints)
+        learnt_m = centers_from_marks(landmarks, offsets, bone_lengths_m(landmarks))
     nothing = np.zeros(source.shape)
     track = Track3D(1, 0, learnt_m, nothing, source, nothing, np.zeros(source.shape, int))
     if length_m is None:
         length_m = bone_lengths_m(Landmarks(learnt_m, source, joints))
-    return LearntBones(length_m, articulate(length_m, joints, landmark_offsets_m(track, joints, length_m)))
+    offsets_m = landmark_offsets_m(track, joints, length_m)
+    centers = articulate(length_m, joints, offsets_m)
+    if not offsets:
+        return LearntBones(length_m, centers, centers)
+    marks_m = mark_offsets_m(joints, offsets, trunk_length_m(length_m))
+    return LearntBones(length_m, articulate(length_m, joints, offsets_m, marks_m), centers)
 
 
 class PoseFilter:
@@ -278,7 +290,9 @@ class PoseFilter:
             quat = quat * np.where((quat * self._quat).sum(-1) < 0, -1.0, 1.0)[:, None]
         self._quat = quat
         xyz_m = np.full((len(self._joints.names), 3), np.nan)
-        xyz_m[self.bones.skeleton.landmark] = posed.landmark_m[0]
+        centers = self.bones.centers
+        landmark_m = posed.landmark_m if centers is self.bones.skeleton else Posed(poses, centers).landmark_m
+        xyz_m[centers.landmark] = landmark_m[0]
         return LiveSkeleton(poses.root_m[0].copy(), quat, self.bones.length_m, posed.joint_m[0]), xyz_m
 
 
@@ -286,8 +300,14 @@ class LiveBody:
     """Body of a person: bones are learnt for a time, then poses follow each other."""
 
     def __init__(
-        self, joints: JointSet, center_m: Float[np.ndarray, "cameras 3"], rate_hz: float, learn_s: float
+        self,
+        joints: JointSet,
+        center_m: Float[np.ndarray, "cameras 3"],
+        rate_hz: float,
+        learn_s: float,
+        offsets: JointOffsets = MARKED_AT_CENTERS,
     ) -> None:
+        self._offsets = offsets
         self._joints, self._center_m, self._rate_hz, self._learn_s = joints, center_m, rate_hz, learn_s
         self._first_s: float | None = None
         self._learnt_s = -np.inf
@@ -302,7 +322,7 @@ class LiveBody:
     def recall(self, length_m: Float[np.ndarray, " bones"], bones: LearntBones | None) -> None:
         """Take the bones of a person who was there before, or their lengths alone, in place of those to be learnt."""
         if bones is None:
-            bones = learn_bones(np.array(self._learnt), self._joints, length_m)
+            bones = learn_bones(np.array(self._learnt), self._joints, length_m, self._offsets)
         self._filter = PoseFilter(bones, self._joints, self._center_m, self._rate_hz)
         self._learnt.clear()
 
@@ -339,7 +359,7 @@ class LiveBody:
         if self._filter is not None:
             return self._filter.follow(time_s, xyz_m, ray, score)
         if self._is_learnt(time_s, xyz_m) and may_learn:
-            bones = learn_bones(np.array(self._learnt), self._joints)
+            bones = learn_bones(np.array(self._learnt), self._joints, offsets=self._offsets)
             self._filter = PoseFilter(bones, self._joints, self._center_m, self._rate_hz)
             self._learnt.clear()
         return None

@@ -1,11 +1,13 @@
 """`multicap benchmark live`: time from a frame's arrival to people and their skeletons, and their error."""
 
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
+import psutil
 import typer
 
 from api.cli.benchmark.tracking import crowd
@@ -13,7 +15,7 @@ from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.config import ReconstructionConfig
 from pipeline.data.people import Track3D
 from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import recorded_frames
+from pipeline.live.recorded import RecordedFrame, recorded_frames
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
 from pipeline.simulation.scenes import SCENES, Simulation, record
@@ -28,6 +30,8 @@ _PERCENTILES = (50, 95, 99)
 # Skeletons are timed from the first bones on; none are learnt where tracks are timed.
 _LEARN_S, _NEVER_S = 2.0, 60.0
 _ROOM_S = 20.0
+# Length of the take that is played again and again.
+_LOOP_S = 60.0
 # A person who is farther from everybody of the finished session is nobody of it.
 _SAME_PERSON_M = 0.5
 
@@ -117,11 +121,48 @@ def _paired(
     return paired
 
 
+def memory_mib(minutes: Sequence[int], num_people: int = 4, rate_hz: float = _SIZES[0][2]) -> dict[str, Any]:
+    """Memory of this process after so many minutes of one capture, which is computed as fast as possible.
+
+    A minute of five cameras is played forwards and backwards in turns, so that nobody jumps.
+    """
+    simulation = crowd(_SIZES[0][0], num_people, _LOOP_S, rate_hz)
+    frames = recorded_frames(simulation.cameras, simulation.times, simulation.detections)
+    capture = LiveCapture(simulation.cameras, simulation.joints, LiveSettings(rate_hz))
+    process = psutil.Process()
+    by_minute: dict[str, float] = {}
+    numbers: set[int] = set()
+    for loop in range(max(minutes)):
+        for frame in _turned(frames, loop):
+            for instant in capture.push(*frame):
+                numbers |= {person.id for person in instant.people}
+        if loop + 1 in minutes:
+            by_minute[str(loop + 1)] = process.memory_info().rss / 2**20
+    return {"minutes": by_minute, "kept": capture.num_kept, "numbers": len(numbers), "dropped": capture.counts.dropped}
+
+
+def _turned(frames: Sequence[RecordedFrame], loop: int) -> Iterator[RecordedFrame]:
+    """Frames of a loop of a minute: every second one runs backwards."""
+    if loop % 2 == 0:
+        yield from (frame._replace(time_s=frame.time_s + loop * _LOOP_S) for frame in frames)
+        return
+    last_s = frames[-1].time_s
+    backwards = [frame._replace(time_s=last_s - frame.time_s + loop * _LOOP_S) for frame in frames]
+    yield from sorted(backwards, key=lambda frame: (frame.time_s, frame.camera))
+
+
 def live(
     duration_s: Annotated[float, typer.Option("--duration", min=3.0, max=600.0, help="Seconds of each size.")] = 20.0,
+    minutes: Annotated[
+        list[int] | None,
+        typer.Option("--memory", min=1, max=600, help="Measure the memory after so many minutes of a capture instead."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Time people and skeletons from a frame's arrival on one core, and compare them with a finished session."""
+    if minutes:
+        _report_memory(minutes, as_json)
+        return
     with reporting(as_json):
         warm_up()
         sizes = measure_sizes(duration_s)
@@ -134,4 +175,18 @@ def live(
     typer.echo(
         f"Simulated room: error {room['live_mm']:.1f} mm live and {room['fit_mm']:.1f} mm of the finished fit, "
         f"{room['ratio']:.2f} times; {room['switches']} switches of identity."
+    )
+
+
+def _report_memory(minutes: Sequence[int], as_json: bool) -> None:
+    with reporting(as_json):
+        warm_up()
+        memory = memory_mib(minutes)
+    if as_json:
+        emit({"memory": memory})
+        return
+    for minute, mib in memory["minutes"].items():
+        typer.echo(f"{mib:.0f} MiB after {minute} minutes")
+    typer.echo(
+        f"{memory['numbers']} numbers of people, {memory['kept']} records kept, {memory['dropped']} frames dropped"
     )

@@ -15,7 +15,7 @@ from pipeline.config import MotionChoices, networks_of
 from pipeline.data.cameras import Camera
 from pipeline.data.turns import upright_size_px
 from pipeline.detect.models import verify
-from pipeline.detect.profiles.detection import detection_joints
+from pipeline.detect.profiles.detection import detection_joints, mark_offsets
 from pipeline.detect.upright import turn_of_roll
 from pipeline.errors import InputError, Problem
 from pipeline.joints import JointSet
@@ -195,7 +195,7 @@ class CameraRun:
         every = frames_in_slot(rate_hz, len(feeds), (1 - _REST) * detections_hz)
         period_s = every / rate_hz
         settings = LiveSettings(1 / period_s, window_s=max(_WINDOW_S, _WINDOW_PERIODS * period_s))
-        capture = LiveCapture(self._cameras, self.joints, settings)
+        capture = LiveCapture(self._cameras, self.joints, settings, mark_offsets(self._choices))
         search = OffsetSearch(self._cameras, self.joints, self._sync_s)
         self.totals.frame_rate_hz = settings.frame_rate_hz
         self._listener.begin(self._cameras, self.joints, settings.frame_rate_hz)

@@ -17,6 +17,8 @@ import pytest
 from api.settings import Settings
 from multicap.live import LiveError, LiveOptions, connect, connect_sync
 from pipeline.capture.keypoints import open_keypoints
+from pipeline.detect.entries import entry_of
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets
 from pipeline.live.capture import LiveCapture
 from pipeline.live.recorded import RecordedFrame, recorded_frames
 from pipeline.live.records import LiveInstant, LiveSkeleton
@@ -29,6 +31,7 @@ from tests.warm_programs import WarmPrograms
 
 # Bones are learnt in the first half of the take.
 LEARN_S = 0.4
+NETWORK = "movenet-multipose"
 PAGE = (Path(__file__).parents[3] / "docs/live_service.md").read_text(encoding="utf-8")
 
 
@@ -64,9 +67,9 @@ def rate_hz(room: Simulation) -> float:
     return float(room.timebase.frame_rate_hz)
 
 
-def expected_instants(room: Simulation) -> list[LiveInstant]:
+def expected_instants(room: Simulation, offsets: JointOffsets = MARKED_AT_CENTERS) -> list[LiveInstant]:
     """Instants of the library in this process, from the numbers as packets have them."""
-    capture = LiveCapture(room.cameras, room.joints, LiveSettings(rate_hz(room), learn_s=LEARN_S))
+    capture = LiveCapture(room.cameras, room.joints, LiveSettings(rate_hz(room), learn_s=LEARN_S), offsets)
     instants = []
     for frame in frames_of(room):
         points_px, score = (values.astype(np.float32).astype(np.float64) for values in (frame.points_px, frame.score))
@@ -149,7 +152,7 @@ def test_asynchronous_client_with_json_and_a_stored_calibration(
 
     async def run() -> dict[str, int]:
         address = f"http://127.0.0.1:{computing.address[1]}"
-        options = LiveOptions(packed=False, learn_s=LEARN_S)
+        options = LiveOptions(packed=False, learn_s=LEARN_S, joint_centers=NETWORK)
         async with connect(address, stored["id"], "coco-17", rate_hz(room), options) as capture:
             for frame in frames_of(room):
                 await capture.send(*frame)
@@ -161,7 +164,7 @@ def test_asynchronous_client_with_json_and_a_stored_calibration(
 
     counts = asyncio.run(run())
     assert counts["received"] == len(frames_of(room))
-    same(instants, expected_instants(room), 1e-4)
+    same(instants, expected_instants(room, entry_of(NETWORK).offsets), 1e-4)
 
 
 def test_client_raises_problems(computing: Live, calibration: dict[str, Any]) -> None:

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.config import ReconstructionConfig
 from pipeline.data.animation import Animation, SkeletonMotion
+from pipeline.geometry.camera import project
+from pipeline.joints import MARKED_AT_CENTERS, JointOffset
 from pipeline.live.capture import LiveCapture
 from pipeline.live.pose_steps import PoseSteps, quat_xyzw_of
 from pipeline.live.records import LiveInstant
@@ -152,6 +154,33 @@ def test_feet_that_stand_hardly_slide(room: Simulation, instants: list[LiveInsta
         before = after
     assert len(speeds_m_s) > 100
     assert np.mean(speeds_m_s) < 0.15
+
+
+def test_marks_beside_joints_give_the_joints_centres(room: Simulation) -> None:
+    """A detector that marks hips 5 cm outside; without its offsets they stay there."""
+    offsets = {"hip": JointOffset(outwards=0.1)}
+    hips = room.joints.indices(("left_hip", "right_hip"))
+    errors_mm = {}
+    for used in (offsets, MARKED_AT_CENTERS):
+        capture = LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ, learn_s=1.0), used)
+        instants = []
+        for frame in range(50):
+            marks_m = np.array(room.truth_m[:, frame])
+            across_m = marks_m[:, hips[0]] - marks_m[:, hips[1]]
+            across_m *= 0.05 / np.linalg.norm(across_m, axis=-1, keepdims=True)
+            marks_m[:, hips[0]] += across_m
+            marks_m[:, hips[1]] -= across_m
+            for number, camera in enumerate(room.cameras):
+                points_px = np.array([project(camera, person_m) for person_m in marks_m])
+                score = np.where(np.isfinite(points_px).all(-1), 0.9, 0.0)
+                instants += capture.push(number, frame / RATE_HZ, points_px, score)
+        located_m = [person.xyz_m[hips] for person in instants[-1].people if person.skeleton is not None]
+        truth_m = room.truth_m[:, len(instants) - 1][:, hips]
+        assert len(located_m) == len(truth_m)
+        off_m = [min(np.linalg.norm(each_m - true_m, axis=-1).mean() for true_m in truth_m) for each_m in located_m]
+        errors_mm[bool(used)] = 1e3 * np.mean(off_m)
+    assert errors_mm[True] < 15.0
+    assert errors_mm[False] > 30.0
 
 
 def test_a_skeleton_keeps_still_in_memory(room: Simulation) -> None:

@@ -58,3 +58,12 @@ def test_switches_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(LiveCapture, "push", exchanged)
     assert live.compare_with_finished(room)["switches"] == 2
+
+
+def test_memory_is_measured_after_minutes_of_one_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "_LOOP_S", 2.0)
+    memory = live.memory_mib((1, 3), num_people=2, rate_hz=25.0)
+    assert list(memory["minutes"]) == ["1", "3"]
+    assert all(mib > 50.0 for mib in memory["minutes"].values())
+    # A take that turns around does not lose people.
+    assert (memory["numbers"], memory["dropped"]) == (2, 0)
