@@ -9,6 +9,8 @@ from typing import Protocol
 _DRIFT = 2e-4
 # Difference after which a stream has begun to count anew.
 _RESTART_S = 10.0
+# Lateness from which on frames are left out up to a keyframe, and what that catches up at least.
+_TOO_LATE_S, _CAUGHT_UP_S = 1.0, 0.1
 
 
 class CaptureClock(Protocol):
@@ -16,6 +18,9 @@ class CaptureClock(Protocol):
 
     def arrive(self, stamp_s: float, now_s: float) -> float:
         """Take the time stamp of what has arrived now; return how late it is."""
+
+    def restart(self, stamp_s: float, now_s: float) -> None:
+        """Take what has arrived now for what is not late: the stream counts anew."""
 
     def capture_s(self, stamp_s: float) -> float:
         """Time at which a frame was taken."""
@@ -43,6 +48,10 @@ class StreamClock:
         self._last_s = now_s
         return delay_s - self._delay_s
 
+    def restart(self, stamp_s: float, now_s: float) -> None:
+        """Begin anew with what has arrived now."""
+        self._delay_s = now_s - stamp_s
+
     def capture_s(self, stamp_s: float) -> float:
         """Time at which a frame was taken."""
         return stamp_s + (self._delay_s or 0.0)
@@ -54,6 +63,9 @@ class ArrivalClock:
     def arrive(self, stamp_s: float, now_s: float) -> float:
         """Return that nothing is late."""
         return 0.0
+
+    def restart(self, stamp_s: float, now_s: float) -> None:
+        """Do nothing."""
 
     def capture_s(self, stamp_s: float) -> float:
         """Time of arrival, which is the stamp."""
@@ -70,6 +82,28 @@ class PlaybackClock:
         """Return how long ago a frame was to be shown; less than 0 for a frame whose time has not come."""
         return now_s - self.capture_s(stamp_s)
 
+    def restart(self, stamp_s: float, now_s: float) -> None:
+        """Do nothing: a file keeps its pace."""
+
     def capture_s(self, stamp_s: float) -> float:
         """Time at which a frame is to be shown."""
         return stamp_s + self._shift_s
+
+
+class LateFrames:
+    """Choice of frames that are left out, up to a keyframe, because this machine decodes too slowly."""
+
+    def __init__(self) -> None:
+        self._late_s: float | None = None  # Lateness while frames are left out
+
+    def leaves_out(self, clock: CaptureClock, stamp_s: float, now_s: float, is_keyframe: bool) -> bool:
+        """Take what has arrived now; return whether it is to be left out."""
+        if self._late_s is not None and not is_keyframe:
+            return True
+        late_s = clock.arrive(stamp_s, now_s)
+        if self._late_s is not None and late_s > max(_TOO_LATE_S, self._late_s - _CAUGHT_UP_S):
+            # Frames that are left out are quick; if that is no help, none was waiting: the stream's times have jumped.
+            clock.restart(stamp_s, now_s)
+            late_s = 0.0
+        self._late_s = late_s if late_s > _TOO_LATE_S else None
+        return self._late_s is not None

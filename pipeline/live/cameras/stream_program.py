@@ -28,7 +28,7 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.errors import UnusableError
-from pipeline.live.cameras.clocks import ArrivalClock, CaptureClock, PlaybackClock, StreamClock
+from pipeline.live.cameras.clocks import ArrivalClock, CaptureClock, LateFrames, PlaybackClock, StreamClock
 from pipeline.live.cameras.sources import SourceKind
 from pipeline.problem_codes.live import STREAM_REFUSED, STREAM_SILENT
 from pipeline.problem_codes.sessions import (
@@ -44,8 +44,6 @@ from pipeline.video.probe import square_pixels
 
 # Longest waits: for the connection with its first packets, and for the next packet.
 _OPEN_S, _READ_S = 10.0, 5.0
-# Lateness from which on frames are left out up to the next keyframe: this machine decodes too slowly.
-_TOO_LATE_S = 1.0
 _NETWORK = {"fflags": "nobuffer", "analyzeduration": "2000000", "max_delay": "200000"}
 _OPTIONS: dict[SourceKind, dict[str, str]] = {
     # No other address than the stated one is opened: RTP comes over the connection of RTSP, and there are no playlists.
@@ -159,13 +157,12 @@ class _Stream:
         clock: CaptureClock | None = None
         if self._kind != "file":
             clock = StreamClock() if has_times else ArrivalClock()
-        is_late, last_s = False, -float("inf")
+        late, last_s = LateFrames(), -float("inf")
         for packet in container.demux(stream):
             now_s = time.monotonic()
             self._number += bool(packet.size)
-            if clock is not None and has_times and packet.pts is not None and (not is_late or packet.is_keyframe):
-                is_late = clock.arrive(packet.pts * tick_s, now_s) > _TOO_LATE_S
-            if is_late and packet.size:
+            stamp_s = packet.pts * tick_s if has_times and packet.pts is not None else None
+            if clock and stamp_s is not None and late.leaves_out(clock, stamp_s, now_s, packet.is_keyframe):
                 continue
             for frame in _decoded(packet):
                 pts = display_pts(frame)

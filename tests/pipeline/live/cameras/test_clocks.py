@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.live.cameras.clocks import PlaybackClock, StreamClock
+from pipeline.live.cameras.clocks import LateFrames, PlaybackClock, StreamClock
 
 
 def test_jitter_of_arrival_moves_no_frame() -> None:
@@ -38,3 +38,20 @@ def test_a_frame_that_was_decoded_too_late_is_known() -> None:
     playback = PlaybackClock(100.0, 0.5)
     assert playback.capture_s(1.5) == 101.0
     assert playback.arrive(1.5, 103.0) == 2.0
+
+
+def left_out(arrivals: list[tuple[float, float]]) -> list[bool]:
+    """Whether frames are left out, of stamps and times of arrival; each tenth one is a keyframe."""
+    clock, late = StreamClock(), LateFrames()
+    return [late.leaves_out(clock, stamp, now, number % 10 == 0) for number, (stamp, now) in enumerate(arrivals)]
+
+
+def test_a_decoder_that_is_behind_goes_on_at_a_keyframe() -> None:
+    """From frame 25 on the machine is 2 s behind; without decoding it reads what has waited at once."""
+    arrivals = [(0.1 * k, 0.1 * k if k < 25 else max(0.1 * k, 4.5 + 0.001 * k)) for k in range(80)]
+    assert [number for number, is_out in enumerate(left_out(arrivals)) if is_out] == list(range(25, 40))
+
+
+def test_times_that_jump_back_lose_no_more_than_frames_to_the_next_keyframe() -> None:
+    arrivals = [(0.1 * k if k < 25 else 0.1 * k - 3.0, 0.1 * k) for k in range(80)]
+    assert [number for number, is_out in enumerate(left_out(arrivals)) if is_out] == list(range(25, 30))
