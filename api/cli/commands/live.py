@@ -35,7 +35,7 @@ from api.cli.options import (
 from pipeline.calibration.registry import read_calibration
 from pipeline.config import PROFILES
 from pipeline.errors import ChildError, InputError, Problem
-from pipeline.live.cameras.detection import num_processes, start_detecting
+from pipeline.live.cameras.detection import start_detecting
 from pipeline.live.cameras.run import CameraRun, LiveListener
 from pipeline.live.cameras.sources import read_sources
 from pipeline.live.cameras.totals import LiveTotals
@@ -128,7 +128,7 @@ def command(
         )
         warm_up([run.joints])
         try:
-            with _stopped_by_signals(run.stop), ProcessPool(num_processes(), start_detecting, [choices]) as pool:
+            with _stopped_by_signals(run.stop), ProcessPool(run.num_processes, start_detecting, [choices]) as pool:
                 run.run(pool)
         except BrokenProcessPool as error:
             raise ChildError(

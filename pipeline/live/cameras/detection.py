@@ -16,6 +16,8 @@ from pipeline.video.rotation import Rotator
 
 # Below the processes that decode, which must not fall behind.
 _NICE = 5
+# Processes that a camera keeps busy: 60 Hz and networks of 65 ms.
+_MOST_BUSY = 4
 # Pictures by which a size is chosen.
 _NUM_LATEST = 50
 
@@ -41,9 +43,9 @@ class DetectedBodies(NamedTuple):
     duration_s: float  # Time that the detection took: of a core, which other programs don't lengthen, or of the GPU
 
 
-def num_processes() -> int:
-    """Number of processes that detect: one on a GPU, else one for each processor."""
-    return 1 if current_provider().is_gpu else os.cpu_count() or 1
+def num_processes(num_cameras: int) -> int:
+    """Number of processes that detect: one on a GPU, else one for each processor, but no more than can be busy."""
+    return 1 if current_provider().is_gpu else min(os.cpu_count() or 1, _MOST_BUSY * num_cameras)
 
 
 def start_detecting(choices: MotionChoices) -> None:

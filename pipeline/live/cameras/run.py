@@ -118,9 +118,9 @@ class CameraRun:
         self._cameras, self._sources, self._choices = list(cameras), sources, choices
         self._sync_s, self._listener, self.joints = sync_s, listener, detection_joints(choices)
         self._events: queue.SimpleQueue[FeedEvent | None] = queue.SimpleQueue()
-        self._num_processes = num_processes()
+        self.num_processes = num_processes(len(sources))
         # A picture waits while each process works, and a camera may have as many pictures as it takes for that.
-        self._max_pending = self._num_processes + 1
+        self._max_pending = self.num_processes + 1
         num_slots = -(-self._max_pending // len(sources))
         self._free = [set(range(num_slots)) for _ in sources]
         self._asked: list[set[int]] = [set() for _ in sources]
@@ -238,14 +238,14 @@ class CameraRun:
             if isinstance(event := self._events.get(), PictureReady):
                 ready.append(event)
             self._note_start(event)
-        num_jobs, durations_s = max(len(ready), self._num_processes), [1.0]
+        num_jobs, durations_s = max(len(ready), self.num_processes), [1.0]
         for _ in range(_NUM_PASSES) if ready else ():
             jobs = [self._job(picture) for picture in itertools.islice(itertools.cycle(ready), num_jobs)]
             futures = [pool.submit(detect_bodies, job) for job in jobs]
             for job_number, future in enumerate(futures):
                 self._sizes[ready[job_number % len(ready)].camera].add(future.result().spans_px)
             durations_s = [future.result().duration_s for future in futures]
-        return self._num_processes / statistics.median(durations_s)
+        return self.num_processes / statistics.median(durations_s)
 
     def _measure_rate(self) -> float:
         """Rate of the fastest camera: that which a file states, and that in which frames of a stream come."""

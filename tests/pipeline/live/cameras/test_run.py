@@ -99,7 +99,7 @@ def play(
         return DetectedBodies(points_px, detections.score[rows], np.full(rows.sum(), 30.0), detection_s)
 
     monkeypatch.setattr(runs, "verify", lambda name: None)
-    monkeypatch.setattr(runs, "num_processes", lambda: 1)
+    monkeypatch.setattr(runs, "num_processes", lambda num_cameras: 1)
     monkeypatch.setattr(runs, "detect_bodies", detect)
     sources = [CameraSource(camera.name, "file", str(clip)) for camera, clip in zip(room.cameras, clips, strict=True)]
     seen = Seen()
