@@ -14,8 +14,8 @@ _DESCRIPTION = """\
 A live capture for as long as the WebSocket is open. The client sends `start`, then keypoints of each camera's frames,
 and `end`. The service answers `ready`, then instants with people, and `ended`; a `problem` ends the capture early.
 Keypoints and instants may be packed, as messages of bytes. Pages of allowed origins, whose browsers send no headers,
-offer the subprotocols `multicap.live` and `mc.key.` with a key behind it. docs/live_service.md describes both forms, limits and close
-codes.
+offer the subprotocols `multicap.live` and `mc.key.` with a key behind it. docs/live_service.md describes both forms,
+limits and close codes.
 """
 
 

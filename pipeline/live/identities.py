@@ -106,13 +106,17 @@ class Identities:
         return self._number.setdefault(tracked, tracked + self._first)
 
     def keep(self, tracked: Set[int]) -> None:
-        """Forget positions of people whom the tracker does not follow any more, and the first of very many people."""
+        """Forget positions of people whom the tracker does not follow any more, and the first of very many people.
+
+        People who were announced stay.
+        """
         self._number = {key: number for key, number in self._number.items() if key in tracked}
         present = set(self._number.values())
         self._sight = {number: sight for number, sight in self._sight.items() if number in present}
         # Whoever left without bones can't be recognised.
         self._seconds = {n: seconds for n, seconds in self._seconds.items() if n in present or n in self._known}
-        for number in [n for n in self._known if n not in present][: max(0, len(self._known) - _MOST_KNOWN)]:
+        absent = [number for number in self._known if number > self._first and number not in present]
+        for number in absent[: max(0, len(self._known) - _MOST_KNOWN)]:
             del self._known[number], self._seconds[number]
 
     def see(self, tracked: int, time_s: float, xyz_m: Float[np.ndarray, "joints 3"]) -> KnownBody | None:

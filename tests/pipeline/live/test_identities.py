@@ -123,6 +123,21 @@ def test_only_the_same_proportions_are_the_same_person(room: Simulation, factor:
     assert identities.number_of(2) == 4
 
 
+def test_the_first_of_very_many_people_are_forgotten_but_not_those_who_were_announced(room: Simulation) -> None:
+    identities = Identities(room.joints, [scaled(1.0), scaled(0.88)])
+    bones = learn_bones(room.truth_m[0, :5], room.joints)
+    for tracked in range(1, 101):
+        for time_s in np.arange(0.0, 1.1, 0.1):
+            identities.see(tracked, time_s, np.full((len(room.joints.names), 3), np.nan))
+        identities.learn(tracked, bones)
+        identities.keep({tracked})
+    identities.keep(set())
+    assert len(identities) == 64
+    assert set(identities.log_odds(102, [1, 2])) == {1, 2}
+    with pytest.raises(KeyError):
+        identities.log_odds(102, [3])
+
+
 def test_bodies_are_read_from_a_result(room: Simulation, tmp_path: Path) -> None:
     truth_m = room.truth_m[0]
     positions_m = [[point.tolist() for point in frame_m] for frame_m in truth_m]
