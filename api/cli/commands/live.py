@@ -202,4 +202,4 @@ def _print_summary(totals: LiveTotals) -> None:
         ),
     )
     p99 = totals.latencies.percentile_ms(99)
-    typer.echo(summary_line(totals) + ("" if p99 is None else f", p99 {p99:.0f} ms"))
+    typer.echo(summary_line(totals, f"{totals.people} people in all") + ("" if p99 is None else f", p99 {p99:.0f} ms"))

@@ -173,7 +173,7 @@ class Terminal(LiveListener):
     """Line on stderr that says how the capture goes, and what changes."""
 
     def __init__(self, status: Status) -> None:
-        self._status = status
+        self._status, self._num_people = status, 0
 
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         """Tell that it begins."""
@@ -183,12 +183,16 @@ class Terminal(LiveListener):
         """Print what has changed."""
         console.print(sentence, soft_wrap=True)
 
+    def show(self, instant: LiveInstant, latency_s: float) -> None:
+        """Note how many people there are."""
+        self._num_people = len(instant.people)
+
     def tick(self, totals: LiveTotals) -> None:
-        """Show rate, latency and dropped frames."""
-        self._status.update(summary_line(totals))
+        """Show rate, people, latency and dropped frames."""
+        self._status.update(summary_line(totals, f"{self._num_people} people now"))
 
 
-def summary_line(totals: LiveTotals) -> str:
+def summary_line(totals: LiveTotals, people: str) -> str:
     """Rate that was reached, people, latency and dropped frames, in one line."""
     p50, p95 = (totals.latencies.percentile_ms(percent) for percent in (50, 95))
     decoded = sum(camera.decoded for camera in totals.cameras)
@@ -196,8 +200,8 @@ def summary_line(totals: LiveTotals) -> str:
     parts = [
         f"{totals.duration_s:.0f} s",
         f"{totals.instants / max(totals.duration_s, 1e-3):.1f} Hz",
-        f"{totals.people} people",
-        "no people yet" if p50 is None else f"latency {p50:.0f} ms (p95 {p95:.0f} ms)",
+        people,
+        "no instant yet" if p50 is None else f"latency {p50:.0f} ms (p95 {p95:.0f} ms)",
         f"{100 * dropped / max(decoded, 1):.0f} % of frames dropped",
     ]
     return ", ".join(parts)

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.cli.live.outputs import JsonLines, KeptKeypoints, VmcReceivers, opened_output
+from api.cli.live.outputs import JsonLines, KeptKeypoints, VmcReceivers, opened_output, summary_line
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.errors import PipelineError
+from pipeline.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.live.capture import LiveCapture
 from pipeline.live.recorded import recorded_frames
 from pipeline.live.records import LiveInstant, LivePerson
@@ -89,3 +90,14 @@ def test_a_receiver_keeps_its_person_and_gets_the_next_one() -> None:
         people = tuple(LivePerson(number, np.full((17, 3), float(number)), None) for number in numbers)
         vmc.show(LiveInstant(time_s, people, 0.0), 0.0)
     assert [receiver.got for receiver in receivers] == [[1, 3, 3], [2, 2, 2, 2]]
+
+
+def test_the_line_of_the_terminal() -> None:
+    totals = LiveTotals([CameraTotals("a", decoded=90, detected=60), CameraTotals("b", decoded=110, detected=90)])
+    assert summary_line(totals, "nobody") == "0 s, 0.0 Hz, nobody, no instant yet, 25 % of frames dropped"
+    totals.duration_s, totals.instants = 4.0, 100
+    for number in range(100):
+        totals.latencies.add(0.001 * number)
+    assert summary_line(totals, "2 people now") == (
+        "4 s, 25.0 Hz, 2 people now, latency 49 ms (p95 94 ms), 25 % of frames dropped"
+    )
