@@ -62,8 +62,9 @@ def test_the_sample_as_cameras(tmp_path: Path) -> None:
         receiver.bind(("127.0.0.1", 0))
         options = [f"--vmc={receiver.getsockname()[1]}", f"--keep={tmp_path / 'kept'}"]
         options += [f"--camera={name}={path}" for name, path in sample.videos.items()]
-        result = runner.invoke(app, ["live", f"--calibration={sample.calibration}", *options, "--json"])
+        result = runner.invoke(app, ["live", f"--calibration={sample.calibration}", *options, "--preview=0", "--json"])
     assert result.exit_code == 0, result.output
+    assert "Preview: http://127.0.0.1:" in result.stderr
     ready, *instants, ended = [json.loads(line) for line in result.stdout.splitlines()]
     assert (ready["type"], ended["type"]) == ("ready", "ended")
     assert [camera["state"] for camera in ended["cameras"]] == ["ended"] * 4
