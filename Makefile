@@ -16,7 +16,7 @@ UFBX := .venv-ufbx
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-containers soak hostile check benchmark format lock clean blender-extension
+.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-containers soak load hostile check benchmark format lock clean blender-extension
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -167,7 +167,7 @@ test-data: setup
 # that hangs fails after a quarter of an hour.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -n 4 --dist loadgroup --no-loadscope-reorder \
 	--timeout 900 --durations 40 --durations-min 5
-DESELECTED := not benchmark and not blender and not soak and not hostile
+DESELECTED := not benchmark and not blender and not soak and not hostile and not load
 
 test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (10 minutes)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
@@ -180,6 +180,9 @@ test-shapes: test-data ffmpeg readers  ## Run the tests of the pipeline again, w
 
 soak: setup  ## Run 200 jobs disturbed by faults, and 100 rounds of 20 jobs under outages (two hours)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
+
+load: setup  ## Time lists beside 100,000 jobs, and run 1,000 jobs of ten tenants on four workers (half an hour)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -s -m load tests/load
 
 hostile: setup  ## Send 6,000 damaged and malicious sessions to a service (an hour)
 	$(BIN)/multicap models install

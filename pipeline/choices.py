@@ -102,16 +102,12 @@ class Choice:
     values: Mapping[str, Value]  # Named values by name; of numbers, names that stand for no number
     default: Any
     about: About
+    schema: Mapping[str, Any]  # JSON Schema of the values; made once, as every job that is read is checked by it
 
     @property
     def option(self) -> str:
         """Name of the option of the command line, without dashes in front."""
         return self.about.option or self.name.replace("_", "-")
-
-    @property
-    def schema(self) -> dict[str, Any]:
-        """JSON Schema of the values."""
-        return _schema(self.hint, self.about)
 
     @property
     def description(self) -> str:
@@ -178,7 +174,8 @@ def choices_of(declaration: type[Any]) -> tuple[Choice, ...]:
         hint = hints[declared.name]
         if get_origin(hint) is Annotated:
             inner, about = get_args(hint)
-            found.append(Choice(declared.name, _kind(inner), inner, values_of(inner, Value), declared.default, about))
+            named, schema = values_of(inner, Value), _schema(inner, about)
+            found.append(Choice(declared.name, _kind(inner), inner, named, declared.default, about, schema))
     return tuple(found)
 
 

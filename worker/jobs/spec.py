@@ -27,7 +27,7 @@ def _field(choice: Choice) -> tuple[Any, Any]:
         return value_of(choice, value)
 
     field = Field(default=choice.default, description=choice.description)
-    return Annotated[Any, PlainValidator(check), WithJsonSchema(choice.schema)], field
+    return Annotated[Any, PlainValidator(check), WithJsonSchema(dict(choice.schema))], field
 
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from sqlalchemy import ColumnElement, Connection, Table, true
 
 from worker.jobs.database.connection import lock
-from worker.jobs.database.quotas import NO_QUOTAS, Quotas, read_usage, require_room
+from worker.jobs.database.quotas import NO_QUOTAS, Quotas, read_unfinished, read_usage, require_room
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.model.rights import Actor
@@ -48,4 +48,5 @@ class Access:
         if self.quotas == NO_QUOTAS:
             return
         lock(connection, f"quotas of {self.owner}")  # two requests at once must not both take the last place
-        require_room(self.quotas, read_usage(connection, self.owner), **more)
+        read = read_unfinished if more.keys() == {"unfinished_jobs"} else read_usage
+        require_room(self.quotas, read(connection, self.owner), **more)

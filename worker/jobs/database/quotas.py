@@ -8,7 +8,7 @@ from worker.jobs.database.tables import artifacts, calibrations, characters, job
 from worker.jobs.errors import QuotaExceeded
 from worker.jobs.model.jobs import SIDE_KINDS
 from worker.jobs.model.rights import Usage
-from worker.jobs.model.states import FINISHED, JobState
+from worker.jobs.model.states import UNFINISHED, JobState
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +45,9 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
     num_uploads, upload_bytes = connection.execute(
         select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)
     ).one()
-    is_unfinished = jobs.c.state.not_in(FINISHED) & jobs.c.kind.not_in(SIDE_KINDS)
-    unfinished = select(func.count()).select_from(jobs).where(mine, is_unfinished)
     return Usage(
         sessions=num_sessions,
-        unfinished_jobs=connection.scalar(unfinished) or 0,
+        unfinished_jobs=_count_unfinished(connection, tenant),
         stored_bytes=sum(
             int(some or 0)
             for some in (
@@ -60,6 +58,17 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
         ),
         uploads=num_uploads,
     )
+
+
+def read_unfinished(connection: Connection, tenant: str) -> Usage:
+    """Read how many unfinished jobs a tenant has, without the rest: it takes no longer with many finished ones."""
+    return Usage(sessions=0, unfinished_jobs=_count_unfinished(connection, tenant), stored_bytes=0, uploads=0)
+
+
+def _count_unfinished(connection: Connection, tenant: str) -> int:
+    """Count the unfinished jobs of a tenant, those that it asked for."""
+    is_unfinished = jobs.c.state.in_(UNFINISHED), jobs.c.kind.not_in(SIDE_KINDS)
+    return connection.scalar(select(func.count()).where(jobs.c.tenant == tenant, *is_unfinished)) or 0
 
 
 def require_room(

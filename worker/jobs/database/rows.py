@@ -1,6 +1,7 @@
 """Records of the model, made from rows of the tables."""
 
 import functools
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
@@ -23,6 +24,8 @@ from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.spec import JobSpec
 
+# Place of the first count of ``_select_stages``.
+_FIRST_COUNT = 2
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 
@@ -106,7 +109,7 @@ def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str
 
 
 def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None) -> JobRecord:
-    spec = JobSpec.model_validate(row.spec)
+    spec = spec_of(row.spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
     found = tuple(Finding(**warning) for warning in row.warnings)
@@ -150,6 +153,16 @@ def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJo
         if making is not None
         else foreseen_space(preflight, config_of(spec), 0 if character is None else character.file.num_bytes),
     )
+
+
+def spec_of(document: Mapping[str, Any]) -> JobSpec:
+    """Spec of a job, from its column. Equal ones are checked once: a page of jobs has few different ones."""
+    return _checked_spec(json.dumps(document))
+
+
+@functools.lru_cache(1024)
+def _checked_spec(document: str) -> JobSpec:
+    return JobSpec.model_validate_json(document)
 
 
 def job_character_of(document: Mapping[str, Any] | None) -> JobCharacter | None:
@@ -246,7 +259,8 @@ def _count(condition: ColumnElement[bool]) -> ColumnElement[int]:
 
 
 def _stage(row: Row[Any]) -> StageProgress:
-    counts = {state: row._mapping[state] for state in ChunkState if row._mapping[state]}
+    numbers = row[_FIRST_COUNT : _FIRST_COUNT + len(ChunkState)]
+    counts = {state: number for state, number in zip(ChunkState, numbers, strict=True) if number}
     state = stage_state(counts.keys())
     return StageProgress(
         name=row.stage,

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, func, select
 
 from worker.jobs.database.connection import add_up, now
 from worker.jobs.database.tables import chunks, jobs, totals
-from worker.jobs.model.states import FINISHED, ChunkState, JobState
+from worker.jobs.model.states import UNFINISHED, ChunkState, JobState
 from worker.jobs.model.work import Figures
 
 
@@ -36,7 +36,7 @@ def count(connection: Connection, total: Total, label: str, amount: float = 1.0)
 def read_figures(connection: Connection) -> Figures:
     """Read all totals, and how much work there is now."""
     by_state = select(jobs.c.state, func.count().label("number")).group_by(jobs.c.state)
-    unfinished = select(chunks.c.state, func.count().label("number")).join(jobs).where(jobs.c.state.not_in(FINISHED))
+    unfinished = select(chunks.c.state, func.count().label("number")).join(jobs).where(jobs.c.state.in_(UNFINISHED))
     waiting = select(func.max(now() - jobs.c.queued_at)).where(jobs.c.state == JobState.QUEUED)
     return Figures(
         totals={(row.name, row.label): row.value for row in connection.execute(select(totals))},

@@ -58,4 +58,6 @@ EDITABLE = frozenset(JobState) - {JobState.EXPIRED}
 CANCELABLE = frozenset({JobState.QUEUED, JobState.RUNNING})
 AT_WORK = (JobState.QUEUED, JobState.RUNNING)
 """States of jobs that have chunks to claim."""
+UNFINISHED = (*AT_WORK, JobState.CANCELING)
+"""States of jobs that have not ended; few jobs are in them."""
 FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED})

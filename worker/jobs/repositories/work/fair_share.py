@@ -3,35 +3,39 @@
 import math
 import random
 from collections import Counter
-from collections.abc import Iterator
-from itertools import product
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from sqlalchemy import ColumnElement, Connection, func, select, true
 
 from worker.jobs.database.connection import lock
 from worker.jobs.database.tables import chunks, jobs
 from worker.jobs.model.states import AT_WORK, ChunkState, JobState
-from worker.jobs.model.work import Precedence
 from worker.jobs.repositories.rights.keys import count_tenants
 from worker.jobs.repositories.work.workers import count_ready
 
 
-def next_job(connection: Connection, takes: ColumnElement[bool] | None = None) -> str | None:
+def next_job(
+    connection: Connection,
+    takes: ColumnElement[bool] | None = None,
+    last_turns: Mapping[str, int] = MappingProxyType({}),
+) -> str | None:
     """Job of the next chunk: of the tenant with the fewest running chunks, the oldest job with a ready chunk.
 
     A tenant's edits of people go before its other jobs: their files take a second, and somebody waits for them. The
     others are ordered by their priorities.
 
-    Tenants with equal numbers are ordered at random, so that a long queue of one tenant does not delay the others. A
-    tenant that has its share of the workers waits, see ``has_share``. Only chunks with the condition ``takes`` count;
-    ``None``: all.
+    Tenants with equal numbers take turns, by the numbers of their ``last_turns``, and at random where these are equal,
+    so that a long queue of one tenant does not delay the others. A tenant that has its share of the workers waits, see
+    ``has_share``. Only chunks with the condition ``takes`` count; ``None``: all.
     """
     tenants = sorted({tenant for state in AT_WORK for tenant in _tenants_in(connection, state)})
     num_running = _num_running(connection)
     most = _largest_share(connection)
     random.shuffle(tenants)
     tenants = sorted(
-        (tenant for tenant in tenants if num_running[tenant] < most), key=lambda tenant: num_running[tenant]
+        (tenant for tenant in tenants if num_running[tenant] < most),
+        key=lambda tenant: (num_running[tenant], last_turns.get(tenant, 0)),
     )
     oldest = (_oldest_with_work(connection, tenant, true() if takes is None else takes) for tenant in tenants)
     return next((job_id for job_id in oldest if job_id is not None), None)
@@ -63,24 +67,24 @@ def _largest_share(connection: Connection) -> float:
     return max(1, num_workers - 1)
 
 
-def _tenants_in(connection: Connection, state: JobState) -> Iterator[str]:
+def _tenants_in(connection: Connection, state: JobState) -> Sequence[str]:
     """Tenants that have jobs in a state, found by one step in the index for each, however long the queue is."""
-    tenant: str | None = ""
-    while tenant is not None:
-        behind = select(func.min(jobs.c.tenant)).where(jobs.c.state == state, jobs.c.tenant > tenant)
-        tenant = connection.scalar(behind)
-        if tenant is not None:
-            yield tenant
+    in_state = select(func.min(jobs.c.tenant).label("tenant")).where(jobs.c.state == state)
+    tenants = in_state.cte("tenants", recursive=True)
+    behind = in_state.where(jobs.c.tenant > tenants.c.tenant).correlate(tenants).scalar_subquery()
+    tenants = tenants.union_all(select(behind).where(tenants.c.tenant.is_not(None)))
+    return connection.scalars(select(tenants.c.tenant).where(tenants.c.tenant.is_not(None))).all()
 
 
 def _oldest_with_work(connection: Connection, tenant: str, takes: ColumnElement[bool]) -> str | None:
     """Oldest job of a tenant with a ready chunk, by precedence; running jobs are older than queued ones."""
     ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY, takes)
-    # One precedence and state at a time: the index has its jobs in order, so that a long queue is not sorted.
-    for precedence, state in product(Precedence, (JobState.RUNNING, JobState.QUEUED)):
-        is_one = jobs.c.state == state, jobs.c.tenant == tenant, jobs.c.precedence == precedence
-        oldest = select(jobs.c.id).where(*is_one, ready.exists())
-        job_id: str | None = connection.scalar(oldest.order_by(jobs.c.queued_at, jobs.c.id).limit(1))
-        if job_id is not None:
-            return job_id
-    return None
+    found: list[tuple[int, int, str]] = []
+    # One state at a time: the index has its jobs in order, so that a long queue is not sorted.
+    for place, state in enumerate((JobState.RUNNING, JobState.QUEUED)):
+        of_state = select(jobs.c.precedence, jobs.c.id).where(
+            jobs.c.state == state, jobs.c.tenant == tenant, ready.exists()
+        )
+        oldest = of_state.order_by(jobs.c.precedence, jobs.c.queued_at, jobs.c.id).limit(1)
+        found += [(precedence, place, job_id) for precedence, job_id in connection.execute(oldest)]
+    return min(found)[-1] if found else None

@@ -14,7 +14,7 @@ from pipeline.findings import Finding
 from pipeline.problem_codes.jobs import OUTPUT_DAMAGED, WORKER_LOST
 from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.listed_results import list_results
-from worker.jobs.database.rows import edits_of, job_character_of, making_of
+from worker.jobs.database.rows import edits_of, job_character_of, making_of, spec_of
 from worker.jobs.database.tables import artifacts, chunks, jobs
 from worker.jobs.database.totals import Total, count
 from worker.jobs.database.transactions import Transactions
@@ -38,7 +38,6 @@ from worker.jobs.repositories.work.abilities import MachineFull, has_others, req
 from worker.jobs.repositories.work.affinity import first_chunk
 from worker.jobs.repositories.work.fair_share import has_share, next_job
 from worker.jobs.repositories.work.stragglers import find_straggler
-from worker.jobs.spec import JobSpec
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
@@ -53,6 +52,7 @@ class Leases:
 
     def __init__(self, transactions: Transactions) -> None:
         self._transactions = transactions
+        self._last_turns: dict[str, int] = {}  # of tenants at this process: numbers that grow
 
     def claim(self, worker: str, lease_s: float, ability: Ability = ANY_CHUNK) -> Claim | None:
         """Take the next ready chunk; without one, begin a straggler a second time; ``None`` if there is neither.
@@ -80,7 +80,7 @@ class Leases:
     def _next(self, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None) -> Claim | None:
         while True:
             with self._transactions.reading() as connection:
-                job_id = next_job(connection, takes)
+                job_id = next_job(connection, takes, self._last_turns)
             if job_id is None:
                 return None
             if (claim := self._claim_of(job_id, worker, lease_s, takes, machine_bytes)) is not None:
@@ -109,6 +109,7 @@ class Leases:
             }
             connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(taken))
             move_job(connection, job_id, JobState.RUNNING, started_at=now())
+        self._last_turns[job.tenant] = max(self._last_turns.values(), default=0) + 1
         return _claim(job, chunk, token)
 
     def _copy(self, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None) -> Claim | None:
@@ -303,7 +304,7 @@ def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
         payload=chunk.payload,
         unit_count=chunk.unit_count,
         output_key=chunk.output_key,
-        spec=JobSpec.model_validate(job.spec),
+        spec=spec_of(job.spec),
         lease_token=token,
         attempt=chunk.attempt,
         job_attempt=job.attempt,
