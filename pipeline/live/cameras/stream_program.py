@@ -7,9 +7,11 @@ shared file. To stdout go ``opened``, ``decoded`` for each frame, ``picture`` fo
 ``ended`` with a problem, or without one at the end of the stream. The process ends when stdin is closed.
 """
 
+import itertools
 import json
 import mmap
 import os
+import statistics
 import sys
 import threading
 import time
@@ -44,6 +46,8 @@ from pipeline.video.probe import square_pixels
 
 # Longest waits: for the connection with its first packets, and for the next packet.
 _OPEN_S, _READ_S = 10.0, 5.0
+# Frames by which the rate of a file is known.
+_NUM_MEASURED = 50
 _NETWORK = {"fflags": "nobuffer", "analyzeduration": "2000000", "max_delay": "200000"}
 _OPTIONS: dict[SourceKind, dict[str, str]] = {
     # No other address than the stated one is opened: RTP comes over the connection of RTSP, and there are no playlists.
@@ -76,8 +80,8 @@ class _Taken(NamedTuple):
 class _Stream:
     """Open stream: a thread decodes it, and the newest frame waits to be written."""
 
-    def __init__(self, kind: SourceKind) -> None:
-        self._kind = kind
+    def __init__(self, request: StreamRequest) -> None:
+        self._request = request
         self._number = 0
         self._newest: _Taken | None = None
         self._start_s: float | None = None
@@ -110,10 +114,10 @@ class _Stream:
             write_rows(rgb, pictures[slot * num_bytes : (slot + 1) * num_bytes])
         _say("picture", slot=slot, number=taken.number, time_s=taken.time_s)
 
-    def decode(self, request: StreamRequest) -> None:
+    def decode(self) -> None:
         """Decode to the end of the stream, and say how it ended."""
         try:
-            with _opened(request) as container:
+            with _opened(self._request) as container:
                 self._show(container, _video_of(container))
         except UnusableError as error:
             _say_end(error)
@@ -145,9 +149,9 @@ class _Stream:
             stored_size_px=self._size_px,
             square_width=self._square_width,
             rotation_deg=round(frame.rotation / 90) * 90 % 360,
-            rate_hz=float(stream.average_rate or 0),
+            rate_hz=_rate_hz(self._request) if self._request.kind == "file" else float(stream.average_rate or 0),
         )
-        if self._kind == "file":
+        if self._request.kind == "file":
             self._is_started.wait()
 
     def _timed_frames(self, container: InputContainer, stream: VideoStream) -> Iterator[tuple[float, VideoFrame]]:
@@ -155,7 +159,7 @@ class _Stream:
         tick_s = float(stream.time_base or Fraction(1, 1000))
         has_times = container.format.name not in _WITHOUT_TIMES
         clock: CaptureClock | None = None
-        if self._kind != "file":
+        if self._request.kind != "file":
             clock = StreamClock() if has_times else ArrivalClock()
         late, last_s = LateFrames(), -float("inf")
         for packet in container.demux(stream):
@@ -187,6 +191,16 @@ def _video_of(container: InputContainer) -> VideoStream:
         hint = f"Use one of {', '.join(sorted(CODECS))}."
         raise UnusableError(UNSUPPORTED_CODEC, f"The codec {codec} is not supported.", hint)
     return stream
+
+
+def _rate_hz(request: StreamRequest) -> float:
+    """Rate of a file by the times of its first frames, which are right where its header is not; 0 if there are few."""
+    with _opened(request) as container:
+        stream = _video_of(container)
+        packets = itertools.islice(container.demux(stream), _NUM_MEASURED)
+        ticks = sorted(packet.pts for packet in packets if packet.pts is not None)
+        steps = [after - before for before, after in itertools.pairwise(ticks) if after > before]
+        return float(1 / (statistics.median(steps) * (stream.time_base or Fraction(1, 1000)))) if steps else 0.0
 
 
 def _decoded(packet: "av.Packet[Any]") -> list[VideoFrame]:
@@ -239,8 +253,8 @@ def main() -> int:
     start_child(None)
     av.logging.set_level(av.logging.PANIC)
     request = StreamRequest(**json.loads(sys.stdin.readline()))
-    stream = _Stream(request.kind)
-    threading.Thread(target=stream.decode, args=[request], daemon=True).start()
+    stream = _Stream(request)
+    threading.Thread(target=stream.decode, daemon=True).start()
     for line in sys.stdin:
         message = json.loads(line)
         if "path" in message:

@@ -132,6 +132,15 @@ def test_a_file_is_played_at_its_own_pace(tmp_path: Path) -> None:
         assert np.abs(shown(until(events, PictureReady)[-1]) - picture(11, SIZE_PX).astype(float)).mean() < 3.0
 
 
+def test_a_file_s_rate_is_that_of_its_frames(tmp_path: Path) -> None:
+    """The header says 60 Hz; the frames are 80 ms apart."""
+    clip = write_video(tmp_path / "clip.mkv", 20, SIZE_PX, stamps=range(0, 1600, 80), rate_hz=60)
+    with feeding("file", str(clip)) as (_, events):
+        (opened,) = until(events, FeedOpened)
+        assert isinstance(opened, FeedOpened)
+        assert opened.rate_hz == pytest.approx(12.5)
+
+
 def playlist(connection: socket.socket) -> None:
     connection.recv(65_536)
     body = b"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nfile:///etc/hostname\n"
