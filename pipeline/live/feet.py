@@ -92,8 +92,10 @@ class StandingFeet:
             return
         before_m, after_m = ankles_m[:half].mean(0), ankles_m[-half:].mean(0)
         speed_m_s = float(np.linalg.norm(after_m - before_m)) / ((time_s - first_s) * 0.5)
+        if speed_m_s >= _SLOW_M_S:
+            return
         level_m = float(np.quantile(np.array(self._heights_m), _LEVEL_SHARE))
         mean_m = ankles_m.mean(0)
-        if speed_m_s < _SLOW_M_S and mean_m[2] - level_m < _LOW_M:
+        if mean_m[2] - level_m < _LOW_M:
             foot.place_m, foot.num_mean = mean_m, len(ankles_m)
             foot.last.clear()
