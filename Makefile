@@ -178,7 +178,7 @@ test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests
 test-shapes: test-data ffmpeg readers  ## Run the tests of the pipeline again, with shapes and types of all calls checked
 	MULTICAP_CHECK_SHAPES=1 $(PYTEST) -m "$(DESELECTED) and not slow" tests/pipeline
 
-soak: setup  ## Run 200 jobs disturbed by faults, and 100 rounds of 20 jobs under outages (two hours)
+soak: setup  ## Run 200 jobs disturbed by faults, 100 rounds of 20 jobs under outages, and 200 jobs on a disturbed cluster (three hours)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
 
 load: setup  ## Time lists beside 100,000 jobs, and run 1,000 jobs of ten tenants on four workers (half an hour)
