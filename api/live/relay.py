@@ -110,6 +110,8 @@ class Relay:
             if self._kept is not None:
                 await self._kept.add(packet)
             self._frames.put(packet, since_s)
+            # Messages that have come already are received without a pause: a flood would hold up all other captures.
+            await asyncio.sleep(0)
 
     async def _feed(self) -> None:
         """Pass frames on to the process as it takes them."""
