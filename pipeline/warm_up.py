@@ -22,7 +22,7 @@ from pipeline.errors import ModelError
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity
 from pipeline.hands.attach import attach_hands, has_hands, without_fingers
-from pipeline.joints import BODY_25, COCO_17, SIDES, WHOLE_BODY, JointSet, finger_joints
+from pipeline.joints import COCO_17, SIDES, WHOLE_BODY, JointSet, finger_joints
 from pipeline.runtime.kernel_cache import cache_folder, is_complete, note_complete
 from pipeline.runtime.packages.storage import exclusive
 from pipeline.skeleton.animate import animate
@@ -33,11 +33,11 @@ from pipeline.tracking.parameters import derive_parameters
 _NUM_FRAMES = 10
 _RATE_HZ = 25.0
 
-JOINT_SETS = (COCO_17, WHOLE_BODY, BODY_25)
+JOINT_SETS = (COCO_17, WHOLE_BODY)
 """A joint set of each padded size. Fingers are not tracked: the size of ``WHOLE_BODY`` is that with heels and toes."""
 
 # Functions of Multicap that the warm-up compiles, each counted for every size of joint set that it is called with.
-NUM_COMPILED = 172
+NUM_COMPILED = 133
 # Multicap's functions are in packages under this one: `pipeline.`, or `multicap.pipeline.` in the wheel.
 _OWN_MODULES = f"{__package__}."
 

@@ -18,6 +18,9 @@ from numba.np.arrayobj import make_array
 from pipeline.runtime.kernel_cache import cache_folder
 
 _CACHE_LINE = 64
+# Bodies without and with feet. Lanes of its own for each joint set would save no time of the tracker that can be
+# measured, and cost a third of the time of compiling.
+_LANES_OF_BODIES = (20, 28)
 _MOST_PREFETCHED = 5 * _CACHE_LINE
 _PREFETCH = ir.FunctionType(ir.VoidType(), [ir.PointerType(), *3 * [ir.IntType(32)]])
 _Function = TypeVar("_Function", bound=Callable[..., object])
@@ -87,8 +90,11 @@ def as_compiled(values: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shap
 
 
 def round_up(num_joints: int) -> int:
-    """Number of lanes for joints: the next multiple of four, the width of vector instructions."""
-    return -(-num_joints // 4) * 4
+    """Number of lanes for joints: one of a few, as kernels are compiled for each, and a multiple of four.
+
+    Vector instructions take four numbers or more at once.
+    """
+    return next((lanes for lanes in _LANES_OF_BODIES if lanes >= num_joints), -(-num_joints // 4) * 4)
 
 
 def record_dtype(*fields: tuple[Any, ...]) -> np.dtype:

@@ -15,7 +15,7 @@ from pipeline.data.detections import Detections
 from pipeline.detect.look import CameraLook
 from pipeline.errors import InputError
 from pipeline.job_choices import ProxyChoices
-from pipeline.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointSet, without_hands
+from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet, without_hands
 from pipeline.runtime.jit import round_up
 from pipeline.stages.codec import decode, encode
 from pipeline.stages.stage import LOOK
@@ -116,7 +116,7 @@ def test_compiled_kernels_of_the_default_joints_alone_are_loaded_at_start(
     monkeypatch.setattr(execution, "is_complete", lambda: is_complete)
     monkeypatch.setattr(execution, "compile_kernels", loaded.extend)
     execution.warm_up()
-    assert loaded == ([BODY_FEET] if is_complete else [COCO_17, WHOLE_BODY, BODY_25])
+    assert loaded == ([BODY_FEET] if is_complete else [COCO_17, WHOLE_BODY])
     # Kernels are compiled for padded sizes.
     assert round_up(len(BODY_FEET.names)) in {round_up(len(without_hands(joints).names)) for joints in JOINT_SETS}
 
