@@ -10,7 +10,6 @@ import ipaddress
 import socket
 from collections.abc import Iterable, Iterator
 from types import TracebackType
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float
@@ -116,7 +115,7 @@ class VmcSender:
             raise InputError([Problem(PARAMETER_RANGE, "Ports are numbers from 1 to 65535.", field="ports")])
         self._family, self._address = _resolved(host, allow_network)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "VmcSender":
         self._socket = socket.socket(self._family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         return self

@@ -66,7 +66,7 @@ def locate(
             if is_same(distance) and left is not None and right is not None:
                 points_px = np.stack([left[row], right[column]])
                 weights = np.isfinite(points_px[..., 0]).astype(np.float64)
-                instants.append(instant)
+                instants.append(int(instant))
                 poses.append(triangulate(matrices[[first, second]], points_px, weights))
     return instants, np.array(poses) if poses else np.zeros((0, len(sightings.joints.names), 3))
 

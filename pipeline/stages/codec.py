@@ -9,7 +9,7 @@ file that was tampered with can't run code. The types of a record's fields say h
 import functools
 import json
 import operator
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -20,6 +20,7 @@ from numpy.lib.npyio import NpzFile
 
 from pipeline.runtime.npz import encode_arrays, open_archive, save_arrays
 
+# A record's class, or a tuple of such: `tuple[X, ...]` is no instance of `type`.
 _Kind = TypeVar("_Kind")
 # Entry of the JSON document.
 _DOCUMENT = "record"
@@ -36,7 +37,7 @@ def save(record: object, path: Path) -> None:
         save_arrays(file, _arrays(record))
 
 
-def decode(kind: type[_Kind], content: bytes | Path) -> _Kind:
+def decode(kind: Callable[..., _Kind], content: bytes | Path) -> _Kind:
     """Read a record of a type that ``encode`` or ``save`` wrote."""
     return RecordArchive(content).read(kind)
 
@@ -53,7 +54,7 @@ class RecordArchive:
             self._document = json.loads(entries[_DOCUMENT].tobytes())
             self._arrays = frozenset(entries.files)
 
-    def read(self, kind: type[_Kind], *path: str | int) -> _Kind:
+    def read(self, kind: Callable[..., _Kind], *path: str | int) -> _Kind:
         """Read the record at a path of fields and of numbers in tuples; without a path the whole record.
 
         The fields of a path have no defaults.
@@ -62,7 +63,7 @@ class RecordArchive:
         with open_archive(self._content) as entries:
             return cast(_Kind, self._value(kind, document, ".".join(map(str, path)), entries))
 
-    def find(self, kind: type[_Kind], *path: str | int) -> _Kind | None:
+    def find(self, kind: Callable[..., _Kind], *path: str | int) -> _Kind | None:
         """Read the record at a path as ``read`` does; ``None`` if the field is ``None``."""
         return self.read(kind, *path)
 

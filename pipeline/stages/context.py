@@ -5,7 +5,7 @@ keypoints brings its own: ``Context.detections`` gives both alike.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -127,11 +127,11 @@ class Context(ABC):
         """Function that counts the units of a task by the share of its work that is done."""
         return in_units(task.num_units, self.on_unit)
 
-    def records(self, stage: str, kind: type[_Record], tasks: slice = slice(None)) -> Iterator[_Record]:
+    def records(self, stage: str, kind: Callable[..., _Record], tasks: slice = slice(None)) -> Iterator[_Record]:
         """Outputs of tasks of an earlier stage as the records that were encoded, in the tasks' order."""
         return (decode(kind, content) for content in self.outputs(stage, tasks))
 
-    def record(self, stage: str, kind: type[_Record]) -> _Record:
+    def record(self, stage: str, kind: Callable[..., _Record]) -> _Record:
         """Output of the single task of an earlier stage as the record that was encoded."""
         (record,) = self.records(stage, kind)
         return record

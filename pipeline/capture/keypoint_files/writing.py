@@ -23,8 +23,8 @@ def encode_frame(
     """
     # OpenPose writes zeros for a joint that it did not find.
     found = np.nan_to_num(np.concatenate([keypoints_px, score[..., None]], axis=-1))
-    parts = {name: points.reshape(len(found), -1).tolist() for name, points in _parts(found, joints).items()}
-    listed = [{name: points[person] for name, points in parts.items()} for person in range(len(found))]
+    parts = _parts(found, joints)
+    listed = [{name: points[person].ravel().tolist() for name, points in parts.items()} for person in range(len(found))]
     return json.dumps({"version": 1.3, "people": listed}, separators=(",", ":")).encode()
 
 

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import weakref
 from collections.abc import Iterator
-from typing import IO, Any, Self, cast
+from typing import IO, Any, cast
 
 from pipeline.live.cameras.stream_program import StreamRequest
 from pipeline.runtime.child_processes import module_command, uninterrupted
@@ -37,7 +37,7 @@ class StreamProcess:
         self._received = b""
         self.tell(**request._asdict())
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "StreamProcess":
         return self
 
     def __exit__(self, *_: object) -> None:

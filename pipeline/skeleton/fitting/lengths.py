@@ -33,7 +33,7 @@ _DIFFERENCE = 1e-3
 # Longest change of a length in a step, as a share.
 _LONGEST_STEP = 0.05
 
-Window = tuple[JointPoses, Evidence, Float[np.ndarray, "*differences landmarks"]]
+Window = tuple[JointPoses, Evidence, Float[np.ndarray, "... landmarks"]]
 """Start of the fit in a window of frames, its evidence, and usual second differences as of ``articulated.refine``."""
 
 

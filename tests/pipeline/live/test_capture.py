@@ -165,7 +165,7 @@ def test_frames_that_wait_are_few(ring: tuple[Camera, ...], monkeypatch: pytest.
 def test_everything_wrong_with_a_frame_is_said_at_once(ring: tuple[Camera, ...]) -> None:
     capture = LiveCapture(ring, COCO_17, LiveSettings(RATE_HZ))
     with pytest.raises(InputError) as caught:
-        capture.push("cam9", np.nan, np.zeros((1, 16, 2)), np.ones((1, 17)))
+        capture.push("cam9", np.nan, np.zeros((1, 16, 2)), np.ones((1, 16)))
     assert [problem.field for problem in caught.value.problems] == ["camera", "time_s", "points_px"]
     assert "cam0, cam1, cam2, cam3" in str(caught.value)
     assert "(people, 17, 2)" in str(caught.value)
