@@ -110,7 +110,9 @@ def jobs_per_s(folder: Path, num_workers: int) -> float:
             log = folder / f"worker-{number}.log"
             stack.enter_context(started(["/bin/sh", "-c", script, "sh", *worker], environment, log))
         stack.enter_context(started([*worker[:3], "worker.reaper"], environment, folder / "reaper.log"))
-        wait_for(lambda: [one.state for one in store.workers.all()].count(WorkerState.READY) == num_workers, 600.0)
+        wait_for(
+            lambda: [worker.state for worker in store.workers.all()].count(WorkerState.READY) == num_workers, 600.0
+        )
         num_jobs = JOBS_A_WORKER * num_workers
         add_jobs(store, LocalArtifacts(folder / "data" / "artifacts"), num_jobs)
         engine = sa.create_engine(sa.make_url(server.url).set(drivername="postgresql+psycopg"))

@@ -1,1 +1,1 @@
-"""What `multicap live` makes of people while they are captured: lines of JSON, kept keypoints, VMC, the terminal."""
+"""Outputs of `multicap live` about people while they are captured: lines of JSON, kept keypoints, VMC, the terminal."""

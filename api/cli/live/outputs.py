@@ -215,7 +215,7 @@ def opened_output(path: Path) -> Iterator[IO[str]]:
     try:
         yield file
     finally:
-        # What could not be written was told by the line.
+        # The line told about frames that could not be written.
         with suppress(OSError):
             file.close()
 

@@ -36,7 +36,7 @@ from pipeline.skeleton.model import SKELETON
 
 _HOST = "127.0.0.1"
 _PAGE = Path(__file__).parents[2] / "portal" / "live" / "preview.html"
-# What waits for a browser that is slow.
+# Messages that wait for a browser that is slow.
 _MAX_MESSAGES, _MAX_BYTES = 16, 2**22
 # Instants whose latencies are shown.
 _NUM_SHOWN = 200

@@ -10,7 +10,7 @@ const COLUMNS = ["camera", "frame", "time_s"];
 const LAYOUTS = new Map([[17, "coco-17"], [18, "coco-18"], [25, "body-25"], [26, "halpe-26"], [133, "coco-wholebody-133"], [136, "halpe-136"]]);
 const FORM = "The page plays keypoints in OpenPose's form: a JSON file of each frame, with people and pose_keypoints_2d.";
 
-/** What can't be played, as `problemBox` shows it. */
+/** Reason for which nothing can be played, as `problemBox` shows it. */
 export class PlaybackProblem extends Error {
   constructor(message, hint = null) {
     super(message);

@@ -98,7 +98,7 @@ class LiveView {
     }
     this.#go("opening");
     try {
-      // What plays is large: it is loaded when it is needed.
+      // The player is large: it is loaded when it is needed.
       const [{ recordingOf }, ...modules] = await Promise.all([import("./keypoints.js"), import("./client.js"), import("./playback.js"), import("./scene.js")]);
       const names = this.rig.record.cameras.map(({ name }) => name);
       const recording = await recordingOf(this.files, names, this.frameRateHz);

@@ -14,7 +14,7 @@ from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.sessions import VIDEO_MISSING
 
 SourceKind = Literal["rtsp", "http", "device", "file"]
-"""What a source is. A file is played at its own pace."""
+"""Kind of a source. A file is played at its own pace."""
 
 _SCHEMES: dict[str, SourceKind] = {"rtsp": "rtsp", "rtsps": "rtsp", "http": "http", "https": "http"}
 _HINT = "Write it as cam_1=rtsp://192.168.0.10/stream, cam_2=http://..., cam_3=/dev/video0 or cam_4=clip.mp4."

@@ -47,7 +47,7 @@ class Latencies:
 
 @dataclass(slots=True)
 class LiveTotals:
-    """What happened in a live capture so far."""
+    """Counts of a live capture so far."""
 
     cameras: list[CameraTotals]
     frame_rate_hz: float = 0.0  # Rate of the instants

@@ -20,7 +20,7 @@ from tests.api.live.conftest import keypoints_message
 from tests.api.live.test_live import packet
 
 Way = Callable[[ClientConnection, str], None]
-"""What a client does with a connection; the text is a right first message."""
+"""Behaviour of a client with a connection; the text is a right first message."""
 
 
 def silent(connection: ClientConnection, start: str) -> None:

@@ -26,7 +26,7 @@ class Precedence(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Ability:
-    """What a worker process can run."""
+    """Abilities of a worker process."""
 
     codes: frozenset[str] | None = None  # Digests of the stages' code that it runs; ``None``: any
     gpu_codes: frozenset[str] = frozenset()  # Of these, the digests of networks on a GPU

@@ -1,4 +1,4 @@
-"""What a day's hours of cameras need: processors, disk, network and rows, from measured costs of a job."""
+"""Needs of a day's hours of cameras: processors, disk, network and rows, from measured costs of a job."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -52,7 +52,7 @@ class _Job:
 
 @dataclass(slots=True)
 class QueueOutcome:
-    """What came of a simulation."""
+    """Outcome of a simulation."""
 
     response_s: list[float] = field(default_factory=list)  # Of each job, from its arrival to its end
     waiting_s: list[float] = field(default_factory=list)  # Of each job, until its first chunk begins

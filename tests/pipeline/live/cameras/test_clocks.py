@@ -41,7 +41,7 @@ def test_a_frame_that_was_decoded_too_late_is_known() -> None:
 
 
 def left_out(arrivals: list[tuple[float, float]]) -> list[bool]:
-    """Whether frames are left out, of stamps and times of arrival; each tenth one is a keyframe."""
+    """Frames that are left out, as booleans, of stamps and times of arrival; each tenth one is a keyframe."""
     clock, late = StreamClock(), LateFrames()
     return [late.leaves_out(clock, stamp, now, number % 10 == 0) for number, (stamp, now) in enumerate(arrivals)]
 

@@ -51,7 +51,7 @@ def clips(room: Simulation, tmp_path_factory: pytest.TempPathFactory) -> list[Pa
 
 
 class Seen(LiveListener):
-    """What was told of a capture."""
+    """Messages about a capture."""
 
     def __init__(self) -> None:
         self.rate_hz, self.frames = 0.0, list[tuple[str, RecordedFrame]]()
