@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from pipeline.capture.session import Session
+from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.data.detections import Detections, DetectionsByCamera
 from pipeline.detect.chunk import concatenate
 from pipeline.findings import Finding
@@ -34,42 +35,46 @@ def check_clocks(session: Session, near: DetectionsNear, joints: JointSet, parts
     """
     spans = _spans(parts, session.timebase.frame_rate_hz)
     ranges = near(spans)
-    detections = _bodies(session, joints, spans, ranges)
-    share = _affordable(session, detections, spans)
-    if share * sum(map(len, spans)) < _SHORTEST_S * session.timebase.frame_rate_hz and share < 1.0:
+    length_s = sum(map(len, spans)) / session.timebase.frame_rate_hz
+    detections = _bodies(session.times, session.timebase, joints, spans, ranges)
+    share = _affordable(session.times, detections, length_s)
+    if share * length_s < _SHORTEST_S and share < 1.0:
         return
     if share < 1.0:
         spans = [_middle(span, share) for span in spans]
-        detections = _bodies(session, joints, spans, [detections])
+        detections = _bodies(session.times, session.timebase, joints, spans, [detections])
     for offset in remaining_offsets(session.cameras, session.times, detections, joints):
         if offset.is_wrong:
             yield _finding(offset)
 
 
 def _bodies(
-    session: Session, joints: JointSet, spans: Sequence[range], ranges: Sequence[DetectionsByCamera]
+    times: Mapping[str, FrameTimes],
+    timebase: Timebase,
+    joints: JointSet,
+    spans: Sequence[range],
+    ranges: Sequence[DetectionsByCamera],
 ) -> dict[str, Detections]:
     """Bodies of each camera in spans of output frames."""
-    half_s = 0.5 / session.timebase.frame_rate_hz
-    ends_s = [(session.timebase.time_s(span[0]) - half_s, session.timebase.time_s(span[-1]) + half_s) for span in spans]
+    half_s = 0.5 / timebase.frame_rate_hz
+    ends_s = [(timebase.time_s(span[0]) - half_s, timebase.time_s(span[-1]) + half_s) for span in spans]
     chunks = [
-        bodies.within(frames_in(session.times[name], *ends))
+        bodies.within(frames_in(times[name], *ends))
         for ends in ends_s
         for part in ranges
         for name, bodies in part.items()
         if isinstance(bodies, Detections)
     ]
-    return concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
+    return concatenate(chunks, list(times), len(joints.names))
 
 
-def _affordable(session: Session, detections: Mapping[str, Detections], spans: Sequence[range]) -> float:
-    """Share of the spans that can be looked at in some seconds: each body is compared with all of other cameras."""
-    seconds = sum(map(len, spans)) / session.timebase.frame_rate_hz
+def _affordable(times: Mapping[str, FrameTimes], detections: Mapping[str, Detections], length_s: float) -> float:
+    """Share of a length that can be looked at in some seconds: each body is compared with all of other cameras."""
     people = [
-        len(bodies.frame) / max(1.0, seconds * measured_rate_hz(session.times[name].time_s))
+        len(bodies.frame) / max(1.0, length_s * measured_rate_hz(times[name].time_s))
         for name, bodies in detections.items()
     ]
-    comparisons = seconds * sum(first * second for first, second in itertools.combinations(people, 2))
+    comparisons = length_s * sum(first * second for first, second in itertools.combinations(people, 2))
     return min(1.0, _MAX_COMPARISONS / max(comparisons, 1e-9))
 
 

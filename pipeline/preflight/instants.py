@@ -34,7 +34,7 @@ def check_at_instants(
     """
     networks = networks_of(config)
     open_turned = partial(open_finder, networks)
-    frames = frames_at_instants(session, session.stretches)
+    frames = frames_at_instants(session.times, session.timebase, session.stretches)
     detections, turns_deg = detect_at(session, frames, open_turned, shows_lean(networks), on_frame)
     check = check_bodies(session, detections, open_turned(0.0).joints, session.stretches)
     return replace(check, findings=(*check.findings, *hanging_cameras(turns_deg)))

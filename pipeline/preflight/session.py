@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.capture.session import Session
+from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.data.detections import Detections, DetectionsByCamera, PafFields
 from pipeline.detect.bodies import ImageBodies
 from pipeline.detect.chunk import concatenate, stack_bodies
@@ -24,7 +25,7 @@ def check_detections(session: Session, near: DetectionsNear, joints: JointSet, p
     The session is whole, with the calibration as it was given. ``near`` gives the detections of the ranges that have
     some of given output frames; ``parts`` are the wanted output frames.
     """
-    frames = frames_at_instants(session, parts)
+    frames = frames_at_instants(session.times, session.timebase, parts)
     instants = [range(instant, instant + 1) for instant in choose_instants(parts)]
     ranges = [_at(detected, frames, joints) for detected in near(instants)]
     names = [camera.name for camera in session.cameras]
@@ -50,16 +51,19 @@ def check_bodies(
     """Check a session by the people at a few instants, with the detections at least of these instants."""
     instants = choose_instants(parts)
     time_s = [session.timebase.time_s(instant) for instant in instants]
-    sightings = sightings_of(session.cameras, detections, frames_at_instants(session, parts), joints, time_s)
+    frames = frames_at_instants(session.times, session.timebase, parts)
+    sightings = sightings_of(session.cameras, detections, frames, joints, time_s)
     people = {camera.name: sightings.num_people(number) for number, camera in enumerate(session.cameras)}
     checked = check_people(session.cameras, sightings)
     return SessionCheck(checked.findings, people, len(instants), checked.num_located)
 
 
-def frames_at_instants(session: Session, parts: Sequence[range]) -> Mapping[str, Sequence[int | None]]:
+def frames_at_instants(
+    times: Mapping[str, FrameTimes], timebase: Timebase, parts: Sequence[range]
+) -> Mapping[str, Sequence[int | None]]:
     """Frames of each camera at the instants of a check, in given output frames."""
     instants = choose_instants(parts)
-    return {name: frames_at(times, session.timebase, instants) for name, times in session.times.items()}
+    return {name: frames_at(taken, timebase, instants) for name, taken in times.items()}
 
 
 def _at(

@@ -93,7 +93,9 @@ def test_crowds_are_looked_at_for_a_shorter_time_or_not_at_all(take: Take, monke
     monkeypatch.setattr(declared_clocks, "remaining_offsets", counted)
     monkeypatch.setattr(declared_clocks, "_MAX_COMPARISONS", 1.0)
     session = session_of(late)
-    needed = 1.0 / _affordable(session, session.detections, [range(session.timebase.num_frames)])
+    needed = 1.0 / _affordable(
+        session.times, session.detections, session.timebase.num_frames / session.timebase.frame_rate_hz
+    )
     for share in (1.0, 0.8, 0.5):
         monkeypatch.setattr(declared_clocks, "_MAX_COMPARISONS", share * needed)
         assert findings(late) == []
