@@ -56,21 +56,33 @@ def constrained(armature: Any, bones: Sequence[str]) -> list[str]:
     ]
 
 
-def put_on(armature: Any, motion: PersonMotion, bones: Mapping[str, str], name: str) -> Iterator[float]:
-    """Put the motion of a person on an armature, as a new action; yield the share that is done, now and then.
-
-    Frame 0 of the scene is the first frame; other frame rates of the scene keep the time. The action that the
-    armature had before stays in the file. Raises ``RequestError`` if bones are missing.
-    """
-    tree = tree_of(armature)
-    problems = problems_of(tree, bones)
+def check_bones(armature: Any, bones: Mapping[str, str]) -> None:
+    """Raise ``RequestError`` if motion can't be put on these bones."""
+    problems = problems_of(tree_of(armature), bones)
     if problems:
         raise RequestError(" ".join(problems))
     if armature.data.bones[bones[HIPS]].use_connect:
         raise RequestError(
             f"The bone {bones[HIPS]} can't move away from its parent. Switch off Connected in edit mode."
         )
-    mapped: BoneMap = completed(tree, bones)
+
+
+def to_rest(armature: Any) -> None:
+    """Give all bones their rest pose, and rotations as quaternions."""
+    for bone in armature.pose.bones:
+        bone.matrix_basis.identity()
+        bone.location, bone.scale, bone.rotation_mode = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), "QUATERNION"
+        bone.rotation_quaternion, bone.rotation_euler = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+
+def put_on(armature: Any, motion: PersonMotion, bones: Mapping[str, str], name: str) -> Iterator[float]:
+    """Put the motion of a person on an armature, as a new action; yield the share that is done, now and then.
+
+    Frame 0 of the scene is the first frame; other frame rates of the scene keep the time. The action that the
+    armature had before stays in the file. Raises ``RequestError`` if bones are missing.
+    """
+    check_bones(armature, bones)
+    mapped: BoneMap = completed(tree_of(armature), bones)
     poses = Retargeting(motion, rest_of(armature), mapped)
     hips, frames_a_key = bones[HIPS], scene_rate_hz(bpy.context.scene) / motion.frame_rate_hz
     turns: dict[str, list[float]] = {}
@@ -88,12 +100,8 @@ def put_on(armature: Any, motion: PersonMotion, bones: Mapping[str, str], name: 
         if number % _FRAMES_A_STEP == 0:
             yield number / motion.num_frames
     action, curves = _new_action(armature, name)
-    for bone in armature.pose.bones:
-        bone.matrix_basis.identity()
-        bone.location, bone.scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
-        bone.rotation_quaternion, bone.rotation_euler = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    to_rest(armature)
     for bone, values in turns.items():
-        armature.pose.bones[bone].rotation_mode = "QUATERNION"
         path = f'pose.bones["{bpy.utils.escape_identifier(bone)}"].rotation_quaternion'
         for axis in range(4):
             _add_curve(curves, path, axis, values[axis::4], frames_a_key)

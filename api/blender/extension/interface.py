@@ -6,6 +6,7 @@ from api.blender.extension import work
 from api.blender.extension.operators import OPERATORS
 from api.blender.extension.panels import PANELS
 from api.blender.extension.properties import PROPERTIES, MulticapState
+from api.blender.extension.receiver import live
 
 _CLASSES = (*PROPERTIES, *OPERATORS, *PANELS)
 
@@ -19,6 +20,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Stop what runs, and remove the classes from Blender."""
+    live.stop()
     work.end()
     del bpy.types.WindowManager.multicap
     for kind in reversed(_CLASSES):

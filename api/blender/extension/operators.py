@@ -15,6 +15,7 @@ from api.blender.extension.bone_tree import problems_of
 from api.blender.extension.capture_folder import find_capture
 from api.blender.extension.client import BlenderClient, CallerEntry, is_on_this_machine
 from api.blender.extension.glb_motion import GlbFacts, check_glb, read_motion
+from api.blender.extension.receiver import live
 from api.blender.extension.recognition import recognise, show_bones, stated_bones
 from api.blender.extension.refusals import AwayError
 from api.blender.extension.tasks import BackgroundTask, Speed
@@ -347,6 +348,37 @@ def _put(name: str, person: str, motion: Any, bones: dict[str, str], *, has_time
     say(f"{text} Constraints still pull {', '.join(pulled[:5])}: mute them." if pulled else text, is_error=bool(pulled))
 
 
+class MulticapReceive(bpy.types.Operator):
+    """Move the armature as the person whom a live capture sends to the port (VMC)"""
+
+    bl_idname, bl_label = "multicap.receive", "Receive live"
+
+    def execute(self, context: Any) -> set[str]:
+        state = panel_state(context)
+        try:
+            live.start(_chosen_armature(context), stated_bones(state), state.live_port)
+        except RequestError as error:
+            say(str(error), is_error=True)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        return live.receiver is None
+
+
+class MulticapStopReceiving(bpy.types.Operator):
+    """Leave the armature as it is, and give it the action that it had"""
+
+    bl_idname, bl_label = "multicap.stop_receiving", "Stop receiving"
+
+    def execute(self, _context: Any) -> set[str]:
+        live.stop()
+        say("Nothing is received any more.")
+        return {"FINISHED"}
+
+
 class MulticapSend(_FreeOperator):
     """Send the videos of a folder with a calibration as a new capture, and reconstruct it"""
 
@@ -439,6 +471,8 @@ OPERATORS = (
     MulticapRecognise,
     MulticapAskForBones,
     MulticapPutOn,
+    MulticapReceive,
+    MulticapStopReceiving,
     MulticapSend,
     MulticapStop,
     MulticapCancelJob,

@@ -102,14 +102,24 @@ class MULTICAP_PT_character(_Panel):  # noqa: N801 - likewise
 
     def draw(self, context: Any) -> None:
         state, layout = panel_state(context), self.layout
-        layout.prop(state, "armature")
+        _draw_armature(state, layout)
         if state.armature is not None:
-            layout.template_list("MULTICAP_UL_bones", "bones", state, "bones", state, "bone", rows=6)
-            row = layout.row(align=True)
-            row.operator("multicap.recognise")
-            if state.may_write:
-                row.operator("multicap.ask_for_bones")
             layout.operator("multicap.put_on", icon="ARMATURE_DATA")
+
+
+class MULTICAP_PT_live(_Panel):  # noqa: N801 - likewise
+    """Armature of the scene that moves as the person of a live capture."""
+
+    bl_label, bl_parent_id, bl_options = "Live", "MULTICAP_PT_service", {"DEFAULT_CLOSED"}
+
+    def draw(self, context: Any) -> None:
+        state, layout = panel_state(context), self.layout
+        if state.is_receiving:
+            layout.operator("multicap.stop_receiving", icon="PAUSE")
+            return
+        _draw_armature(state, layout)
+        layout.prop(state, "live_port")
+        layout.operator("multicap.receive", icon="PLAY")
 
 
 class MULTICAP_PT_send(_Panel):  # noqa: N801 - likewise
@@ -127,6 +137,17 @@ class MULTICAP_PT_send(_Panel):  # noqa: N801 - likewise
         for name in ("folder", "calibration", "name", "has_human"):
             layout.prop(state, name)
         layout.operator("multicap.send", icon="EXPORT")
+
+
+def _draw_armature(state: Any, layout: Any) -> None:
+    """Draw the chosen armature, and its bones."""
+    layout.prop(state, "armature")
+    if state.armature is not None:
+        layout.template_list("MULTICAP_UL_bones", "bones", state, "bones", state, "bone", rows=6)
+        row = layout.row(align=True)
+        row.operator("multicap.recognise")
+        if state.may_write:
+            row.operator("multicap.ask_for_bones")
 
 
 def lines_of(text: str, width: int) -> list[str]:
@@ -151,6 +172,7 @@ PANELS = (
     MULTICAP_PT_service,
     MULTICAP_PT_captures,
     MULTICAP_PT_character,
+    MULTICAP_PT_live,
     MULTICAP_PT_send,
 )
 """Classes to register."""

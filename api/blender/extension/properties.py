@@ -90,6 +90,11 @@ class MulticapState(bpy.types.PropertyGroup):
     )  # fmt: skip
     bones: bpy.props.CollectionProperty(type=MulticapBone)
     bone: bpy.props.IntProperty()
+    live_port: bpy.props.IntProperty(
+        name="Port", description="Port of this machine to which the person is sent: --vmc of multicap live",
+        default=39539, min=1, max=65535,
+    )  # fmt: skip
+    is_receiving: bpy.props.BoolProperty()
     folder: bpy.props.StringProperty(
         name="Videos", subtype="DIR_PATH", description="Folder with a video of each camera"
     )

@@ -98,10 +98,10 @@ class Retargeting:
                 keys = motion.turns.get(joint)
                 own = NO_TURN if keys is None else unit_turn(keys[frame])
                 turns[joint] = own if parent is None else times(turns[parent], own)
-            yield self._pose(turns, motion.roots_m[frame])
+            yield self.pose(turns, motion.roots_m[frame])
 
-    def _pose(self, joints: Mapping[str, Quat], root_m: Vec) -> PoseFrame:
-        """Pose of the armature for rotations of the person's joints in the world."""
+    def pose(self, joints: Mapping[str, Quat], root_m: Vec) -> PoseFrame:
+        """Pose of the armature for rotations of the person's joints in the world, and the place of the root there."""
         armature, to_armature = self._armature, inverse(self._armature.turn)
         posed: dict[str, Quat] = {}
         own: dict[str, Quat] = {}

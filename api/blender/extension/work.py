@@ -99,7 +99,7 @@ def pump() -> bool:
     if not current.is_busy:
         panel_state().fraction = -1.0
         _drop_folder()
-    _redraw()
+    redraw()
     return current.is_busy
 
 
@@ -117,7 +117,8 @@ def _take_in(task: BackgroundTask) -> None:
             then(task.result)
 
 
-def _redraw() -> None:
+def redraw() -> None:
+    """Have Blender draw its 3D views again."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

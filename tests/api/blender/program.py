@@ -9,6 +9,7 @@ found is written to ``out``.
 import contextlib
 import json
 import math
+import socket
 import sys
 import time
 import types
@@ -187,6 +188,33 @@ class PanelUser:
                 panel.draw(types.SimpleNamespace(layout=layout), bpy.context)
                 shown[panel.__name__] = layout.shown
         return shown
+
+    def receive(self, seconds: float) -> dict[str, Any]:
+        """Receive a live person until the armature moves; return what the panel said, and where bones are."""
+        live = sys.modules[f"{NAME}.receiver"].live
+        with contextlib.suppress(RuntimeError):  # The panel says what is wrong.
+            bpy.ops.multicap.receive()
+        said, drawn = [self.panel.message], self.draw()["MULTICAP_PT_live"]
+        print("listening")  # noqa: T201 - the test waits for it
+        end_s, num_left = time.monotonic() + seconds, 20
+        while self.panel.is_receiving and num_left and time.monotonic() < end_s:
+            live.step()
+            num_left -= "moves" in self.panel.message
+            time.sleep(0.01)
+        said.append(self.panel.message)
+        bpy.context.view_layer.update()
+        armature = self.panel.armature
+        heads = {bone.name: list(armature.matrix_world @ bone.head) for bone in armature.pose.bones}
+        actions = [data.action.name for data in (armature.animation_data,) if data is not None and data.action]
+        with contextlib.suppress(RuntimeError):
+            bpy.ops.multicap.stop_receiving()
+        after = [data.action.name for data in (armature.animation_data,) if data is not None and data.action]
+        return {"said": said, "drawn": drawn, "heads": heads, "actions": actions, "after": after}
+
+    def take_port(self, port: int) -> None:
+        """Be another program that has the port."""
+        self._other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._other.bind(("127.0.0.1", port))
 
     def move_armature(self, place: list[float], degrees: float, size: float) -> None:
         armature = self.panel.armature

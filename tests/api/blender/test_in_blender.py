@@ -3,7 +3,10 @@
 import hashlib
 import json
 import os
+import socket
 import subprocess
+import threading
+import time
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +23,9 @@ from pipeline.character.gltf_reader import decode_character
 from pipeline.character.mapping import map_bones
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_results
-from pipeline.skeleton.model import INDEX, SKELETON
+from pipeline.live.records import LiveInstant, LivePerson, LiveSkeleton
+from pipeline.live.vmc import VmcSender
+from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.api.blender.conftest import WrongService, says
 from tests.api.blender.test_client import ServiceGate
 from tests.api.conftest import Live, running
@@ -340,3 +345,79 @@ def test_a_hostile_service(
     assert not imported["is_error"]
     ((name, _),) = scene["heads"].items()
     assert name == "../.." + "ü" * 27
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as some:
+        some.bind(("127.0.0.1", 0))
+        return int(some.getsockname()[1])
+
+
+def test_an_armature_moves_live(
+    live: Live, named: Reconstruction, files: dict[str, bytes], blender: Callable[..., list[Any]], tmp_path: Path
+) -> None:
+    """A character in an A-pose, elsewhere and smaller, which has an action; strangers send to its port, too."""
+    path = tmp_path / "character.glb"
+    path.write_bytes(character(bones_of("mixamo"), armature_scale=0.01))
+    with_people(live, named, files)
+    motion, frame, num_bones, port = named.motions[0], 20, len(SKELETON), free_port()
+    person_m = forward_kinematics(motion)[frame]
+    turns, lengths_m = motion.parent_from_joint[frame, :num_bones], motion.bone_length_m[:num_bones]
+    pose = LiveSkeleton(motion.root_m[frame], turns, lengths_m, person_m[:num_bones])
+    instant = LiveInstant(1.0, (LivePerson(1, np.zeros((17, 3)), pose),), 0.0)
+
+    def send() -> None:
+        with VmcSender(ports=[port]) as sender, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            for _ in range(300):
+                stranger.sendto(b"GET / HTTP/1.1", ("127.0.0.1", port))
+                sender.send(instant)
+                time.sleep(0.01)
+
+    sending = threading.Thread(target=send)
+    *_, bones, _, received, _, scene = blender(
+        str(live.client.base_url),
+        [
+            ("show_people", {}),
+            ("choose", {"people": [1]}),
+            ("open_armature", {"path": str(path)}),
+            ("move_armature", {"place": [3.0, 1.0, 0.0], "degrees": 70.0, "size": 0.7}),
+            ("press", {"name": "put_on"}),
+            ("bones", {}),
+            ("set_panel", {"live_port": port}),
+            ("receive", {"seconds": 30.0}),
+            ("draw", {}),
+            ("scene", {}),
+        ],
+        on_line=lambda line: sending.start() if "listening" in line else None,
+    )
+    sending.join()
+    waits, moves = received["said"]
+    assert f"waits for a live capture at port {port}" in waits
+    assert moves.endswith("moves as the person of the live capture.")
+    assert received["drawn"] == ["Stop receiving"]
+    assert (received["actions"], received["after"]) == ([], ["Zoë K."])
+    heads = received["heads"]
+    for limb in LIMBS:
+        for above, below in pairwise(limb):
+            own = np.array(heads[bones[below]]) - np.array(heads[bones[above]])
+            way = person_m[INDEX[below]] - person_m[INDEX[above]]
+            cosine = own @ way / np.linalg.norm(own) / np.linalg.norm(way)
+            assert np.degrees(np.arccos(min(1.0, cosine))) < 0.05, below
+    assert scene["actions"]
+
+
+def test_a_port_that_is_taken_is_said(live: Live, blender: Callable[..., list[Any]], tmp_path: Path) -> None:
+    path, port = tmp_path / "character.glb", free_port()
+    path.write_bytes(character(bones_of("default")))
+    *_, drawn, received = blender(
+        str(live.client.base_url),
+        [
+            ("open_armature", {"path": str(path)}),
+            ("set_panel", {"live_port": port}),
+            ("take_port", {"port": port}),
+            ("draw", {}),
+            ("receive", {"seconds": 5.0}),
+        ],
+    )
+    assert "Receive live" in drawn["MULTICAP_PT_live"]
+    assert received["said"][0] == f"Port {port} can't be used: another program has it. Choose another one."

@@ -1,0 +1,120 @@
+"""A person of VMC messages is the one that was sent."""
+
+import numpy as np
+import pytest
+from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+from pythonosc.osc_message_builder import OscMessageBuilder
+from scipy.spatial.transform import Rotation
+
+from api.blender.extension.vmc_person import VmcPerson, is_same_person
+from pipeline.data.animation import SkeletonMotion
+from pipeline.live.records import LivePerson, LiveSkeleton
+from pipeline.live.vmc import vmc_bundle
+from pipeline.skeleton.humanoid import UNITY_BONES
+from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+
+NUM_BONES = len(SKELETON)
+
+
+def sent(seed: int, scale: float = 1.0) -> LiveSkeleton:
+    """Skeleton of somebody in a pose at random."""
+    rng = np.random.default_rng(seed)
+    turns = Rotation.from_rotvec(rng.normal(0.0, 0.6, (NUM_BONES, 3))).as_quat()
+    lengths_m = scale * np.array([1.7 * joint.stature_share for joint in SKELETON])
+    return LiveSkeleton(rng.normal(size=3), turns, lengths_m, np.zeros((NUM_BONES, 3)))
+
+
+def packet(skeleton: LiveSkeleton | None) -> bytes:
+    return vmc_bundle(LivePerson(1, np.zeros((17, 3)), skeleton), 1.0).dgram
+
+
+def bone_packet(bone: str, *numbers: float) -> bytes:
+    message = OscMessageBuilder("/VMC/Ext/Bone/Pos")
+    message.add_arg(bone)
+    for number in numbers:
+        message.add_arg(number)
+    bundle = OscBundleBuilder(IMMEDIATELY)
+    bundle.add_content(message.build())
+    return bundle.build().dgram
+
+
+def joints_m(person: VmcPerson) -> dict[str, np.ndarray]:
+    """World positions of the joints, from the rotations and the offsets at rest."""
+    rest, (turns, root_m) = person.rest(), person.pose()
+    places_m: dict[str, np.ndarray] = {}
+    for joint, parent in rest.parents.items():
+        if parent is None:
+            places_m[joint] = np.array(root_m)
+            continue
+        w, x, y, z = turns[parent]
+        offset_m = Rotation.from_quat([x, y, z, w]).apply(rest.offsets_m[joint])
+        places_m[joint] = places_m[parent] + offset_m
+    return places_m
+
+
+def test_joints_are_where_they_were_sent() -> None:
+    person, skeleton = VmcPerson(), sent(3)
+    assert not person.is_complete
+    assert person.take(packet(None))
+    assert not person.is_new
+    assert person.take(packet(skeleton))
+    assert person.is_complete
+    assert person.is_new
+    motion = SkeletonMotion(
+        1, "", 0, 25.0, skeleton.bone_length_m, skeleton.root_m[None], skeleton.parent_from_joint[None], ()
+    )
+    expected_m, found_m = forward_kinematics(motion)[0], joints_m(person)
+    for joint in UNITY_BONES:
+        np.testing.assert_allclose(found_m[joint], expected_m[INDEX[joint]], atol=1e-5)
+    assert not person.is_new
+
+
+def test_the_rest_pose_stands_on_the_floor() -> None:
+    person = VmcPerson()
+    person.take(packet(sent(1)))
+    offsets_m = person.rest().offsets_m
+    ankle_m = offsets_m["Hips"][2] + sum(offsets_m[f"Left{joint}"][2] for joint in ("UpLeg", "Leg", "Foot"))
+    assert ankle_m == pytest.approx(0.039 * 1.7, abs=0.01)
+    assert offsets_m["LeftArm"][0] > 0.1
+    assert offsets_m["LeftLeg"][2] < -0.3
+
+
+def test_another_person_has_other_bones() -> None:
+    first, second, third = VmcPerson(), VmcPerson(), VmcPerson()
+    for person, skeleton in ((first, sent(1)), (second, sent(2)), (third, sent(1, 1.1))):
+        person.take(packet(skeleton))
+    assert is_same_person(first.rest(), second.rest())
+    assert not is_same_person(first.rest(), third.rest())
+
+
+def test_a_bone_that_another_sender_has_turns_those_above_it() -> None:
+    person = VmcPerson()
+    person.take(packet(sent(1)))
+    before = person.pose()[0]
+    half = np.sqrt(0.5)
+    person.take(bone_packet("UpperChest", 0.0, 0.1, 0.0, 0.0, half, 0.0, half))
+    after = person.pose()[0]
+    assert after["Chest"] == before["Chest"]
+    assert after["LeftArm"] != before["LeftArm"]
+    assert person.rest().offsets_m["UpperChest"] == pytest.approx((0.0, 0.0, 0.1), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        bone_packet("Hips", np.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        bone_packet("Hips", np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        bone_packet("Hips", 1e30, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        bone_packet("Hips", 1, 2, 3, 4, 5, 6, 7),
+        bone_packet("Hips", 0.0),
+        bone_packet("Tail", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+    ],
+)
+def test_wrong_messages_move_nobody(content: bytes) -> None:
+    person = VmcPerson()
+    assert person.take(content)
+    assert not person.is_new
+
+
+def test_what_is_no_osc_is_known() -> None:
+    assert not VmcPerson().take(b"GET / HTTP/1.1\r\n\r\n")
