@@ -10,6 +10,7 @@ import numpy as np
 import psutil
 import typer
 
+from api.cli.benchmark.live_people import ROOM, measure_all_feet, measure_returns
 from api.cli.benchmark.tracking import crowd
 from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.config import ReconstructionConfig
@@ -18,7 +19,7 @@ from pipeline.live.capture import LiveCapture
 from pipeline.live.recorded import RecordedFrame, recorded_frames
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
-from pipeline.simulation.scenes import SCENES, Simulation, record
+from pipeline.simulation.scenes import Simulation, record
 from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
@@ -157,16 +158,22 @@ def live(
         list[int] | None,
         typer.Option("--memory", min=1, max=600, help="Measure the memory after so many minutes of a capture instead."),
     ] = None,
+    people: Annotated[
+        bool, typer.Option("--people", help="Measure feet that stand, and people who come back, instead.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Time people and skeletons from a frame's arrival on one core, and compare them with a finished session."""
     if minutes:
         _report_memory(minutes, as_json)
         return
+    if people:
+        _report_people(as_json)
+        return
     with reporting(as_json):
         warm_up()
         sizes = measure_sizes(duration_s)
-        room = compare_with_finished(record(replace(SCENES["room"], duration_s=_ROOM_S), 0))
+        room = compare_with_finished(record(replace(ROOM, duration_s=_ROOM_S), 0))
     if as_json:
         emit({"sizes": sizes, "room": room})
         return
@@ -189,4 +196,21 @@ def _report_memory(minutes: Sequence[int], as_json: bool) -> None:
         typer.echo(f"{mib:.0f} MiB after {minute} minutes")
     typer.echo(
         f"{memory['numbers']} numbers of people, {memory['kept']} records kept, {memory['dropped']} frames dropped"
+    )
+
+
+def _report_people(as_json: bool) -> None:
+    with reporting(as_json):
+        warm_up()
+        feet, returns = measure_all_feet(), measure_returns()
+    if as_json:
+        emit({"feet": feet, "returns": returns})
+        return
+    columns = [name.replace("_", " ") for name in feet[0]]
+    rows = ([row["scene"], *(f"{value:.1f}" for value in list(row.values())[1:])] for row in feet)
+    print_table(columns, rows, "Ankles that stand, live and of the finished fit")
+    typer.echo(
+        f"{returns['back']} of {returns['people']} people who came back got their numbers again, half of them within "
+        f"{returns['back_after_s']:.1f} s; {returns['mistaken']} got those of others. "
+        f"{returns['strangers_mistaken']} of {returns['strangers']} strangers got the number of somebody who had left."
     )

@@ -1,0 +1,186 @@
+"""`multicap benchmark live --people`: feet that stand, and numbers of people who come back, against the truth."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data.detections import Detections
+from pipeline.live.capture import LiveCapture
+from pipeline.live.recorded import RecordedFrame, recorded_frames
+from pipeline.live.records import LiveInstant
+from pipeline.live.settings import LiveSettings
+from pipeline.simulation.motion.director import Cast
+from pipeline.simulation.scenes import SCENES, Simulation, record
+from pipeline.skeleton.animate import animate
+from pipeline.skeleton.model import INDEX, forward_kinematics
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+
+ROOM = SCENES["room"]
+# Scenes in which people stand and walk, and their length.
+_FEET_SCENES, _FEET_S = ("room", "walk", "noisy"), 15.0
+# Skeletons of the live capture are there by now.
+_SETTLED_S = 4.0
+# True speed below which an ankle stands.
+_STANDING_M_S = 0.02
+_ANKLES = ("left_ankle", "right_ankle")
+_ANKLE_BONES = [INDEX["LeftFoot"], INDEX["RightFoot"]]
+# People stay, are away, and stay again; then they are to have their numbers, and strangers are not.
+_STAY_S, _AWAY_S, _AGAIN_S = 16.0, 5.0, 6.0
+_NUM_SEEDS, _NUM_PEOPLE = 4, 3
+
+Ankles = Mapping[int, Float[np.ndarray, "2 3"]]
+"""Left and right ankle of people by their numbers, world positions in metres."""
+
+
+@dataclass(slots=True, eq=False)
+class StandingAnkles:
+    """Speeds and errors of ankles that stand in truth."""
+
+    speed_m_s: list[float] = field(default_factory=list)
+    error_m: list[float] = field(default_factory=list)
+
+    def add(self, simulation: Simulation, instants: Iterable[tuple[int, Ankles]]) -> None:
+        """Take the skeletons of frames that follow each other; each person counts as the nearest true one."""
+        rate_hz = simulation.timebase.frame_rate_hz
+        truth_m = simulation.truth_m[:, :, simulation.joints.indices(_ANKLES)]
+        before: Ankles = {}
+        for frame, ankles in instants:
+            for number in before.keys() & ankles.keys() if frame >= _SETTLED_S * rate_hz else ():
+                apart_m = np.linalg.norm(truth_m[:, frame] - ankles[number], axis=-1)
+                person = int(np.nanargmin(apart_m.mean(-1)))
+                true_m_s = np.linalg.norm(truth_m[person, frame] - truth_m[person, frame - 1], axis=-1) * rate_hz
+                stands = true_m_s < _STANDING_M_S
+                moved_m_s = np.linalg.norm(ankles[number] - before[number], axis=-1) * rate_hz
+                self.speed_m_s += moved_m_s[stands].tolist()
+                self.error_m += apart_m[person, stands].tolist()
+            before = ankles
+
+    def figures(self) -> dict[str, float]:
+        """Mean speed and error."""
+        return {"slide_cm_s": 1e2 * float(np.mean(self.speed_m_s)), "error_mm": 1e3 * float(np.mean(self.error_m))}
+
+
+def measure_all_feet() -> list[dict[str, Any]]:
+    """``measure_feet`` in scenes in which people stand and walk."""
+    return [measure_feet(scene) for scene in _FEET_SCENES]
+
+
+def measure_feet(scene: str, duration_s: float = _FEET_S, seed: int = 1) -> dict[str, Any]:
+    """Slide and error of ankles that stand: of live skeletons and of the finished fit."""
+    simulation = record(replace(SCENES[scene], duration_s=duration_s), seed)
+    live, fit = StandingAnkles(), StandingAnkles()
+    frames = recorded_frames(simulation.cameras, simulation.times, simulation.detections)
+    live.add(simulation, enumerate(map(_ankles_of, _played(simulation, frames))))
+    timebase, cameras = simulation.timebase, simulation.cameras
+    parameters = derive_parameters(cameras, timebase.frame_rate_hz)
+    people = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
+    motions = animate(*people, cameras, timebase, simulation.joints, ReconstructionConfig()).motions
+    posed_m = {motion.track_id: forward_kinematics(motion)[:, _ANKLE_BONES] for motion in motions}
+    fit.add(
+        simulation,
+        (
+            (
+                frame,
+                {
+                    motion.track_id: posed_m[motion.track_id][frame - motion.start_frame]
+                    for motion in motions
+                    if frame in motion.frames
+                },
+            )
+            for frame in range(timebase.num_frames)
+        ),
+    )
+    return {"scene": scene, **live.figures(), **{f"fit_{name}": value for name, value in fit.figures().items()}}
+
+
+def _ankles_of(instant: LiveInstant) -> Ankles:
+    return {
+        person.id: person.skeleton.joint_m[_ANKLE_BONES] for person in instant.people if person.skeleton is not None
+    }
+
+
+def _played(simulation: Simulation, frames: Iterable[RecordedFrame]) -> list[LiveInstant]:
+    capture = LiveCapture(simulation.cameras, simulation.joints, LiveSettings(simulation.timebase.frame_rate_hz))
+    return [instant for frame in frames for instant in capture.push(*frame)] + capture.flush()
+
+
+def measure_returns(num_seeds: int = _NUM_SEEDS) -> dict[str, Any]:
+    """Numbers of people who come back after seconds, and of strangers who come in their place.
+
+    Each seed has a room with six people. Three of them are there for 16 s; then, in one capture, they come back after
+    5 s, and in another one the three others come.
+    """
+    figures: dict[str, Any] = {"people": 0, "back": 0, "mistaken": 0, "strangers": 0, "strangers_mistaken": 0}
+    after_s: list[float] = []
+    for seed in range(num_seeds):
+        cast = Cast(2 * _NUM_PEOPLE, (4.0, 4.0), gestures=ROOM.cast.gestures if isinstance(ROOM.cast, Cast) else ())
+        simulation = record(replace(ROOM, cast=cast, duration_s=_STAY_S + _AGAIN_S), seed)
+        first, others = np.arange(2 * _NUM_PEOPLE) < _NUM_PEOPLE, np.arange(2 * _NUM_PEOPLE) >= _NUM_PEOPLE
+        for comers in (first, others):
+            known, instants = _numbers_of(simulation, first, comers)
+            last = instants[-1][1]
+            if comers is others:
+                figures["strangers"] += len(last)
+                figures["strangers_mistaken"] += sum(number in known.values() for number in last.values())
+                continue
+            figures["people"] += len(last)
+            for person, number in last.items():
+                is_back = number == known.get(person)
+                figures["back"] += is_back
+                figures["mistaken"] += not is_back and number in known.values()
+                if is_back:
+                    others_s = [time_s for time_s, numbers in instants if numbers.get(person, number) != number]
+                    after_s.append(max(others_s, default=0.0))
+    return {**figures, "back_after_s": float(np.median(after_s)) if after_s else None}
+
+
+def _numbers_of(
+    simulation: Simulation, first: Bool[np.ndarray, " people"], comers: Bool[np.ndarray, " people"]
+) -> tuple[dict[int, int], list[tuple[float, dict[int, int]]]]:
+    """Numbers by true person before the break, and those of each instant behind it, by its time since then."""
+    shown = np.array([first, comers])
+    detections = {name: _seen(simulation, name, shown) for name in simulation.detections}
+    frames = [
+        frame if frame.time_s < _STAY_S else frame._replace(time_s=frame.time_s + _AWAY_S)
+        for frame in recorded_frames(simulation.cameras, simulation.times, detections)
+    ]
+    known: dict[int, int] = {}
+    behind: list[tuple[float, dict[int, int]]] = []
+    for instant in _played(simulation, frames):
+        since_s = instant.time_s - _STAY_S - _AWAY_S
+        if since_s < -_AWAY_S:
+            known = _by_person(simulation, instant, instant.time_s, first)
+        elif since_s >= 0.0:
+            behind.append((since_s, _by_person(simulation, instant, instant.time_s - _AWAY_S, comers)))
+    return known, behind
+
+
+def _seen(simulation: Simulation, name: str, shown: Bool[np.ndarray, "2 people"]) -> Detections:
+    """Detections of the people who are there before the break and behind it."""
+    detections, person = simulation.detections[name], simulation.identities[name]
+    is_behind = simulation.times[name].time_s[detections.frame] >= _STAY_S
+    kept = (person < 0) | shown[is_behind.astype(int), person]  # false positives stay
+    return replace(
+        detections,
+        frame=detections.frame[kept],
+        keypoints_px=detections.keypoints_px[kept],
+        score=detections.score[kept],
+        box_px=detections.box_px[kept],
+    )
+
+
+def _by_person(
+    simulation: Simulation, instant: LiveInstant, time_s: float, there: Bool[np.ndarray, " people"]
+) -> dict[int, int]:
+    """Number of the live person by the nearest true person."""
+    frame = min(round(time_s * simulation.timebase.frame_rate_hz), simulation.timebase.num_frames - 1)
+    truth_m = np.where(there[:, None, None], simulation.truth_m[:, frame], np.inf)
+    return {
+        int(np.argmin(np.nanmean(np.linalg.norm(truth_m - person.xyz_m, axis=-1), axis=-1))): person.id
+        for person in instant.people
+    }

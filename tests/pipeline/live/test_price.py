@@ -1,0 +1,75 @@
+"""Price of feet that are held and of people who are recognised: processor time of a capture with and without them.
+
+Run it by ``pytest -s -m benchmark tests/pipeline/live/test_price.py``, two minutes. Both sides take turns, so that
+other programs disturb both alike.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.live.capture import LiveCapture
+from pipeline.live.identities import Identities
+from pipeline.live.settings import LiveSettings
+from pipeline.live.skeleton import PoseFilter
+from pipeline.simulation.motion.director import Cast
+from pipeline.simulation.scenes import SCENES, Simulation, record
+from tests.pipeline.live.streams import sent_frames
+
+pytestmark = pytest.mark.benchmark
+
+RATE_HZ, DURATION_S, NUM_ROUNDS = 60.0, 10.0, 4
+MAX_PRICE = 0.25
+
+
+@pytest.fixture(scope="module")
+def room() -> Simulation:
+    scene = SCENES["room"]
+    clock = replace(scene.clock, frame_rate_hz=RATE_HZ)
+    return record(replace(scene, cast=Cast(4, (4.0, 4.0)), clock=clock, duration_s=DURATION_S), 1)
+
+
+def instant_ms(room: Simulation) -> np.ndarray:
+    """Processor time of each instant with skeletons."""
+    capture, taken_ms = LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ, learn_s=2.0)), list[float]()
+    for frame in sent_frames(room):
+        started_s = time.thread_time()
+        instants = capture.push(*frame)
+        if instants and frame.time_s > 3.0:
+            taken_ms.append(1e3 * (time.thread_time() - started_s))
+    return np.array(taken_ms)
+
+
+def without_feet(patch: pytest.MonkeyPatch) -> None:
+    init = PoseFilter.__init__
+
+    def footless(pose_filter: PoseFilter, *arguments: object) -> None:
+        init(pose_filter, *arguments)  # type: ignore[arg-type]
+        pose_filter._ankles = []
+
+    patch.setattr(PoseFilter, "__init__", footless)
+
+
+def without_identities(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Identities, "see", lambda identities, tracked, time_s, xyz_m: None)
+
+
+@pytest.mark.parametrize("without", [without_feet, without_identities])
+def test_price(room: Simulation, without: Callable[[pytest.MonkeyPatch], None]) -> None:
+    instant_ms(room)  # compiles
+    with_ms, without_ms = list[np.ndarray](), list[np.ndarray]()
+    for _ in range(NUM_ROUNDS):
+        with_ms.append(instant_ms(room))
+        with pytest.MonkeyPatch.context() as patch:
+            without(patch)
+            without_ms.append(instant_ms(room))
+    medians = [float(np.median(np.concatenate(each))) for each in (with_ms, without_ms)]
+    p99s = [float(np.percentile(np.concatenate(each), 99)) for each in (with_ms, without_ms)]
+    print(  # noqa: T201
+        f"\n{without.__name__}: p50 {medians[0]:.2f} ms with, {medians[1]:.2f} ms without "
+        f"({100 * (medians[0] / medians[1] - 1):.0f} %); p99 {p99s[0]:.2f} and {p99s[1]:.2f} ms"
+    )
+    assert medians[0] <= (1 + MAX_PRICE) * medians[1]
