@@ -28,9 +28,12 @@ from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection as SyncConnection
 from websockets.sync.client import connect as open_sync
 
+from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.write import encode
 from pipeline.live.packets import Dropped
 from pipeline.live.packing import instant_of_json, pack_keypoints, unpack_instant
 from pipeline.live.records import LiveInstant
+from pipeline.parsing import UnreadableError, read_json
 from pipeline.paths import StrPath
 from pipeline.problem_codes.live import LIVE_STOPPED
 
@@ -59,7 +62,7 @@ class LiveError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Choices of a capture; docs/live.md describes them."""
+    """Choices of a capture; docs/live_service.md describes them."""
 
     output_rate_hz: float | None = None
     window_s: float = 0.1
@@ -204,7 +207,7 @@ async def connect(
     url
         Address of the service, such as ``http://127.0.0.1:8000``.
     calibration
-        Calibration file in JSON, its content, or the id of a calibration of the service.
+        Calibration file in metres of any format, its content in JSON, or the id of a calibration of the service.
     layout
         Layout of the keypoints, such as ``coco-17``.
     frame_rate_hz
@@ -214,6 +217,8 @@ async def connect(
 
     Raises
     ------
+    InputError
+        If the calibration file can't be read.
     LiveError
         If the service refuses the capture.
     OSError
@@ -298,7 +303,12 @@ def _cameras(calibration: StrPath | Mapping[str, Any]) -> dict[str, Any]:
         return {"calibration": calibration}
     with contextlib.suppress(ValueError):
         return {"calibration_id": str(UUID(str(calibration)))}
-    return {"calibration": json.loads(Path(calibration).read_text("utf-8"))}
+    path = Path(calibration)
+    try:
+        return {"calibration": read_json(path.read_bytes())}
+    except (UnreadableError, OSError):
+        # Of another form than JSON, or an error that says what is wrong.
+        return {"calibration": json.loads(encode(read_calibration(path)))}
 
 
 def _content(message: str | bytes) -> dict[str, Any]:

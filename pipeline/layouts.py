@@ -2,7 +2,8 @@
 
 Orders: COCO (https://cocodataset.org/#keypoints-2020), COCO-WholeBody
 (https://github.com/jin-s13/COCO-WholeBody), Halpe (https://github.com/Fang-Haoshu/Halpe-FullBody), OpenPose
-(https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html), BlazePose
+(https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html, and for BODY_25B
+https://github.com/CMU-Perceptual-Computing-Lab/openpose_train/blob/master/experimental_models/README.md), BlazePose
 (https://ai.google.dev/edge/mediapipe/solutions/vision/pose_landmarker).
 """
 
@@ -61,6 +62,8 @@ LAYOUTS: Mapping[str, KeypointLayout] = {
         KeypointLayout("halpe-136", (*_HALPE_BODY, *_FACE_POINTS, *_LEFT_HAND, *_RIGHT_HAND), WHOLE_BODY),
         KeypointLayout("body-25", BODY_25.names, BODY_25),
         KeypointLayout("coco-18", COCO_18.names, COCO_18),
+        # Another order of as many points as BODY_25 has: neck and top of the head behind COCO's points.
+        KeypointLayout("body-25b", (*COCO_17.names, None, None, *_COCO_FEET), BODY_FEET),
         KeypointLayout(
             "mediapipe-33",
             (

@@ -22,7 +22,7 @@ from api.sessions.intake import CheckedSession, check, stored
 from api.sessions.receiving import Sent
 from pipeline.live.packets import KeypointsHead
 from pipeline.live.pipes import framed
-from worker.jobs.files.disk import is_disk_full
+from worker.jobs.files.disk import append_whole, is_disk_full
 from worker.jobs.tenant_records import TenantRecords
 
 _log = structlog.get_logger(__name__)
@@ -55,7 +55,6 @@ class KeptPackets:
         self._left_joints = services.settings.max_session_joints
         self._frames: Counter[int] = Counter()
         self._buffered: Counter[int] = Counter()  # Those of the frames that are in memory alone
-        self._num_bytes = 0
         self.is_full = False
 
     @property
@@ -93,14 +92,7 @@ class KeptPackets:
 
     def _write(self, block: bytes) -> None:
         self._services.disk.require_room(len(block))
-        with self.path.open("ab") as file:
-            try:
-                file.write(block)
-                file.flush()
-            except OSError:
-                file.truncate(self._num_bytes)  # no half of a packet
-                raise
-        self._num_bytes += len(block)
+        append_whole(self.path, block)
 
 
 async def keep_session(
@@ -122,7 +114,7 @@ async def keep_session(
     await kept.flush()
     folder = calibration.parent
     owner = connection.state.caller.owner
-    archives = await services.checks.run(owner, _write_files, services, kept.path, folder, cameras)
+    archives = await services.checks.run(owner, _write_files, services, kept.path, folder, cameras, start.layout)
     manifest = {
         "name": start.name,
         "cameras": [{"name": camera, "file": archive} for camera, archive in archives.items()],
@@ -139,10 +131,12 @@ async def keep_session(
     return await run_in_threadpool(_store, services, records, checked)
 
 
-def _write_files(services: Services, packets: Path, folder: Path, cameras: Sequence[str]) -> dict[str, str]:
+def _write_files(
+    services: Services, packets: Path, folder: Path, cameras: Sequence[str], layout: str
+) -> dict[str, str]:
     """Write archives and times by a child process; return the names of the archives by camera."""
     services.disk.require_room(packets.stat().st_size)
-    command = [*services.settings.live_keeping_command, str(packets), str(folder), json.dumps(cameras)]
+    command = [*services.settings.live_keeping_command, str(packets), str(folder), json.dumps(cameras), layout]
     timeout_s = _START_S + packets.stat().st_size * _S_PER_BYTE
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout_s, check=True)  # noqa: S603 - the command is the operator's

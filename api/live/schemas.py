@@ -11,12 +11,16 @@ from api.sessions.schemas import SessionName, Up
 from pipeline.live.packets import MAX_PX, MAX_TIME_S
 from pipeline.problem_codes.model import Code
 
-Layout = Literal["coco-17", "coco-18", "body-25", "halpe-26", "coco-wholebody-133", "halpe-136"]
+Layout = Literal[
+    "coco-17", "coco-18", "body-25", "body-25b", "halpe-26", "mediapipe-33", "coco-wholebody-133", "halpe-136"
+]
 POINTS: dict[Layout, int] = {
     "coco-17": 17,
     "coco-18": 18,
     "body-25": 25,
+    "body-25b": 25,
     "halpe-26": 26,
+    "mediapipe-33": 33,
     "coco-wholebody-133": 133,
     "halpe-136": 136,
 }

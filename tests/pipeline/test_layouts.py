@@ -8,7 +8,7 @@ def test_every_joint_is_one_point(layout: KeypointLayout) -> None:
     used = [point for point in layout.points if point is not None]
     assert sorted(used) == sorted(layout.joints.names)
     assert [layout.points[index] for index in layout.indices] == list(layout.joints.names)
-    assert int(layout.name.rpartition("-")[2]) == len(layout.points)
+    assert int(layout.name.rpartition("-")[2].rstrip("b")) == len(layout.points)
 
 
 @pytest.mark.parametrize(
@@ -34,6 +34,11 @@ def test_every_joint_is_one_point(layout: KeypointLayout) -> None:
         ("coco-wholebody-133", 132, "right_pinky_tip"),
         ("body-25", 8, "mid_hip"),
         ("body-25", 21, "left_heel"),
+        ("body-25b", 1, "left_eye"),
+        ("body-25b", 16, "right_ankle"),
+        ("body-25b", 18, None),
+        ("body-25b", 19, "left_big_toe"),
+        ("body-25b", 24, "right_heel"),
         ("mediapipe-33", 2, "left_eye"),
         ("mediapipe-33", 5, "right_eye"),
         ("mediapipe-33", 8, "right_ear"),

@@ -7,7 +7,7 @@ import { entriesOf, textOf } from "./zip.js";
 
 const FRAME = /^(?:.*\D)?(\d{1,15})(?:_keypoints)?\.json$/;
 const COLUMNS = ["camera", "frame", "time_s"];
-const LAYOUTS = new Map([[17, "coco-17"], [18, "coco-18"], [25, "body-25"], [26, "halpe-26"], [133, "coco-wholebody-133"], [136, "halpe-136"]]);
+const LAYOUTS = new Map([[17, "coco-17"], [18, "coco-18"], [25, "body-25"], [26, "halpe-26"], [33, "mediapipe-33"], [133, "coco-wholebody-133"], [136, "halpe-136"]]);
 const FORM = "The page plays keypoints in OpenPose's form: a JSON file of each frame, with people and pose_keypoints_2d.";
 
 /** Reason for which nothing can be played, as `problemBox` shows it. */
@@ -97,7 +97,7 @@ export function peopleOf(text) {
     ({ people } = JSON.parse(text));
   } catch { /* not JSON */ }
   if (!Array.isArray(people)) throw new PlaybackProblem(FORM, "Send other forms as a capture.");
-  return people.map((person) => person.pose_keypoints_2d).filter((row) => row?.some((value) => value));
+  return people.map((person) => person?.pose_keypoints_2d).filter((row) => Array.isArray(row) && row.some((value) => value));
 }
 
 /** Layout of the points, by the first frame with people. */

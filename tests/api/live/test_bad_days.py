@@ -54,7 +54,7 @@ def test_what_was_kept_before_the_disk_was_full_stays(
     asyncio.run(run())
     assert kept.num_frames == 6
     with kept.path.open("rb") as packets:
-        names = write_session(packets, tmp_path, ("left", "right"))
+        names = write_session(packets, tmp_path, ("left", "right"), "coco-17")
     rows = (tmp_path / "timestamps.csv").read_text().splitlines()
     assert (sorted(names), len(rows)) == (["left", "right"], 1 + 6)
 

@@ -48,6 +48,19 @@ def is_disk_full(error: BaseException) -> bool:
     )
 
 
+def append_whole(path: Path, content: bytes) -> None:
+    """Append to a file; if that fails, as on a full disk, the file stays as it was."""
+    # Without a buffer, whose rest would be written once more when the file is closed.
+    with path.open("ab", buffering=0) as file:
+        num_bytes, left = file.tell(), memoryview(content)
+        try:
+            while left:
+                left = left[file.write(left) :]
+        except OSError:
+            file.truncate(num_bytes)
+            raise
+
+
 class DiskSpace:
     """Free space on the file system of a folder.
 

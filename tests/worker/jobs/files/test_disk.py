@@ -11,7 +11,7 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.exc import OperationalError
 
 from tests.small_disk import fill, small_disk
-from worker.jobs.files.disk import DiskSpace, is_disk_full
+from worker.jobs.files.disk import DiskSpace, append_whole, is_disk_full
 
 
 @pytest.fixture
@@ -86,3 +86,15 @@ def test_a_locked_database_is_no_full_disk(tmp_path: Path) -> None:
     assert is_disk_full(OSError(errno.ENOSPC, "full"))
     assert is_disk_full(OSError(errno.EDQUOT, "quota"))
     assert not is_disk_full(ValueError("full"))
+
+
+def test_what_does_not_fit_is_not_appended(disk: Path) -> None:
+    path = disk / "file"
+    append_whole(path, b"first")
+    fill(disk / "others")
+    with pytest.raises(OSError, match="No space left"):
+        append_whole(path, bytes(3 * 2**20))
+    assert path.read_bytes() == b"first"
+    (disk / "others").unlink()
+    append_whole(path, b", second")
+    assert path.read_bytes() == b"first, second"
