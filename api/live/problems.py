@@ -7,10 +7,10 @@ from api.live.schemas import LiveProblemOut
 from pipeline.problem_codes.live import LIVE_FAILED, LIVE_MESSAGE, LIVE_TOO_LARGE
 from pipeline.problem_codes.model import Code
 
-GOING_AWAY, WRONG_DATA, REFUSED, TOO_LARGE, FAILED, LATER = 1001, 1007, 1008, 1009, 1011, 1013
+WRONG_DATA, REFUSED, TOO_LARGE, FAILED, LATER = 1007, 1008, 1009, 1011, 1013
 """Codes of RFC 6455, and 1013 of its registry, with which connections are closed."""
 
-_RETRYABLE = frozenset({GOING_AWAY, FAILED, LATER})
+_RETRYABLE = frozenset({FAILED, LATER})
 _STATUS_OF_LATER = frozenset({408, 429, 503, 507})
 
 

@@ -72,10 +72,11 @@ async def capture_process(command: Sequence[str], folder: Path, memory_bytes: in
             env=os.environ | {"TMPDIR": str(folder)},
             start_new_session=True,
         )
-    resource.prlimit(process.pid, resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
-    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (_MAX_LOG_BYTES, _MAX_LOG_BYTES))
-    lower_priority(_NICE, process.pid)
     try:
+        with contextlib.suppress(ProcessLookupError):  # it may have ended
+            resource.prlimit(process.pid, resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (_MAX_LOG_BYTES, _MAX_LOG_BYTES))
+            lower_priority(_NICE, process.pid)
         yield CaptureProcess(process)
     finally:
         await _end(process, log_path)

@@ -43,7 +43,8 @@ router = APIRouter(prefix="/v1")
 SUBPROTOCOL = "multicap.live"
 """Subprotocol of live captures, for clients that offer one."""
 
-_STARTS = 6
+# Times that an answer may take, in which a process starts: it imports everything, and compiles what is not yet.
+_ANSWERS_TO_START = 6
 _CLOSE_S = 5.0
 _CLIENT_GONE = 1005
 
@@ -197,7 +198,7 @@ async def _ready(
                 capture_process(settings.live_command, calibration.parent, settings.live_memory_bytes)
             )
             try:
-                async with asyncio.timeout(_STARTS * settings.live_answer_s):
+                async with asyncio.timeout(_ANSWERS_TO_START * settings.live_answer_s):
                     await process.send(json.dumps(content).encode())
                     kind, answer = await process.answer()
             except TimeoutError:

@@ -142,6 +142,8 @@ def name_problem(name: Any) -> str | None:
         return "is missing or not a text."
     if len(name) > _MAX_NAME_LENGTH or not name.isprintable() or "/" in name or "\\" in name:
         return f"must be at most {_MAX_NAME_LENGTH} printable characters without slashes."
+    if name in {".", ".."}:  # names of folders that are there already
+        return "must not be . or .."
     return None
 
 

@@ -6,6 +6,7 @@ from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem
@@ -13,6 +14,7 @@ from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.live.frames import FrameQueue, LiveFrame, make_frame
 from pipeline.live.identities import Identities
+from pipeline.live.packets import MAX_PX
 from pipeline.live.records import LiveCounts, LiveInstant, LivePerson
 from pipeline.live.settings import LiveSettings
 from pipeline.live.skeleton import LiveBody
@@ -102,9 +104,9 @@ class LiveCapture:
             If the camera is unknown, or a value is not allowed; the capture goes on without the frame.
         """
         number = self._names.get(camera, -1) if isinstance(camera, str) else camera
-        if problems := tuple(self._problems(camera, number, time_s, points_px, score)):
+        points_px, score = _as_numbers(points_px), _as_numbers(score)
+        if problems := tuple(self._problems(number, time_s, points_px, score)):
             raise InputError(problems)
-        points_px, score = np.asarray(points_px, np.float64), np.asarray(score, np.float64)
         self._queue.add(make_frame(self._cameras[number], number, float(time_s), points_px, score))
         return self._process(self._queue.release())
 
@@ -178,24 +180,34 @@ class LiveCapture:
         skeleton, xyz_m = followed
         return LivePerson(number, np.where(np.isfinite(xyz_m), xyz_m, seen.xyz_m), skeleton)
 
-    def _problems(
-        self, camera: int | str, number: int, time_s: float, points_px: np.ndarray, score: np.ndarray
-    ) -> Iterator[Problem]:
+    def _problems(self, number: int, time_s: float, points_px: np.ndarray, score: np.ndarray) -> Iterator[Problem]:
         """Find everything that is wrong with a frame."""
-        if not 0 <= number < len(self._cameras):
+        if not (isinstance(number, int | np.integer) and 0 <= number < len(self._cameras)):
             message = f"camera must be one of {', '.join(self._names)}, or its position."
             yield Problem(VALUE_NOT_ALLOWED, message, field="camera")
-        if not (math.isfinite(time_s) and abs(time_s) <= _LONGEST_S):
+        if not (isinstance(time_s, int | float | np.number) and abs(time_s) <= _LONGEST_S):
             yield Problem(OUT_OF_RANGE, "time_s must be a finite number of seconds.", field="time_s")
         num_joints = len(self._joints.names)
-        shape, num_people = np.shape(points_px), len(points_px)
-        if shape != (num_people, num_joints, 2) or np.shape(score) != (num_people, num_joints):
+        num_people = len(points_px) if points_px.ndim else 0
+        if points_px.shape != (num_people, num_joints, 2) or score.shape != (num_people, num_joints):
             message = (
                 f"points_px must be of shape (people, {num_joints}, 2), and score of shape (people, {num_joints})."
             )
             yield Problem(WRONG_LENGTH, message, field="points_px")
-        elif not np.all((np.asarray(score) >= 0) & (np.asarray(score) <= 1)):
-            yield Problem(OUT_OF_RANGE, "score must be from 0 to 1.", field="score")
+        else:
+            if not np.all((score >= 0) & (score <= 1)):
+                yield Problem(OUT_OF_RANGE, "score must be from 0 to 1.", field="score")
+            if np.any(np.abs(points_px) > MAX_PX):
+                message = f"points_px must be within {MAX_PX:,.0f} pixels, NaN where a joint was not found."
+                yield Problem(OUT_OF_RANGE, message, field="points_px")
         if num_people > _MOST_BODIES:
             message = f"points_px must have at most {_MOST_BODIES} bodies."
             yield Problem(WRONG_LENGTH, message, field="points_px")
+
+
+def _as_numbers(values: ArrayLike) -> np.ndarray:
+    """Array of numbers; what is none has no axes, so that its shape is wrong."""
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        return np.array(np.nan)

@@ -1,4 +1,4 @@
-"""Packets of live captures: their heads, as docs/live.md describes them, and their lengths. Standard library only.
+"""Packets of live captures: heads, as docs/live_service.md describes them, and lengths. Standard library only.
 
 All numbers are little-endian. A packet of keypoints is a head and x, y and score of each point of each person. A packet
 of an instant is a head and a record of each person.

@@ -11,8 +11,9 @@ from pipeline.skeleton.model import SKELETON
 MAX_BODIES, MAX_BONE_M = 32, 2.0
 """Largest number of people of earlier takes, and largest length of a bone of theirs in metres."""
 
-# Part of a period.
-_SAME_INSTANT = 1e-3
+SAME_INSTANT = 1e-3
+"""Part of a period by which the times of frames that show the same instant may differ."""
+
 _LIMITS = {
     "frame_rate_hz": (1.0, 1000.0),
     "output_rate_hz": (0.1, 1000.0),
@@ -67,7 +68,7 @@ class LiveSettings:
     @property
     def same_instant_s(self) -> float:
         """Difference of the times of frames that show the same instant."""
-        return _SAME_INSTANT / self.frame_rate_hz
+        return SAME_INSTANT / self.frame_rate_hz
 
     def _problems(self) -> Iterator[Problem]:
         for name, (lowest, highest) in _LIMITS.items():

@@ -10,6 +10,7 @@ from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.kernels import make_solver, settle_frame, triangulate_frame
 from pipeline.live.frames import LiveFrame
+from pipeline.live.settings import SAME_INSTANT
 from pipeline.tracking.kernels.state import Frames
 from pipeline.tracking.observations import NOBODY
 from pipeline.tracking.parameters import TrackingParameters
@@ -19,8 +20,6 @@ from pipeline.tracking.tracker import TrackerState
 _MOST_NUMBERED = 1024
 # A camera's frame shows an instant up to so many periods later.
 _LONGEST_AGE = 1.5
-# Part of a period by which a frame may be behind an instant that it shows exactly.
-_SAME_INSTANT = 1e-3
 
 
 @dataclass(slots=True, eq=False)
@@ -150,11 +149,9 @@ class LiveTracker:
             is_shown = (seen.seen_s == self._frame_s) & (age_s < _LONGEST_AGE / self._rate_hz)
             if is_shown.any():
                 flat_px = np.where(is_shown[:, None], seen.flat_px, np.nan)
-                decay = np.where(
-                    age_s > _SAME_INSTANT / self._rate_hz, np.exp(-self._parameters.lambda_t_hz * age_s), 1
-                )
+                decay = np.where(age_s > SAME_INSTANT / self._rate_hz, np.exp(-self._parameters.lambda_t_hz * age_s), 1)
                 score = np.where(is_shown[:, None], seen.score * decay[:, None], 0.0)
-                for camera in np.flatnonzero(is_shown & (age_s > _SAME_INSTANT / self._rate_hz)).tolist():
+                for camera in np.flatnonzero(is_shown & (age_s > SAME_INSTANT / self._rate_hz)).tolist():
                     flat_px[camera] += self._moved_px(camera, states[target], time_s, float(age_s[camera]))
                 yield Sighting(number, self._locate(seen, flat_px, score), flat_px, score)
             else:

@@ -126,7 +126,7 @@ class VmcSender:
         self._socket.close()
 
     def send(self, instant: LiveInstant) -> int:
-        """Send the people of an instant; return how many. A packet for which there is no room is lost, as UDP may."""
+        """Send the people of an instant; return how many. A packet that can't be sent now is lost, as UDP may."""
         num_sent = 0
         for person in instant.people:
             if 1 <= person.id <= len(self._ports):
@@ -136,7 +136,7 @@ class VmcSender:
     def _send(self, packet: bytes, port: int) -> bool:
         try:
             self._socket.sendto(packet, (self._address, port))
-        except (BlockingIOError, ConnectionRefusedError):
+        except OSError:  # no room, nobody who listens, no network now
             return False
         return True
 

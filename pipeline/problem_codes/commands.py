@@ -92,5 +92,8 @@ TAKE_UNCALIBRATED = COMMANDS.code(
     "Give `--calibration`, or put a file `calibration.*` into the take.",
 )
 OUTPUT_EXISTS = COMMANDS.code(
-    "output_exists", _COMMAND, "The folder for new files has files already.", "Name a new or empty folder."
+    "output_exists",
+    _COMMAND,
+    "A new file is there already, or the folder for new files has files.",
+    "Name a new file, and a new or empty folder.",
 )

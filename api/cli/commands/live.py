@@ -3,7 +3,8 @@
 import contextlib
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
@@ -45,6 +46,8 @@ from pipeline.rules import require
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.warm_up import warm_up
 
+_MAX_DIGITS = 5  # of a port
+
 
 @with_choices("joints")
 def command(
@@ -83,7 +86,7 @@ def command(
     ] = None,
     allow_network: Annotated[bool, typer.Option("--allow-network", help="Allow receivers on other machines.")] = False,
     output: Annotated[
-        Path | None, typer.Option(help="File for the people of each instant, a line of JSON each.")
+        Path | None, typer.Option(help="New file for the people of each instant, a line of JSON each.")
     ] = None,
     keep: Annotated[
         Path | None, typer.Option(help="New folder for the keypoints, as a session that multicap reconstruct takes.")
@@ -109,13 +112,14 @@ def command(
                 for address in vmc or ()
                 if (sender := collect(partial(_vmc_sender, address, allow_network))) is not None
             ]
-            collect(lambda: require(_keep_problems(keep)))
+            collect(lambda: require([*_repeated_receivers(vmc or ()), *_existing_outputs(keep, output)]))
             page = None if preview is None else collect(lambda: opened.enter_context(PreviewPage(preview)))
         by_name = {known.name: known for known in cameras}
-        lines = [JsonLines(sys.stdout)] if as_json else []
+        outputs: list[LiveListener] = [JsonLines(sys.stdout)] if as_json else []
         if output is not None:
-            lines.append(JsonLines(opened.enter_context(opened_output(output))))
-        outputs: list[LiveListener] = [*lines, VmcReceivers(senders)]
+            outputs.append(JsonLines(opened.enter_context(opened_output(output))))
+        if senders:
+            outputs.append(VmcReceivers(senders))
         if keep is not None:
             outputs.append(KeptKeypoints(keep))
         if page is not None:
@@ -123,9 +127,8 @@ def command(
             console.print(f"Preview: {page.url}")
         if not as_json:
             outputs.append(Terminal(opened.enter_context(console.status("Opening the cameras ..."))))
-        run = CameraRun(
-            [by_name[source.camera] for source in sources or ()], sources or (), choices, LiveOutputs(outputs), sync
-        )
+        listener = LiveOutputs(outputs)
+        run = CameraRun([by_name[source.camera] for source in sources or ()], sources or (), choices, listener, sync)
         warm_up([run.joints])
         try:
             with _stopped_by_signals(run.stop), ProcessPool(run.num_processes, start_detecting, [choices]) as pool:
@@ -134,10 +137,11 @@ def command(
             raise ChildError(
                 "A process that detects was ended from outside, most likely for lack of memory."
             ) from error
-        for file in lines:
-            file.write({"type": "ended", **run.totals.document()})
-    if not as_json:
-        _print_summary(run.totals)
+        listener.end(run.totals)
+        if not as_json:
+            _print_summary(run.totals)
+        if listener.errors:
+            raise listener.errors[0]
 
 
 @contextlib.contextmanager
@@ -157,17 +161,34 @@ def collecting() -> Iterator[Callable[[Callable[[], Any]], Any]]:
 
 
 def _vmc_sender(address: str, allow_network: bool) -> VmcSender:
-    host, _, port = address.rpartition(":")
-    if not port.isdecimal():
+    host, port = _host_and_port(address)
+    if not (port.isdecimal() and len(port) <= _MAX_DIGITS):
         message, hint = f"{address!r} is not [HOST:]PORT.", "Write it as 39539 or 127.0.0.1:39539."
         raise InputError([Problem(PARAMETER_RANGE, message, field="vmc", hint=hint)])
-    return VmcSender(host.strip("[]") or "127.0.0.1", [int(port)], allow_network=allow_network)
+    return VmcSender(host, [int(port)], allow_network=allow_network)
 
 
-def _keep_problems(folder: Path | None) -> Iterator[Problem]:
-    if folder is not None and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+def _host_and_port(address: str) -> tuple[str, str]:
+    host, _, port = address.rpartition(":")
+    return host.strip("[]") or "127.0.0.1", port
+
+
+def _repeated_receivers(addresses: Sequence[str]) -> Iterator[Problem]:
+    receivers = Counter(map(_host_and_port, addresses))
+    for (host, port), count in receivers.items():
+        if count > 1:
+            message, hint = f"The receiver {host}:{port} is stated twice.", "A receiver shows one person."
+            yield Problem(PARAMETER_RANGE, message, field="vmc", hint=hint)
+
+
+def _existing_outputs(keep: Path | None, output: Path | None) -> Iterator[Problem]:
+    if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
         message = "There are files already."
-        yield Problem(OUTPUT_EXISTS, message, file=folder.name, field="keep", hint="Name a new or empty folder.")
+        yield Problem(OUTPUT_EXISTS, message, file=keep.name, field="keep", hint="Name a new or empty folder.")
+    # Devices and pipes are there already.
+    if output is not None and output.is_file():
+        message = "The file is there already."
+        yield Problem(OUTPUT_EXISTS, message, file=output.name, field="output", hint="Name a new file.")
 
 
 @contextlib.contextmanager

@@ -1,8 +1,9 @@
 """Outputs of `multicap live`: each listens to the capture."""
 
 import csv
+import io
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -24,16 +25,22 @@ from pipeline.live.recorded import RecordedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.live.vmc import VmcSender
 from pipeline.skeleton.model import SKELETON
+from worker.jobs.files.disk import append_whole
 
 # A receiver whose person is out of sight for so long gets the next person.
 _GONE_S = 2.0
 
 
 class LiveOutputs(LiveListener):
-    """Several outputs as one listener."""
+    """Several outputs as one listener.
+
+    An output that fails during the capture, such as a file on a full disk, is left out, the others are told, and its
+    error is one of ``errors``. The error of the last one is raised.
+    """
 
     def __init__(self, outputs: Iterable[LiveListener]) -> None:
-        self._outputs = tuple(outputs)
+        self._outputs = list(outputs)
+        self.errors: list[PipelineError] = []
 
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         """See ``LiveListener``."""
@@ -42,23 +49,36 @@ class LiveOutputs(LiveListener):
 
     def take(self, camera: Camera, frame: RecordedFrame) -> None:
         """See ``LiveListener``."""
-        for output in self._outputs:
-            output.take(camera, frame)
+        self._each(lambda output: output.take(camera, frame))
 
     def show(self, instant: LiveInstant, latency_s: float) -> None:
         """See ``LiveListener``."""
-        for output in self._outputs:
-            output.show(instant, latency_s)
+        self._each(lambda output: output.show(instant, latency_s))
 
     def tell(self, sentence: str) -> None:
         """See ``LiveListener``."""
-        for output in self._outputs:
-            output.tell(sentence)
+        self._each(lambda output: output.tell(sentence))
 
     def tick(self, totals: LiveTotals) -> None:
         """See ``LiveListener``."""
-        for output in self._outputs:
-            output.tick(totals)
+        self._each(lambda output: output.tick(totals))
+
+    def end(self, totals: LiveTotals) -> None:
+        """See ``LiveListener``."""
+        self._each(lambda output: output.end(totals))
+
+    def _each(self, call: Callable[[LiveListener], None]) -> None:
+        for output in tuple(self._outputs):
+            if output not in self._outputs:  # it has failed when it was told of another one
+                continue
+            try:
+                call(output)
+            except PipelineError as error:
+                self._outputs.remove(output)
+                if not self._outputs:
+                    raise
+                self.errors.append(error)
+                self.tell(f"{error} The capture goes on without it.")
 
 
 def ready_document(cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> dict[str, Any]:
@@ -83,20 +103,23 @@ class JsonLines(LiveListener):
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         """Write the names, and the time at which the capture begins."""
         started_at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        self.write(ready_document(cameras, joints, frame_rate_hz) | {"started_at": started_at})
+        self._write(ready_document(cameras, joints, frame_rate_hz) | {"started_at": started_at})
 
     def show(self, instant: LiveInstant, latency_s: float) -> None:
         """Write an instant."""
         document = instant_json(instant, self._sequence)
-        self.write({"type": "instant", **document, "latency_s": round(latency_s, 4)})
+        self._write({"type": "instant", **document, "latency_s": round(latency_s, 4)})
         self._sequence += 1
 
     def tell(self, sentence: str) -> None:
         """Write what has changed."""
-        self.write({"type": "notice", "message": sentence})
+        self._write({"type": "notice", "message": sentence})
 
-    def write(self, document: dict[str, Any]) -> None:
-        """Write a line."""
+    def end(self, totals: LiveTotals) -> None:
+        """Write the totals."""
+        self._write({"type": "ended", **totals.document()})
+
+    def _write(self, document: dict[str, Any]) -> None:
         with _writing("The lines"):
             self._file.write(json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":")) + "\n")
             self._file.flush()
@@ -104,6 +127,8 @@ class JsonLines(LiveListener):
 
 class KeptKeypoints(LiveListener):
     """Session of keypoints in a folder, which ``multicap reconstruct`` takes: files as they come.
+
+    What was written is a session at any time, also when the disk is full or the command is killed.
 
     Parameters
     ----------
@@ -131,14 +156,21 @@ class KeptKeypoints(LiveListener):
             return
         number = self._num_frames.get(camera.name, 0)
         path = self._folder / "keypoints" / camera.name / f"frame_{number:012d}_keypoints.json"
+        content = encode_frame(frame.points_px, frame.score, self._joints)
         with _writing(self._folder.name):
-            path.write_bytes(encode_frame(frame.points_px, frame.score, self._joints))
+            # The time first: readers pass over a time without a frame, but not over a frame without a time.
             self._write_times([(camera.name, number, repr(frame.time_s))])
+            try:
+                path.write_bytes(content)
+            except OSError:
+                path.unlink(missing_ok=True)
+                raise
         self._num_frames[camera.name] = number + 1
 
     def _write_times(self, rows: Iterable[Sequence[object]]) -> None:
-        with (self._folder / "timestamps.csv").open("a", encoding="utf-8", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows(rows)
+        table = io.StringIO(newline="")
+        csv.writer(table, lineterminator="\n").writerows(rows)
+        append_whole(self._folder / "timestamps.csv", table.getvalue().encode())
 
 
 class VmcReceivers(LiveListener):
@@ -209,7 +241,7 @@ def summary_line(totals: LiveTotals, people: str) -> str:
 
 @contextmanager
 def opened_output(path: Path) -> Iterator[IO[str]]:
-    """Open a new file for lines; raises ``PipelineError`` if it can't be written."""
+    """Open a file for lines; raises ``PipelineError`` if it can't be written."""
     with _writing(path.name):
         file = path.open("w", encoding="utf-8")
     try:

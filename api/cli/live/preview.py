@@ -41,6 +41,8 @@ _MAX_MESSAGES, _MAX_BYTES = 16, 2**22
 # Instants whose latencies are shown.
 _NUM_SHOWN = 200
 _GRACE_S = 1
+# Connections of browsers, and bytes of what one sends, which is nothing.
+_MAX_CONNECTIONS, _MAX_RECEIVED_BYTES = 64, 1024
 
 
 class PreviewPage(LiveListener):
@@ -77,6 +79,8 @@ class PreviewPage(LiveListener):
             lifespan="off",
             ws="websockets-sansio",
             ws_per_message_deflate=False,
+            ws_max_size=_MAX_RECEIVED_BYTES,
+            limit_concurrency=_MAX_CONNECTIONS,
             log_config=None,
             access_log=False,
             timeout_graceful_shutdown=_GRACE_S,

@@ -33,7 +33,19 @@ export async function textOf(blob, { name, start, method, packedBytes, numBytes 
   const first = start + LOCAL_BYTES + head.getUint16(26, true) + head.getUint16(28, true);
   const content = blob.slice(first, first + packedBytes);
   if (method === STORED) return content.text();
-  return new Response(content.stream().pipeThrough(new DecompressionStream("deflate-raw"))).text();
+  return new Response(content.stream().pipeThrough(new DecompressionStream("deflate-raw")).pipeThrough(limited(name, numBytes))).text();
+}
+
+/** Stream that breaks off where there are more bytes than the archive states. */
+function limited(name, numBytes) {
+  let left = numBytes;
+  return new TransformStream({
+    transform(chunk, controller) {
+      left -= chunk.byteLength;
+      if (left < 0) throw new Error(`${name} in the zip is larger than it states.`);
+      controller.enqueue(chunk);
+    },
+  });
 }
 
 /** Place of the list of entries. */

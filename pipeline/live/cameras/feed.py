@@ -151,6 +151,9 @@ class CameraFeed:
         except StreamProcessError:
             message = "The decoder crashed, or needs more memory than is allowed."
             return self._problem(VIDEO_UNREADABLE, message, "See what the camera sends.")
+        except OSError as error:
+            message = f"The decoder can't be started, or has no memory for pictures: {error.strerror}."
+            return self._problem(VIDEO_UNREADABLE, message, "See how many processes and how much memory are left.")
         finally:
             self._process = self._pictures = None
 

@@ -74,6 +74,9 @@ class LiveListener:
     def tick(self, totals: LiveTotals) -> None:
         """A second has passed."""
 
+    def end(self, totals: LiveTotals) -> None:
+        """The capture is over."""
+
 
 @dataclass(slots=True)
 class _Ticket:
@@ -275,8 +278,9 @@ class CameraRun:
     def _note_start(self, event: FeedEvent | None) -> None:
         """Take an event before the capture begins; a stream that ends now is as one that can't be opened."""
         match event:
-            case FrameDecoded(camera, _, time_s):
+            case FrameDecoded(camera, number, time_s):
                 self._first_s[camera].append(time_s)
+                self._num_decoded[camera] = number
             case FeedEnded(_, Problem() as problem):
                 raise InputError([problem])
 

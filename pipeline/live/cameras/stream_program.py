@@ -50,10 +50,11 @@ _OPEN_S, _READ_S = 10.0, 5.0
 _NUM_MEASURED = 50
 _NETWORK = {"fflags": "nobuffer", "analyzeduration": "2000000", "max_delay": "200000"}
 _OPTIONS: dict[SourceKind, dict[str, str]] = {
-    # No other address than the stated one is opened: RTP comes over the connection of RTSP, and there are no playlists.
+    # No other address than the stated one is opened: RTP comes over the connection of RTSP, whose redirects FFmpeg does
+    # not follow, and HTTP has neither playlists nor redirects.
     "rtsp": _NETWORK | {"rtsp_transport": "tcp", "allowed_media_types": "video", "protocol_whitelist": "tcp,tls"},
     "http": _NETWORK
-    | {"format_whitelist": "mpjpeg,mjpeg,mpegts", "protocol_whitelist": "http,https,tls,tcp", "multiple_requests": "0"},
+    | {"format_whitelist": "mpjpeg,mjpeg,mpegts", "protocol_whitelist": "http,https,tls,tcp", "max_redirects": "0"},
     "device": {"format_whitelist": "v4l2"},
 }
 _FORMATS: dict[SourceKind, str] = {"rtsp": "rtsp", "device": "v4l2"}
@@ -176,6 +177,9 @@ class _Stream:
                 if clock is None:
                     clock = PlaybackClock(self._start_s or now_s, stamp_s)
                 time_s = clock.capture_s(stamp_s)
+                if self._request.kind != "file":
+                    # After a jump of the stream's times, a frame that the decoder still had may be far in the future.
+                    time_s = min(time_s, time.monotonic())
                 if time_s > last_s:
                     last_s = time_s
                     yield time_s, frame
@@ -235,7 +239,8 @@ def _usual_problem(error: Exception) -> UnusableError:
         hint = "Write user and password before the address: rtsp://user:password@..."
         return UnusableError(STREAM_REFUSED, "The camera wants a user and a password, or others.", hint)
     if isinstance(error, ConnectionError | FileNotFoundError) or (isinstance(error, OSError) and error.errno):
-        return UnusableError(STREAM_REFUSED, f"The stream can't be opened: {text}.", "Check the address.")
+        hint = "Check the address; redirects are not followed."
+        return UnusableError(STREAM_REFUSED, f"The stream can't be opened: {text}.", hint)
     hint = "Send H.264 or HEVC by RTSP, or MJPEG or MPEG-TS by HTTP; play files of MP4, MOV, MKV, AVI or MPEG."
     return UnusableError(VIDEO_UNREADABLE, "The stream can't be read: it is damaged or of an unknown format.", hint)
 

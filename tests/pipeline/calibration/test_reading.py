@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.reading import Reading
-from pipeline.calibration.validate import RawCamera
+from pipeline.calibration.validate import RawCamera, name_problem
 from pipeline.errors import InputError
 
 MATRIX = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
@@ -71,3 +71,13 @@ def test_notes_are_short_whatever_the_file_names() -> None:
     contents = reading.contents("TOML", [raw("a")], "m")
     assert all(len(note) < 500 and note.isprintable() for note in contents.notes)
     assert "and 9,992 more" in contents.notes[0]
+
+
+@pytest.mark.parametrize("name", [".", "..", "a/b", "a\\b", "a\nb", "", "x" * 1000])
+def test_names_that_are_no_names_of_folders_are_refused(name: str) -> None:
+    assert name_problem(name)
+
+
+@pytest.mark.parametrize("name", ["cam 1", "...", "$(reboot)", "`id`;'\"", "-rf", "[red]cam", "ñ"])
+def test_names_that_a_shell_would_read_are_allowed(name: str) -> None:
+    assert name_problem(name) is None

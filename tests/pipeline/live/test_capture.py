@@ -1,6 +1,7 @@
 """Frames of cameras in, people at instants out."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -186,3 +187,24 @@ def test_cameras_have_names_of_their_own(ring: tuple[Camera, ...]) -> None:
     for cameras in (ring[:1], [ring[0], ring[0]]):
         with pytest.raises(InputError, match="two cameras, with different names"):
             LiveCapture(cameras, COCO_17, LiveSettings(RATE_HZ))
+
+
+@pytest.mark.parametrize(
+    ("frame", "fields"),
+    [
+        ((0.5, 0.0, np.zeros((1, 17, 2)), np.ones((1, 17))), ["camera"]),
+        ((None, "now", np.zeros((1, 17, 2)), np.ones((1, 17))), ["camera", "time_s"]),
+        ((0, 1j, 3, "x"), ["time_s", "points_px"]),
+        ((0, 0.0, [[[1, 2]] * 17, [[3, 4]] * 16], np.ones((2, 17))), ["points_px"]),
+        ((0, 0.0, np.full((1, 17, 2), np.inf), np.full((1, 17), 2.0)), ["score", "points_px"]),
+        ((0, 0.0, np.full((1, 17, 2), -2e6), np.ones((1, 17))), ["points_px"]),
+    ],
+)
+def test_what_is_no_frame_is_a_problem(ring: tuple[Camera, ...], frame: tuple[Any, ...], fields: list[str]) -> None:
+    capture = LiveCapture(ring, COCO_17, LiveSettings(RATE_HZ))
+    with pytest.raises(InputError) as caught:
+        capture.push(*frame)
+    assert [problem.field for problem in caught.value.problems] == fields
+    right: tuple[Any, ...] = (np.int64(1), np.float32(0.0), [[[1, 2]] * 17], [[1] * 17])
+    capture.push(*right)
+    assert capture.counts.taken == 1

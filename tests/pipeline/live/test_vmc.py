@@ -1,5 +1,6 @@
 """VMC: what a real receiver of OSC gets, in Unity's axes."""
 
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -124,3 +125,15 @@ def test_wrong_receivers_are_refused(host: str, ports: tuple[int, ...], field: s
 
 def test_other_machines_are_allowed_on_request() -> None:
     VmcSender("192.0.2.7", allow_network=True)
+
+
+def test_packets_that_cannot_be_sent_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The network of a receiver goes away during a performance: it comes back, and so do the packets."""
+    instant = LiveInstant(1.0, (LivePerson(1, np.zeros((17, 3)), skeleton()),), 0.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        with VmcSender(ports=[receiver.getsockname()[1]]) as sender:
+            with monkeypatch.context() as gone:
+                gone.setattr(sender, "_address", "255.255.255.255")  # refused, as a network that is away
+                assert sender.send(instant) == 0
+            assert sender.send(instant) == 1

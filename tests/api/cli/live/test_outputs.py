@@ -2,13 +2,15 @@
 
 import io
 import json
+import os
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from api.cli.live.outputs import JsonLines, KeptKeypoints, VmcReceivers, opened_output, summary_line
+from api.cli.live.outputs import JsonLines, KeptKeypoints, LiveOutputs, VmcReceivers, opened_output, summary_line
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.errors import PipelineError
 from pipeline.live.cameras.totals import CameraTotals, LiveTotals
@@ -16,7 +18,9 @@ from pipeline.live.capture import LiveCapture
 from pipeline.live.recorded import recorded_frames
 from pipeline.live.records import LiveInstant, LivePerson
 from pipeline.live.settings import LiveSettings
+from pipeline.runtime.child_processes import python_command
 from pipeline.simulation.scenes import SCENES, Joints, record
+from tests.small_disk import fill, small_disk
 
 RATE_HZ = 25.0
 
@@ -101,3 +105,63 @@ def test_the_line_of_the_terminal() -> None:
     assert summary_line(totals, "2 people now") == (
         "4 s, 25.0 Hz, 2 people now, latency 49 ms (p95 94 ms), 25 % of frames dropped"
     )
+
+
+def test_a_disk_that_gets_full_leaves_a_session_and_the_capture_goes_on(tmp_path: Path) -> None:
+    simulation, lines = record(replace(SCENES["room"], duration_s=8.0), 0, 3), io.StringIO()
+    cameras = simulation.cameras
+    with small_disk(tmp_path / "disk", 4) as disk:
+        outputs = LiveOutputs([KeptKeypoints(disk / "kept"), JsonLines(lines)])
+        outputs.begin(cameras, simulation.joints, RATE_HZ)
+        frames = recorded_frames(cameras, simulation.times, simulation.detections)
+        for number, frame in enumerate(frames):
+            if number == 200:
+                fill(disk / "others")
+            outputs.take(cameras[frame.camera], frame)
+        outputs.end(LiveTotals([]))
+        folder = disk / "kept"
+        session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
+    num_kept = sum(len(times.time_s) for times in session.times.values())
+    assert num_kept == 200 < len(frames)
+    assert [str(error) for error in outputs.errors] == ["kept can't be written: No space left on device."]
+    _, notice, ended = map(json.loads, lines.getvalue().splitlines())
+    assert "No space left on device. The capture goes on without it." in notice["message"]
+    assert ended["type"] == "ended"
+
+
+def test_the_last_output_that_fails_ends_the_capture(tmp_path: Path) -> None:
+    with pytest.raises(PipelineError, match="No space left"), opened_output(Path("/dev/full")) as full:
+        LiveOutputs([JsonLines(full)]).tell("x")
+
+
+KEEPING = """
+import itertools, sys
+from dataclasses import replace
+from pathlib import Path
+from api.cli.live.outputs import KeptKeypoints
+from pipeline.live.recorded import recorded_frames
+from pipeline.simulation.scenes import SCENES, record
+simulation = record(replace(SCENES["room"], duration_s=2.0), 0, 3)
+kept = KeptKeypoints(Path(sys.argv[1]))
+kept.begin(simulation.cameras, simulation.joints, 25.0)
+frames = recorded_frames(simulation.cameras, simulation.times, simulation.detections)
+for turn in itertools.count():
+    for frame in frames:
+        kept.take(simulation.cameras[frame.camera], frame._replace(time_s=2.0 * turn + frame.time_s))
+        print("kept", flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_a_capture_that_is_killed_leaves_a_session(tmp_path: Path) -> None:
+    for attempt in range(3):
+        folder = tmp_path / f"kept_{attempt}"
+        command = python_command("-c", KEEPING, str(folder))
+        environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[4])}
+        with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
+            assert process.stdout is not None
+            for _ in range(150 + 77 * attempt):
+                process.stdout.readline()
+            process.kill()
+        session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
+        assert sum(len(times.time_s) for times in session.times.values()) >= 150

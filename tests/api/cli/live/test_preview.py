@@ -1,13 +1,14 @@
 """Preview of a live capture: what a browser gets, and who is refused."""
 
 import json
+import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import httpx2
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
@@ -87,3 +88,34 @@ def test_a_port_that_is_taken_is_a_problem(page: PreviewPage) -> None:
     port = int(page.url.rstrip("/").rpartition(":")[2])
     with pytest.raises(InputError, match="can't be used"):
         PreviewPage(port)
+
+
+def test_what_a_browser_sends_is_little(room: Simulation, page: PreviewPage) -> None:
+    with connect(address(page)) as browser, connect(address(page)) as other:
+        browser.recv(10)
+        other.recv(10)
+        browser.send(bytes(100_000))
+        with pytest.raises(ConnectionClosed) as closed:
+            browser.recv(10)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1009
+        page.tick(LiveTotals([]))
+        assert json.loads(other.recv(10))["type"] == "status"
+
+
+def test_pages_under_another_name_are_refused(page: PreviewPage) -> None:
+    """A name of a stranger that leads to this machine (DNS rebinding), and pages of other ports."""
+    port = page.url.rstrip("/").rpartition(":")[2]
+    for headers in (
+        {"Host": f"rebound.example:{port}", "Origin": f"http://rebound.example:{port}"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Origin": "null"},
+        {"Host": ""},
+    ):
+        given = {"Host": f"127.0.0.1:{port}"} | headers
+        lines = ["GET /live HTTP/1.1", *(f"{name}: {value}" for name, value in given.items())]
+        lines += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
+        lines += ["Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", "", ""]
+        with socket.create_connection(("127.0.0.1", int(port)), 10) as connection:
+            connection.sendall("\r\n".join(lines).encode())
+            assert connection.recv(1000).split()[1] in {b"403", b"400"}

@@ -1,6 +1,7 @@
 """Feeds of cameras: real streams on loopback, cameras that go and come back, and what strangers send."""
 
 import contextlib
+import errno
 import os
 import queue
 import socket
@@ -222,3 +223,41 @@ def test_a_file_without_pictures(tmp_path: Path) -> None:
         assert isinstance(event, FeedEnded)
         assert event.problem is not None
         assert (event.problem.code, event.is_over) == (NO_VIDEO_STREAM, True)
+
+
+@pytest.mark.parametrize("kind", ["http", "rtsp"])
+def test_a_camera_leads_to_no_other_address(kind: str) -> None:
+    reached: list[bytes] = []
+
+    def elsewhere(connection: socket.socket) -> None:
+        reached.append(connection.recv(65_536))
+
+    with serving(elsewhere) as other:
+
+        def camera(connection: socket.socket) -> None:
+            while request := connection.recv(65_536):
+                head = "HTTP/1.1" if kind == "http" else "RTSP/1.0"
+                status = "200 OK" if request.startswith(b"OPTIONS") else "302 Found"
+                number = request.partition(b"CSeq: ")[2].partition(b"\r\n")[0].decode()
+                lines = [f"{head} {status}", f"CSeq: {number}", f"Location: {kind}://127.0.0.1:{other.port}/x"]
+                connection.sendall("\r\n".join([*lines, "Content-Length: 0", "", ""]).encode())
+
+        with serving(camera) as server, feeding(kind, f"{kind}://127.0.0.1:{server.port}/x") as (_, events):
+            event = next(events)
+        assert isinstance(event, FeedEnded)
+        assert event.problem is not None
+        assert event.problem.code == {"http": STREAM_REFUSED, "rtsp": VIDEO_UNREADABLE}[kind]
+        assert ("redirects" in (event.problem.hint or "")) == (kind == "http")
+    assert reached == []
+
+
+def test_a_machine_without_room_for_a_process_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(request: object) -> None:
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(feeds, "StreamProcess", refused)
+    with feeding("rtsp", "rtsp://127.0.0.1:1/") as (_, events):
+        event = next(events)
+    assert isinstance(event, FeedEnded)
+    assert event.problem is not None
+    assert (event.problem.code, "Resource temporarily" in event.problem.message) == (VIDEO_UNREADABLE, True)

@@ -18,6 +18,8 @@ from pipeline.live.cameras import feed as feeds
 from pipeline.live.cameras import offsets
 from pipeline.live.cameras import run as runs
 from pipeline.live.cameras.detection import DetectedBodies, DetectionJob
+from pipeline.live.cameras.feed import FrameDecoded
+from pipeline.live.cameras.pace import DetectionPace
 from pipeline.live.cameras.run import CameraRun, LiveListener
 from pipeline.live.cameras.sources import CameraSource
 from pipeline.live.cameras.totals import LiveTotals
@@ -198,3 +200,14 @@ def test_a_capture_that_ends_before_its_offsets_says_so(
     seen, totals = play(room, clips, monkeypatch, detection_s=0.001, sync_s=9.0)
     assert (totals.instants, seen.frames) == (0, [])
     assert "before the offsets were found" in seen.sentences[-1]
+
+
+def test_frames_from_before_the_start_are_not_counted(room: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Streams send while the machine is measured."""
+    monkeypatch.setattr(runs, "verify", lambda name: None)
+    sources = [CameraSource(camera.name, "rtsp", "rtsp://127.0.0.1/") for camera in room.cameras]
+    run = CameraRun(room.cameras, sources, CHOICES, LiveListener())
+    run._note_start(FrameDecoded(0, 40, 1.6))
+    with ThreadPoolExecutor(1) as pool:
+        run._handle(FrameDecoded(0, 43, 1.72), DetectionPace(NUM_CAMERAS, 1.6, 25.0, 1), pool)
+    assert [camera.decoded for camera in run.totals.cameras] == [3, 0, 0]
