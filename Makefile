@@ -21,17 +21,23 @@ unexport PYTHONDONTWRITEBYTECODE
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-# The kernels are compiled by one processor; npm's packages and files come meanwhile.
-AT_ONCE := @$(MAKE) --no-print-directory --jobs 3 $(VENV)/.compiled $(PORTAL)/vendor/.installed
+PIP_INSTALL := $(BIN)/python -P -m pip install --quiet --disable-pip-version-check --no-compile --no-deps
 
-setup: $(VENV)/.installed  ## Install all dependencies, pinned and checked by hash, into .venv
+# The kernels are compiled by one processor, as soon as the service's own packages are there; all others, npm's and files
+# come meanwhile. Python compiles modules when they are loaded: most of them never are.
+AT_ONCE := @$(MAKE) --no-print-directory --jobs 3 $(VENV)/.installed $(VENV)/.compiled $(PORTAL)/vendor/.installed
+
+setup:  ## Install all dependencies, pinned and checked by hash, into .venv
 	$(AT_ONCE)
 
-$(VENV)/.installed: requirements.lock pyproject.toml
+$(VENV)/.service: requirements.lock docker/requirements.lock
 	$(PYTHON) -m venv --clear $(VENV)
-	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
-		--only-binary :all: --no-binary bvh-converter -r requirements.lock
-	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(PIP_INSTALL) --require-hashes --only-binary :all: -r docker/requirements.lock
+	touch $@
+
+$(VENV)/.installed: $(VENV)/.service pyproject.toml
+	$(PIP_INSTALL) --require-hashes --only-binary :all: --no-binary bvh-converter -r requirements.lock
+	$(PIP_INSTALL) --no-build-isolation --editable .
 	touch $@
 
 # Sources of the compiled kernels: after a `git pull` that changes them the kernels are compiled here, before anything is
@@ -39,16 +45,16 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 KERNELS := $(wildcard pipeline/data/*.py) pipeline/runtime/jit.py pipeline/warm_up.py \
 	$(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py pipeline/*/*/*kernels.py))),$(wildcard $(folder)*.py))
 
-$(VENV)/.compiled: $(VENV)/.installed $(KERNELS)
+$(VENV)/.compiled: $(VENV)/.service $(KERNELS)
 	@echo "Compiling the numeric kernels; the first time takes two or three minutes."
-	$(BIN)/python -P -m pipeline.warm_up
+	PYTHONPATH="$(CURDIR)" $(BIN)/python -P -m pipeline.warm_up
 	touch $@
 
 $(PORTAL)/vendor/.installed: $(PORTAL)/package-lock.json $(PORTAL)/vendor.mjs $(VENV)/.installed
 	@$(BIN)/npm ci --prefix $(PORTAL) --silent --no-audit --no-fund && touch $@ \
 		|| echo "npm's packages can't be installed here: the page at / shows how to install them; the rest works."
 
-demo: $(VENV)/.installed  ## Start the service, send a real four-camera capture, write the results to demo-output/
+demo:  ## Start the service, send a real four-camera capture, write the results to demo-output/
 	$(AT_ONCE) demo-files
 	$(BIN)/multicap demo
 
