@@ -18,6 +18,19 @@ SIDES = ("Left", "Right")
 HEAD = "Head"
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 """Fingers of a hand, as ``pipeline.joints`` has them."""
+HIPS = "Hips"
+LIMBS = tuple(
+    tuple(f"{side}{joint}" for joint in joints)
+    for side in SIDES
+    for joints in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand"))
+)
+"""Joints of each leg and arm, from the trunk outwards."""
+REQUIRED = (HEAD, *(joint for limb in LIMBS for joint in limb))
+"""Joints that a character must have."""
+OPTIONAL = tuple(f"{side}{joint}" for side in SIDES for joint in ("Shoulder", "ToeBase")) + tuple(
+    f"{side}Hand{finger.capitalize()}{number}" for side in SIDES for finger in FINGERS for number in (1, 2, 3)
+)
+"""Joints that a character may lack."""
 
 # Words in front of names: namespaces, and prefixes of exporters.
 _NAMESPACE = re.compile(r"^.*[:|]")

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.character.bone_names import REQUIRED
 from pipeline.character.figure import CharacterFigure, measure
 from pipeline.character.file_reader import read_character_file
-from pipeline.character.mapping import REQUIRED, map_bones, read_bone_table
+from pipeline.character.mapping import map_bones, read_bone_table
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.characters import CHARACTER_TOO_LARGE, CHARACTER_UNREADABLE
 from pipeline.runtime.checking import print_answer

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.character.bone_names import HEAD, SIDES
+from pipeline.character.bone_names import HEAD, HIPS, SIDES
 from pipeline.character.gltf_reader import CharacterFile
-from pipeline.character.mapping import HIPS, BoneMapping
+from pipeline.character.mapping import BoneMapping
 from pipeline.character.rig import CharacterRig
 from pipeline.data.arrays import read_only
 from pipeline.errors import InputError, Problem, printable

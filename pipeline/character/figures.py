@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.character.bone_names import SIDES
+from pipeline.character.bone_names import HIPS, LIMBS, SIDES
 from pipeline.character.feet import ScaledFloor, level
-from pipeline.character.mapping import HIPS, LIMBS
 from pipeline.character.retarget import CharacterMotion, place_of
 from pipeline.data.animation import FootContact, SkeletonMotion
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics

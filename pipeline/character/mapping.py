@@ -10,28 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.character.bone_names import HEAD, SIDES, joints_by_name, twist_bones
+from pipeline.character.bone_names import HEAD, HIPS, LIMBS, OPTIONAL, REQUIRED, SIDES, joints_by_name, twist_bones
 from pipeline.character.bone_shapes import joints_by_shape
 from pipeline.character.gltf_reader import CharacterFile
 from pipeline.character.rig import CharacterRig
 from pipeline.errors import InputError, Problem, listed_names, printable
-from pipeline.joints import FINGERS
 from pipeline.parsing import UnreadableError, read_json
 from pipeline.problem_codes.characters import BONES_INVALID, CHARACTER_BONES
-
-HIPS = "Hips"
-LIMBS = tuple(
-    tuple(f"{side}{joint}" for joint in joints)
-    for side in SIDES
-    for joints in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand"))
-)
-"""Joints of each leg and arm, from the trunk outwards."""
-REQUIRED = (HEAD, *(joint for limb in LIMBS for joint in limb))
-"""Joints that a character must have."""
-OPTIONAL = tuple(f"{side}{joint}" for side in SIDES for joint in ("Shoulder", "ToeBase")) + tuple(
-    f"{side}Hand{finger.capitalize()}{number}" for side in SIDES for finger in FINGERS for number in (1, 2, 3)
-)
-"""Joints that a character may lack."""
 
 Recognition = Literal["vrm", "names", "shape", "table"]
 """Ways in which a bone is recognised: by a VRM's table, by names, by the shape of the tree, by a user's table."""

@@ -15,12 +15,11 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.spatial.transform import Rotation
 
-from pipeline.character.bone_names import HEAD, SIDES
+from pipeline.character.bone_names import HEAD, HIPS, SIDES
 from pipeline.character.feet import HeldFoot, ScaledFloor, hold_foot, scaled
 from pipeline.character.figure import CharacterFigure
 from pipeline.character.hips import StandingLeg, shift_and_tilt
 from pipeline.character.limbs import REACH, BentLimb, between, reach, twist_rad
-from pipeline.character.mapping import HIPS
 from pipeline.data.animation import Floor, SkeletonMotion
 from pipeline.data.arrays import read_only
 from pipeline.joints import FINGERS

@@ -8,21 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from pipeline.character.bone_names import FINGERS, HEAD, SIDES, joints_by_name
-
-HIPS = "Hips"
-LIMBS = tuple(
-    tuple(f"{side}{joint}" for joint in joints)
-    for side in SIDES
-    for joints in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand"))
-)
-"""Joints of each leg and arm, from the trunk outwards."""
-REQUIRED = (HEAD, *(joint for limb in LIMBS for joint in limb))
-"""Joints that an armature must have."""
-OPTIONAL = tuple(f"{side}{joint}" for side in SIDES for joint in ("Shoulder", "ToeBase")) + tuple(
-    f"{side}Hand{finger.capitalize()}{number}" for side in SIDES for finger in FINGERS for number in (1, 2, 3)
-)
-"""Joints that an armature may lack."""
+from pipeline.character.bone_names import HEAD, HIPS, REQUIRED, SIDES, joints_by_name
 
 
 @dataclass(frozen=True)

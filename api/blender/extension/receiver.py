@@ -8,11 +8,12 @@ import bpy
 
 from api.blender.extension import characters
 from api.blender.extension.answers import RequestError
-from api.blender.extension.bone_tree import HIPS, completed
+from api.blender.extension.bone_tree import completed
 from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.retarget import Retargeting
 from api.blender.extension.vmc_person import VmcPerson, is_same_person
 from api.blender.extension.work import panel_state, redraw, say
+from pipeline.character.bone_names import HIPS
 
 _HOST = "127.0.0.1"
 _TICK_S = 1 / 60

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from api.blender.extension import characters
-from api.blender.extension.bone_tree import HIPS, OPTIONAL, REQUIRED, problems_of, recognised
+from api.blender.extension.bone_tree import problems_of, recognised
 from api.blender.extension.work import say
+from pipeline.character.bone_names import HIPS, OPTIONAL, REQUIRED
 
 _JOINTS = (HIPS, *REQUIRED, *OPTIONAL)
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from api.blender.extension.answers import RequestError
-from api.blender.extension.bone_tree import HIPS, BoneMap
+from api.blender.extension.bone_tree import BoneMap
 from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.turns import (
     NO_TURN,
@@ -27,7 +27,7 @@ from api.blender.extension.turns import (
     turned,
     unit_turn,
 )
-from pipeline.character.bone_names import HEAD, SIDES
+from pipeline.character.bone_names import HEAD, HIPS, SIDES
 
 # Joints of the person's trunk from below, and the places on the spine at which they turn.
 _TRUNK = (HIPS, "Spine", "Chest")

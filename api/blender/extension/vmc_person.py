@@ -7,11 +7,10 @@ is a T-pose that faces +Z. Here the axes are those of ``glb_motion``: right-hand
 from collections.abc import Mapping
 from typing import Any
 
-from api.blender.extension.bone_tree import HIPS, REQUIRED
 from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.osc import messages_of
 from api.blender.extension.turns import NO_TURN, Quat, Vec, length, plus, times, turned, unit_turn
-from pipeline.character.bone_names import SIDES
+from pipeline.character.bone_names import HIPS, REQUIRED, SIDES
 from pipeline.skeleton.humanoid import UNITY_BONES
 
 _UPPER_CHEST = "UpperChest"  # Some senders have this bone; Multicap's skeleton lacks it.

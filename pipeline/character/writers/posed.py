@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.character.mapping import HIPS
+from pipeline.character.bone_names import HIPS
 from pipeline.character.retarget import CharacterMotion
 from pipeline.character.writers.chains import together
 from pipeline.export.presets import Y_UP_FROM_WORLD

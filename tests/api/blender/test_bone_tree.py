@@ -2,7 +2,8 @@
 
 import pytest
 
-from api.blender.extension.bone_tree import HIPS, REQUIRED, BoneTree, completed, problems_of, recognised
+from api.blender.extension.bone_tree import BoneTree, completed, problems_of, recognised
+from pipeline.character.bone_names import HIPS, REQUIRED
 from pipeline.character.gltf_reader import decode_character
 from pipeline.character.mapping import map_bones
 from tests.pipeline.character.characters import bones_of, character, odd_bones

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from api.blender.build import build
-from api.blender.extension.bone_tree import LIMBS
 from api.settings import Settings
+from pipeline.character.bone_names import LIMBS
 from pipeline.character.gltf_reader import decode_character
 from pipeline.character.mapping import map_bones
 from pipeline.data.reconstruction import Reconstruction

@@ -8,10 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from api.blender.extension.answers import RequestError
-from api.blender.extension.bone_tree import LIMBS, BoneMap, completed, recognised
+from api.blender.extension.bone_tree import BoneMap, completed, recognised
 from api.blender.extension.glb_motion import PersonMotion, read_motion
 from api.blender.extension.retarget import RestArmature, RestBone, Retargeting
 from api.blender.extension.turns import Quat
+from pipeline.character.bone_names import LIMBS
 from pipeline.export.writers import glb
 from tests.api.blender.test_bone_tree import tree_of
 from tests.api.blender.test_glb_motion import posed_m

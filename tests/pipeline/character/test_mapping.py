@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.character.bone_names import BoneName, bone_name, joints_by_name
+from pipeline.character.bone_names import OPTIONAL, REQUIRED, BoneName, bone_name, joints_by_name
 from pipeline.character.bone_shapes import joints_by_shape
 from pipeline.character.figure import measure
 from pipeline.character.gltf_reader import CharacterFile, decode_character
-from pipeline.character.mapping import OPTIONAL, REQUIRED, bone_table, map_bones, read_bone_table
+from pipeline.character.mapping import bone_table, map_bones, read_bone_table
 from pipeline.character.problems import MAX_NODES
 from pipeline.errors import InputError
 from tests.cases import slow_but
