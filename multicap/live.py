@@ -135,7 +135,13 @@ class AsyncLive(_Messages):
     ) -> None:
         """Send a camera's frame: the points of the layout in pixels, NaN where not found, and their scores, 0 to 1."""
         with _closed_as_problem():
-            await self._connection.send(self.keypoints(camera, time_s, points_px, score))
+            try:
+                await self._connection.send(self.keypoints(camera, time_s, points_px, score))
+            except ConnectionClosed:
+                # The problem may have come before the end of the connection.
+                async for message in self._connection:
+                    self.read(message)
+                raise
 
     async def finish(self) -> None:
         """Say that the capture is over; its last instants still come, and ``end`` is set behind them."""
@@ -169,7 +175,13 @@ class SyncLive(_Messages):
     ) -> None:
         """Send a camera's frame: the points of the layout in pixels, NaN where not found, and their scores, 0 to 1."""
         with _closed_as_problem():
-            self._connection.send(self.keypoints(camera, time_s, points_px, score))
+            try:
+                self._connection.send(self.keypoints(camera, time_s, points_px, score))
+            except ConnectionClosed:
+                # The problem may have come before the end of the connection.
+                for message in self._connection:
+                    self.read(message)
+                raise
 
     def receive(self, timeout_s: float | None = None) -> LiveInstant | None:
         """Next instant; ``None`` if none comes in time (``timeout_s`` ``None``: waits). Raises ``LiveError``."""

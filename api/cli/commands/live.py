@@ -185,8 +185,8 @@ def _existing_outputs(keep: Path | None, output: Path | None) -> Iterator[Proble
     if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
         message = "There are files already."
         yield Problem(OUTPUT_EXISTS, message, file=keep.name, field="keep", hint="Name a new or empty folder.")
-    # Devices and pipes are there already.
-    if output is not None and output.is_file():
+    # Devices and pipes are there already, and so is an empty file of a try without cameras.
+    if output is not None and output.is_file() and output.stat().st_size:
         message = "The file is there already."
         yield Problem(OUTPUT_EXISTS, message, file=output.name, field="output", hint="Name a new file.")
 

@@ -7,6 +7,7 @@ shared file. To stdout go ``opened``, ``decoded`` for each frame, ``picture`` fo
 ``ended`` with a problem, or without one at the end of the stream. The process ends when stdin is closed.
 """
 
+import errno
 import itertools
 import json
 import mmap
@@ -239,7 +240,8 @@ def _usual_problem(error: Exception) -> UnusableError:
         hint = "Write user and password before the address: rtsp://user:password@..."
         return UnusableError(STREAM_REFUSED, "The camera wants a user and a password, or others.", hint)
     if isinstance(error, ConnectionError | FileNotFoundError) or (isinstance(error, OSError) and error.errno):
-        hint = "Check the address; redirects are not followed."
+        is_led_elsewhere = error.errno == errno.EIO
+        hint = "Check the address; redirects are not followed." if is_led_elsewhere else "Check the address."
         return UnusableError(STREAM_REFUSED, f"The stream can't be opened: {text}.", hint)
     hint = "Send H.264 or HEVC by RTSP, or MJPEG or MPEG-TS by HTTP; play files of MP4, MOV, MKV, AVI or MPEG."
     return UnusableError(VIDEO_UNREADABLE, "The stream can't be read: it is damaged or of an unknown format.", hint)

@@ -5,6 +5,7 @@ import dataclasses
 import io
 import json
 import re
+import time
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -16,8 +17,10 @@ import pytest
 
 from api.settings import Settings
 from multicap.live import LiveError, LiveOptions, connect, connect_sync
+from pipeline.calibration.write import encode_toml
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.detect.entries import entry_of
+from pipeline.errors import InputError
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets
 from pipeline.live.capture import LiveCapture
 from pipeline.live.recorded import RecordedFrame, recorded_frames
@@ -175,6 +178,41 @@ def test_client_raises_problems(computing: Live, calibration: dict[str, Any]) ->
         capture.send(0, 0.0, np.zeros((1, 16, 2)), np.zeros((1, 16)))
         with pytest.raises(LiveError, match="live_joints"):
             capture.receive()
+
+
+def test_problems_come_out_of_sending_too(computing: Live, calibration: dict[str, Any]) -> None:
+    """A program that sends only still learns what is wrong, not just that the connection is closed."""
+    address = f"http://127.0.0.1:{computing.address[1]}"
+    wrong = np.zeros((1, 16, 2)), np.zeros((1, 16))
+    with connect_sync(address, calibration, "coco-17", 25.0) as capture:
+
+        def send() -> None:
+            for number in range(2000):
+                capture.send(0, number / 25, *wrong)
+                time.sleep(0.005)
+
+        with pytest.raises(LiveError, match="states 16 points"):
+            send()
+
+    async def run() -> None:
+        async with connect(address, calibration, "coco-17", 25.0) as capture:
+            for number in range(2000):
+                await capture.send(0, number / 25, *wrong)
+                await asyncio.sleep(0.005)
+
+    with pytest.raises(LiveError, match="states 16 points"):
+        asyncio.run(run())
+
+
+def test_calibrations_of_any_format_are_sent(computing: Live, room: Simulation, tmp_path: Path) -> None:
+    address = f"http://127.0.0.1:{computing.address[1]}"
+    path = tmp_path / "rig.toml"
+    path.write_bytes(encode_toml(room.cameras))
+    with connect_sync(address, path, "mediapipe-33", 25.0) as capture:
+        assert capture.cameras == tuple(camera.name for camera in room.cameras)
+    for name in ("none.toml", "none.json"):
+        with pytest.raises(InputError, match=name), connect_sync(address, tmp_path / name, "coco-17", 25.0):
+            pass
 
 
 def test_example_of_the_page(

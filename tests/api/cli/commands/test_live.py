@@ -22,7 +22,7 @@ def test_everything_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
     (tmp_path / "kept" / "old").touch()
     rig = calibration(tmp_path / "rig.json", ["a", "b"])
     options = ["--camera=a=gone.mp4", "--camera=c=rtsp://camera/", f"--keep={tmp_path / 'kept'}"]
-    (tmp_path / "lines.jsonl").touch()
+    (tmp_path / "lines.jsonl").write_text("{}")
     options += ["--vmc=far", "--vmc=192.0.2.1:39539", f"--vmc={'9' * 5000}", "--vmc=39540", "--vmc=127.0.0.1:39540"]
     options += [f"--output={tmp_path / 'lines.jsonl'}", "--profile=fast", "--json"]
     result = runner.invoke(app, ["live", f"--calibration={rig}", *options])
