@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from api.cli.benchmark.plan.needs import DAY_S, PlannedTake, needs_of, stage_loads
+from api.cli.benchmark.plan.needs import DAY_S, PlannedTake, Prices, needs_of, stage_loads
 from api.cli.benchmark.plan.queue_simulation import Failures, JobArrival, QueueOutcome, StageLoad, simulate
 from api.cli.client import ServiceError
 from api.cli.console import JsonOption, emit, print_table, reporting
@@ -40,6 +40,11 @@ def plan(
     machine_cores: Annotated[int, typer.Option(min=1, help="Processors of a machine of workers.")] = 16,
     working_hours: Annotated[float, typer.Option(min=1, max=24, help="Hours of the day in which jobs come.")] = 10.0,
     days_between_failures: Annotated[float, typer.Option(min=0.01, help="Days until a worker is lost.")] = 30.0,
+    core_hour_price: Annotated[
+        float | None, typer.Option(min=0.0, help="Price of a processor for an hour, in any currency.")
+    ] = None,
+    gib_month_price: Annotated[float, typer.Option(min=0.0, help="Price of a GiB of storage for a month.")] = 0.0,
+    days_kept: Annotated[float, typer.Option(min=0.0, help="Days until sessions are deleted.")] = 30.0,
     measured: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="Report of `make load` to forecast, too.")
     ] = None,
@@ -52,7 +57,7 @@ def plan(
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a cluster from measured costs: processors, disk, network, rows, and how long jobs wait."""
+    """Plan a cluster from measured costs: processors, disk, network, rows, their price, and how long jobs wait."""
     with reporting(as_json):
         profile = checked(chosen).profile
         take = PlannedTake(cameras, minutes, rate_hz, mbit)
@@ -72,6 +77,8 @@ def plan(
             "alone_s": sum(load.chunk_s * math.ceil(load.num_chunks / needs.cores) for load in loads),
             "queue": figures(outcome, needs.cores),
         }
+        if core_hour_price is not None:
+            result["price"] = Prices(core_hour_price, gib_month_price, days_kept).of_day(needs, camera_hours)
         if measured is not None:
             report = _report(measured)
             result["forecast"] = forecast(report, report if times is None else _report(times))

@@ -13,6 +13,7 @@ from pipeline.stages.plan import plan
 from pipeline.stages.stage import SessionFacts
 
 DAY_S = 86_400.0
+_DAYS_OF_MONTH = 30.0
 _GIB = 2**30
 # Rows of a chunk: its own and its output. Rows of a job beside them: its own, its session's, some ten
 # events, some ten result files, and the audit.
@@ -57,6 +58,25 @@ class Needs:
     def as_dict(self) -> dict[str, float]:
         """Needs by name."""
         return {name: getattr(self, name) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True)
+class Prices:
+    """Prices of a supplier, in any currency."""
+
+    core_hour: float
+    gib_month: float
+    days_kept: float  # Days until sessions are deleted
+
+    def of_day(self, needs: Needs, camera_hours: float) -> dict[str, float]:
+        """Price of a day: processors at all hours, and the storage of all sessions that are kept."""
+        processors = needs.cores * 24.0 * self.core_hour
+        storage = needs.stored_gib * self.days_kept * self.gib_month / _DAYS_OF_MONTH
+        return {
+            "processors_a_day": processors,
+            "storage_a_day": storage,
+            "camera_hour": (processors + storage) / camera_hours,
+        }
 
 
 def profile_of(cost: Mapping[str, Any], profile: Profile) -> Mapping[str, Any]:

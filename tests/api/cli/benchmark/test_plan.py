@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.benchmark.plan.command import forecast
-from api.cli.benchmark.plan.needs import PlannedTake, needs_of, stage_loads
+from api.cli.benchmark.plan.needs import PlannedTake, Prices, needs_of, stage_loads
 from api.cli.benchmark.plan.queue_simulation import Failures, JobArrival, StageLoad, simulate
 from api.cli.main import app
 
@@ -76,6 +76,10 @@ def test_needs_follow_the_costs() -> None:
     assert needs.upload_gib == pytest.approx(1000 * 3600 * 1e6 / 2**30)
     assert needs.stored_gib > needs.upload_gib
     assert needs.chunks_per_s == pytest.approx(1500 * needs.chunks_a_job / 86_400)
+    price = Prices(core_hour=0.05, gib_month=0.02, days_kept=15.0).of_day(needs, camera_hours=1000.0)
+    assert price["processors_a_day"] == pytest.approx(20 * 24 * 0.05)
+    assert price["storage_a_day"] == pytest.approx(needs.stored_gib * 0.01)
+    assert price["camera_hour"] == pytest.approx((24.0 + needs.stored_gib * 0.01) / 1000.0)
     twice = needs_of(COST, "balanced", TAKE, camera_hours=2000.0, utilization=0.5, num_machines=4)
     assert twice.cores == 40
     more = needs_of(COST, "balanced", TAKE, camera_hours=1000.0, utilization=0.5, num_machines=16)
