@@ -7,6 +7,7 @@ Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, se
 """
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.data.cameras import Timebase
 from pipeline.data.people import Source, Track3D
-from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
+from pipeline.joints import MARKED_AT_CENTERS, SIDES, JointOffsets, JointSet
 from pipeline.live.feet import StandingFeet
 from pipeline.live.pose_steps import PoseSteps, quat_xyzw_of
 from pipeline.live.records import LiveSkeleton
@@ -46,7 +47,8 @@ _FIRST_SPEED_M_S = 2.0
 _MANOEUVRE = 1.6
 # Uncertainty of the place of a foot that stands.
 _STANDING_M = 0.005
-_ANKLES = ("left_ankle", "right_ankle")
+# Joints of a foot that are held, each where it stands itself: a heel rises before the toe.
+_FOOT_JOINTS = ("ankle", "heel", "big_toe")
 _TORSO = ("left_hip", "right_hip", "left_shoulder", "right_shoulder")
 
 
@@ -183,6 +185,25 @@ def learn_bones(
     return LearntBones(length_m, articulate(length_m, joints, offsets_m, marks_m), centers)
 
 
+@dataclass(slots=True, eq=False)
+class _FootPair:
+    """Joint of the left and the right foot, and where it stands."""
+
+    joints: list[int]  # Positions among the detector's joints
+    landmarks: list[int]  # Positions among the skeleton's landmarks
+    places: StandingFeet
+    is_held: list[bool]
+
+
+def _feet_of(skeleton: Articulation, joints: JointSet) -> Iterator[_FootPair]:
+    """Joints of feet that the skeleton carries."""
+    carried = skeleton.landmark.tolist()
+    for part in _FOOT_JOINTS:
+        pair = [joints.names.index(name) for name in (f"left_{part}", f"right_{part}") if name in joints.names]
+        if len(pair) == len(SIDES) and set(pair) <= set(carried):
+            yield _FootPair(pair, [carried.index(joint) for joint in pair], StandingFeet(), [False, False])
+
+
 class PoseFilter:
     """Poses of a person's skeleton, one instant after the other.
 
@@ -199,12 +220,7 @@ class PoseFilter:
         usual_m_s2 = usual_step_m(joints, Timebase(0.0, 1.0, 1))[bones.skeleton.landmark]
         self._noise_m_s2 = _MANOEUVRE * usual_m_s2
         self._state: tuple[JointPoses, _Motion] | None = None
-        self._feet = StandingFeet()
-        ankles = [joints.names.index(name) for name in _ANKLES if name in joints.names]
-        carried = bones.skeleton.landmark.tolist()
-        self._ankles = ankles if len(ankles) == len(_ANKLES) and set(ankles) <= set(carried) else []
-        self._ankle_landmarks = [carried.index(ankle) for ankle in self._ankles]
-        self._is_held = np.zeros(len(self._ankles), bool)
+        self._feet = list(_feet_of(bones.skeleton, joints))
         self._pose_s = -np.inf
         self._quat: np.ndarray | None = None
 
@@ -221,10 +237,10 @@ class PoseFilter:
         rays = np.where(is_seen[..., None], ray, 0.0)[landmark]
         weight = (np.where(is_seen, score**3, 0.0) / _SIGMA_M**2)[landmark]
         step_s = time_s - self._pose_s
-        if self._ankles and step_s > _LONGEST_GAP_S:
-            self._feet.forget()
-        if self._ankles:
-            self._feet.update(time_s, xyz_m[self._ankles])
+        for pair in self._feet:
+            if step_s > _LONGEST_GAP_S:
+                pair.places.forget()
+            pair.places.update(time_s, xyz_m[pair.joints])
         if self._state is not None and step_s <= _LONGEST_GAP_S:
             self._step(*self._state, step_s, rays, weight)
         elif _has_torso(xyz_m[None], self._joints)[0]:
@@ -270,18 +286,17 @@ class PoseFilter:
 
     def _hold_feet(self, motion: _Motion) -> None:
         """Expect feet that stand at their places, in place."""
-        if not self._ankles:
-            return
-        places_m = self._feet.places_m
-        stands = np.isfinite(places_m).all(-1)
-        for number, place_m, is_standing, was_held in zip(
-            self._ankle_landmarks, places_m, stands.tolist(), self._is_held.tolist(), strict=True
-        ):
-            if is_standing:
-                motion.hold(number, place_m)
-            elif was_held:
-                motion.release(number)
-        self._is_held = stands
+        for pair in self._feet:
+            places_m = pair.places.places_m
+            stands = np.isfinite(places_m).all(-1).tolist()
+            for number, place_m, is_standing, was_held in zip(
+                pair.landmarks, places_m, stands, pair.is_held, strict=True
+            ):
+                if is_standing:
+                    motion.hold(number, place_m)
+                elif was_held:
+                    motion.release(number)
+            pair.is_held = stands
 
     def _shown(self, poses: JointPoses) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]]:
         """Skeleton in a pose, and positions of the detector's joints; rotations continue those before."""

@@ -207,8 +207,8 @@ def _report_people(as_json: bool) -> None:
         emit({"feet": feet, "returns": returns})
         return
     columns = [name.replace("_", " ") for name in feet[0]]
-    rows = ([row["scene"], *(f"{value:.1f}" for value in list(row.values())[1:])] for row in feet)
-    print_table(columns, rows, "Ankles that stand, live and of the finished fit")
+    rows = ([value if isinstance(value, str) else f"{value:.1f}" for value in row.values()] for row in feet)
+    print_table(columns, rows, "Joints of feet that stand, live and of the finished fit")
     typer.echo(
         f"{returns['back']} of {returns['people']} people who came back got their numbers again, half of them within "
         f"{returns['back_after_s']:.1f} s; {returns['mistaken']} got those of others. "

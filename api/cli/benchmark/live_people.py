@@ -1,6 +1,6 @@
 """`multicap benchmark live --people`: feet that stand, and numbers of people who come back, against the truth."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +16,6 @@ from pipeline.live.settings import LiveSettings
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.scenes import SCENES, Simulation, record
 from pipeline.skeleton.animate import animate
-from pipeline.skeleton.model import INDEX, forward_kinematics
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 
@@ -25,40 +24,40 @@ ROOM = SCENES["room"]
 _FEET_SCENES, _FEET_S = ("room", "walk", "noisy"), 15.0
 # Skeletons of the live capture are there by now.
 _SETTLED_S = 4.0
-# True speed below which an ankle stands.
+# True speed below which a joint of a foot stands.
 _STANDING_M_S = 0.02
-_ANKLES = ("left_ankle", "right_ankle")
-_ANKLE_BONES = [INDEX["LeftFoot"], INDEX["RightFoot"]]
+_FOOT_JOINTS = ("ankle", "heel", "big_toe")
 # People stay, are away, and stay again; then they are to have their numbers, and strangers are not.
 _STAY_S, _AWAY_S, _AGAIN_S = 16.0, 5.0, 6.0
 _NUM_SEEDS, _NUM_PEOPLE = 4, 3
 
-Ankles = Mapping[int, Float[np.ndarray, "2 3"]]
-"""Left and right ankle of people by their numbers, world positions in metres."""
+Bodies = Mapping[int, Float[np.ndarray, "joints 3"]]
+"""Joints of people by their numbers, world positions in metres."""
 
 
 @dataclass(slots=True, eq=False)
-class StandingAnkles:
-    """Speeds and errors of ankles that stand in truth."""
+class StandingJoints:
+    """Speeds and errors of joints that stand in truth; ``joints`` are their places among the detector's."""
 
+    joints: list[int]
     speed_m_s: list[float] = field(default_factory=list)
     error_m: list[float] = field(default_factory=list)
 
-    def add(self, simulation: Simulation, instants: Iterable[tuple[int, Ankles]]) -> None:
-        """Take the skeletons of frames that follow each other; each person counts as the nearest true one."""
+    def add(self, simulation: Simulation, instants: Iterable[tuple[int, Bodies]]) -> None:
+        """Take the people of frames that follow each other; each counts as the nearest true one."""
         rate_hz = simulation.timebase.frame_rate_hz
-        truth_m = simulation.truth_m[:, :, simulation.joints.indices(_ANKLES)]
-        before: Ankles = {}
-        for frame, ankles in instants:
-            for number in before.keys() & ankles.keys() if frame >= _SETTLED_S * rate_hz else ():
-                apart_m = np.linalg.norm(truth_m[:, frame] - ankles[number], axis=-1)
-                person = int(np.nanargmin(apart_m.mean(-1)))
-                true_m_s = np.linalg.norm(truth_m[person, frame] - truth_m[person, frame - 1], axis=-1) * rate_hz
-                stands = true_m_s < _STANDING_M_S
-                moved_m_s = np.linalg.norm(ankles[number] - before[number], axis=-1) * rate_hz
-                self.speed_m_s += moved_m_s[stands].tolist()
-                self.error_m += apart_m[person, stands].tolist()
-            before = ankles
+        before: Bodies = {}
+        for frame, bodies in instants:
+            for number in before.keys() & bodies.keys() if frame >= _SETTLED_S * rate_hz else ():
+                apart_m = np.linalg.norm(simulation.truth_m[:, frame] - bodies[number], axis=-1)
+                person = int(np.nanargmin(np.nanmean(apart_m, axis=-1)))
+                truth_m = simulation.truth_m[person, frame - 1 : frame + 1, self.joints]
+                stands = np.linalg.norm(truth_m[:, 1] - truth_m[:, 0], axis=-1) * rate_hz < _STANDING_M_S
+                moved_m = np.linalg.norm(bodies[number][self.joints] - before[number][self.joints], axis=-1)
+                known = stands & np.isfinite(moved_m)
+                self.speed_m_s += (moved_m * rate_hz)[known].tolist()
+                self.error_m += apart_m[person, self.joints][known].tolist()
+            before = bodies
 
     def figures(self) -> dict[str, float]:
         """Mean speed and error."""
@@ -67,41 +66,34 @@ class StandingAnkles:
 
 def measure_all_feet() -> list[dict[str, Any]]:
     """``measure_feet`` in scenes in which people stand and walk."""
-    return [measure_feet(scene) for scene in _FEET_SCENES]
+    return [row for scene in _FEET_SCENES for row in measure_feet(scene)]
 
 
-def measure_feet(scene: str, duration_s: float = _FEET_S, seed: int = 1) -> dict[str, Any]:
-    """Slide and error of ankles that stand: of live skeletons and of the finished fit."""
-    simulation = record(replace(SCENES[scene], duration_s=duration_s), seed)
-    live, fit = StandingAnkles(), StandingAnkles()
-    frames = recorded_frames(simulation.cameras, simulation.times, simulation.detections)
-    live.add(simulation, enumerate(map(_ankles_of, _played(simulation, frames))))
-    timebase, cameras = simulation.timebase, simulation.cameras
+def measure_feet(scene: str, duration_s: float = _FEET_S, seed: int = 1) -> Iterator[dict[str, Any]]:
+    """Slide and error of each joint of a foot while it stands: of live skeletons and of the finished fit."""
+    simulation = record(replace(SCENES[scene], duration_s=duration_s), seed, joints="feet")
+    timebase, cameras, joints = simulation.timebase, simulation.cameras, simulation.joints
+    frames = recorded_frames(cameras, simulation.times, simulation.detections)
+    live = list(enumerate(map(_bodies_of, _played(simulation, frames))))
     parameters = derive_parameters(cameras, timebase.frame_rate_hz)
     people = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
-    motions = animate(*people, cameras, timebase, simulation.joints, ReconstructionConfig()).motions
-    posed_m = {motion.track_id: forward_kinematics(motion)[:, _ANKLE_BONES] for motion in motions}
-    fit.add(
-        simulation,
-        (
-            (
-                frame,
-                {
-                    motion.track_id: posed_m[motion.track_id][frame - motion.start_frame]
-                    for motion in motions
-                    if frame in motion.frames
-                },
-            )
-            for frame in range(timebase.num_frames)
-        ),
-    )
-    return {"scene": scene, **live.figures(), **{f"fit_{name}": value for name, value in fit.figures().items()}}
+    tracks = animate(*people, cameras, timebase, joints, ReconstructionConfig()).tracks
+    fit = [
+        (frame, {track.track_id: track.xyz_m[frame - track.start_frame] for track in tracks if frame in track.frames})
+        for frame in range(timebase.num_frames)
+    ]
+    for joint in _FOOT_JOINTS:
+        places = joints.indices((f"left_{joint}", f"right_{joint}"))
+        figures: dict[str, Any] = {"scene": scene, "joint": joint}
+        for prefix, instants in (("", live), ("fit_", fit)):
+            standing = StandingJoints(places)
+            standing.add(simulation, instants)
+            figures |= {f"{prefix}{name}": value for name, value in standing.figures().items()}
+        yield figures
 
 
-def _ankles_of(instant: LiveInstant) -> Ankles:
-    return {
-        person.id: person.skeleton.joint_m[_ANKLE_BONES] for person in instant.people if person.skeleton is not None
-    }
+def _bodies_of(instant: LiveInstant) -> Bodies:
+    return {person.id: person.xyz_m for person in instant.people if person.skeleton is not None}
 
 
 def _played(simulation: Simulation, frames: Iterable[RecordedFrame]) -> list[LiveInstant]:

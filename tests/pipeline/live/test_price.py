@@ -29,7 +29,7 @@ MAX_PRICE = 0.25
 def room() -> Simulation:
     scene = SCENES["room"]
     clock = replace(scene.clock, frame_rate_hz=RATE_HZ)
-    return record(replace(scene, cast=Cast(4, (4.0, 4.0)), clock=clock, duration_s=DURATION_S), 1)
+    return record(replace(scene, cast=Cast(4, (4.0, 4.0)), clock=clock, duration_s=DURATION_S), 1, joints="feet")
 
 
 def instant_ms(room: Simulation) -> np.ndarray:
@@ -48,7 +48,7 @@ def without_feet(patch: pytest.MonkeyPatch) -> None:
 
     def footless(pose_filter: PoseFilter, *arguments: object) -> None:
         init(pose_filter, *arguments)  # type: ignore[arg-type]
-        pose_filter._ankles = []
+        pose_filter._feet = []
 
     patch.setattr(PoseFilter, "__init__", footless)
 

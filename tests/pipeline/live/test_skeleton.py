@@ -193,3 +193,24 @@ def test_a_skeleton_keeps_still_in_memory(room: Simulation) -> None:
     assert max(kept) > 60
     # Of each of three people a second of positions is kept for the identity.
     assert max(kept[len(kept) // 4 :]) < 30 + 3 * 30
+
+
+def test_heels_and_toes_that_stand_hardly_slide() -> None:
+    """Without holding them they move at 0.25 m/s, by the detector's noise."""
+    room = record(replace(SCENES["room"], duration_s=6.0), 1, joints="feet")
+    instants = play(LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ, learn_s=1.0)), sent_frames(room))
+    for part in ("heel", "big_toe"):
+        pair, speeds_m_s = room.joints.indices((f"left_{part}", f"right_{part}")), list[float]()
+        for frame in range(50, len(instants)):
+            before, after = (
+                {person.id: person.xyz_m for person in instant.people if person.skeleton is not None}
+                for instant in instants[frame - 1 : frame + 1]
+            )
+            for number in before.keys() & after.keys():
+                apart_m = np.linalg.norm(room.truth_m[:, frame] - after[number], axis=-1)
+                true_m = room.truth_m[int(np.nanargmin(np.nanmean(apart_m, axis=-1))), frame - 1 : frame + 1, pair]
+                stands = np.linalg.norm(true_m[:, 1] - true_m[:, 0], axis=-1) * RATE_HZ < 0.02
+                moved_m = np.linalg.norm(after[number][pair] - before[number][pair], axis=-1)
+                speeds_m_s += (moved_m * RATE_HZ)[stands].tolist()
+        assert len(speeds_m_s) > 100
+        assert np.mean(speeds_m_s) < 0.15

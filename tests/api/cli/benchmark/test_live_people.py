@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from api.cli.benchmark import live_people
-from api.cli.benchmark.live_people import StandingAnkles, measure_feet, measure_returns
+from api.cli.benchmark.live_people import StandingJoints, measure_feet, measure_returns
 from pipeline.live.feet import StandingFeet
 from pipeline.live.identities import Identities
 from pipeline.simulation.scenes import Simulation, simulate
@@ -15,24 +15,27 @@ pytestmark = pytest.mark.slow
 
 
 def test_feet_that_are_not_held_slide_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    held = measure_feet("room", 7.0)
-    assert 0.0 < held["fit_slide_cm_s"] < held["slide_cm_s"] < 15.0
-    assert held["error_mm"] < 12.0
+    held = {row["joint"]: row for row in measure_feet("room", 7.0)}
+    assert list(held) == ["ankle", "heel", "big_toe"]
+    for row in held.values():
+        assert 0.0 < row["slide_cm_s"] < 15.0
+        assert 0.0 < row["fit_slide_cm_s"] < 15.0
+        assert row["error_mm"] < 12.0
     monkeypatch.setattr(StandingFeet, "places_m", property(lambda feet: np.full((2, 3), np.nan)))
-    assert measure_feet("room", 7.0)["slide_cm_s"] > 1.5 * held["slide_cm_s"]
+    for row in measure_feet("room", 7.0):
+        assert row["slide_cm_s"] > 1.5 * held[row["joint"]]["slide_cm_s"]
 
 
-def test_a_slide_is_the_speed_of_an_ankle_that_stands() -> None:
-    """Ankles of the truth, of which the left one slides by 3 cm/s."""
+def test_a_slide_is_the_speed_of_a_joint_that_stands() -> None:
+    """People of the truth who slide to and fro by 3 cm/s."""
     simulation: Simulation = simulate("room", 1)
-    ankles = simulation.joints.indices(("left_ankle", "right_ankle"))
-    standing, rate_hz = StandingAnkles(), simulation.timebase.frame_rate_hz
-    truth_m = simulation.truth_m[0][:, ankles]
+    ankles, rate_hz = simulation.joints.indices(("left_ankle", "right_ankle")), simulation.timebase.frame_rate_hz
+    standing, slid = StandingJoints(ankles), StandingJoints(ankles)
+    truth_m = simulation.truth_m[0]
     standing.add(simulation, ((frame, {1: truth_m[frame]}) for frame in range(len(truth_m))))
     exact = standing.figures()
     assert exact["slide_cm_s"] < 2.0
     assert exact["error_mm"] == 0.0
-    slid = StandingAnkles()
     slide_m = np.array([0.03 / rate_hz, 0.0, 0.0])
     slid.add(simulation, ((frame, {1: truth_m[frame] + frame % 2 * slide_m}) for frame in range(len(truth_m))))
     assert 1.0 < slid.figures()["slide_cm_s"] - exact["slide_cm_s"] < 3.0
