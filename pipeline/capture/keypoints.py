@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
+from pipeline.capture.keypoint_files.body_25b import from_body_25b, is_body_25b
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
@@ -190,6 +191,13 @@ def open_keypoints(
             message = f"With this camera's files the session has more than {max_joints:,} joints."
             problems.append(Problem(SESSION_TOO_LARGE, message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
             raise InputError(problems)
+    if is_body_25b(people for by_frame in frames.values() for people in by_frame.values()):
+        frames = {
+            name: {number: from_body_25b(people) for number, people in by_frame.items()}
+            for name, by_frame in frames.items()
+        }
+        message = "The points of the people are in the order of BODY_25B, not of BODY_25."
+        findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"layout": "body-25b"}))
     joints = _joint_set(frames, problems)
     if joints is not None and max_joints is not None and _num_joints(frames, joints) > max_joints:
         message = f"With hands for everybody the session has more than {max_joints:,} joints."
