@@ -37,6 +37,7 @@ from pipeline.calibration.registry import read_calibration
 from pipeline.config import PROFILES
 from pipeline.errors import ChildError, InputError, Problem
 from pipeline.live.cameras.detection import start_detecting
+from pipeline.live.cameras.detector_pool import DetectorPool
 from pipeline.live.cameras.run import CameraRun, LiveListener
 from pipeline.live.cameras.sources import read_sources
 from pipeline.live.cameras.totals import LiveTotals
@@ -131,11 +132,12 @@ def command(
         run = CameraRun([by_name[source.camera] for source in sources or ()], sources or (), choices, listener, sync)
         warm_up([run.joints])
         try:
-            with _stopped_by_signals(run.stop), ProcessPool(run.num_processes, start_detecting, [choices]) as pool:
+            make_pool = partial(ProcessPool, run.num_processes, start_detecting, [choices])
+            with _stopped_by_signals(run.stop), DetectorPool(make_pool, run.tell) as pool:
                 run.run(pool)
         except BrokenProcessPool as error:
             raise ChildError(
-                "A process that detects was ended from outside, most likely for lack of memory."
+                "Processes that detect were ended from outside again and again, most likely for lack of memory."
             ) from error
         listener.end(run.totals)
         if not as_json:

@@ -121,6 +121,7 @@ class CameraRun:
         self._cameras, self._sources, self._choices = list(cameras), sources, choices
         self._sync_s, self._listener, self.joints = sync_s, listener, detection_joints(choices)
         self._events: queue.SimpleQueue[FeedEvent | None] = queue.SimpleQueue()
+        self._sentences: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.num_processes = num_processes(len(sources))
         # A picture waits while each process works, and a camera may have as many pictures as it takes for that.
         self._max_pending = self.num_processes + 1
@@ -140,6 +141,11 @@ class CameraRun:
     def stop(self) -> None:
         """End the capture soon; to be called by a handler of signals, or by another thread."""
         self._is_stopped = True
+        self._events.put(None)
+
+    def tell(self, sentence: str) -> None:
+        """Have the listener told of something; may be called by any thread."""
+        self._sentences.put(sentence)
         self._events.put(None)
 
     def run(self, pool: Executor) -> None:
@@ -218,6 +224,8 @@ class CameraRun:
             except queue.Empty:
                 event = None
             self._handle(event, pace, pool)
+            while not self._sentences.empty():
+                self._listener.tell(self._sentences.get())
             self._take_detected(capture, search, start_s)
             if search.advance(time.monotonic() - start_s, pool):
                 self._tell_offsets(search)
