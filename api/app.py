@@ -31,6 +31,8 @@ from api.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.http.websockets import WebSocketGuard
 from api.jobs.webhooks import declare_webhooks
 from api.live.places import LivePlaces
+from api.recordings.relay import RecordingRelay
+from api.recordings.rooms import Rooms
 from api.resources import RESOURCES
 from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
@@ -132,6 +134,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     tasks = [
         asyncio.create_task(services.changes.poll()),
         asyncio.create_task(services.keys_in_use.poll()),
+        asyncio.create_task(services.rooms.run()),
         asyncio.create_task(sweep_forever(services.uploads, services.disk, services.store)),
     ]
     yield
@@ -187,4 +190,5 @@ def _start(settings: Settings) -> Services:
         wrong_keys=WrongKeys(settings.max_wrong_keys_per_minute),
         readiness=LimitedChecks(_READINESS_LIMIT_S),
         live_places=LivePlaces(settings.max_live_captures, settings.max_tenant_live_captures),
+        rooms=Rooms(store, RecordingRelay(settings.broker_url)),
     )

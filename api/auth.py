@@ -8,10 +8,10 @@ import inspect
 import uuid
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
-from fastapi import Depends, Request, Security
+from fastapi import Depends, Header, Request, Security
 from fastapi.security import APIKeyCookie, APIKeyQuery, HTTPBearer
 from fastapi.security.http import HTTPAuthorizationCredentials
 from fastapi.security.utils import get_authorization_scheme_param
@@ -23,10 +23,18 @@ from api.errors import ApiError
 from api.http.browser_cookie import NAME, cookie_name, deletion
 from api.http.clients import client_network
 from api.http.keys_in_use import Credential
-from pipeline.problem_codes.requests import CROSS_SITE_REQUEST, KEY_REQUIRED, LINK_UNKNOWN, SCOPE_MISSING
+from pipeline.problem_codes.requests import (
+    CROSS_SITE_REQUEST,
+    HEADER_INVALID,
+    KEY_REQUIRED,
+    LINK_UNKNOWN,
+    SCOPE_MISSING,
+)
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.errors import NotFound
+from worker.jobs.model.recordings import JoinLink, UploadingPhone
 from worker.jobs.model.rights import Actor, Key, Link, LinkScope, Scope
+from worker.jobs.repositories.rights.links import LINK_PREFIX
 from worker.jobs.tenant_records import TenantRecords
 
 LINK = "link"
@@ -39,6 +47,8 @@ _READING = frozenset({"GET", "HEAD", "OPTIONS"})
 _bearer = HTTPBearer(auto_error=False, scheme_name="key", description="A key, `mc_...`, of `multicap keys create`.")
 KEY_SUBPROTOCOL = "mc.key."
 """Start of a subprotocol of WebSockets that pages of other origins offer; their key follows."""
+JOIN_SUBPROTOCOL = "mc.link."
+"""Start of a subprotocol of WebSockets that phones offer; the secret of their recording's link follows."""
 
 
 class _BrowserCookie(APIKeyCookie):
@@ -69,15 +79,19 @@ class Caller:
     key: Key | None  # ``None`` as long as the service has no keys
     network: str  # Network that the request comes from (``api.http.clients``)
     link: Link | None = None  # Link that the request brings in place of a key; ``None`` without one
+    join: JoinLink | None = None  # Link of a recording, which a phone brings in place of a key
+    phone: UploadingPhone | None = None  # Phone of the recording; ``None`` until it says which it is
 
     @property
     def owner(self) -> str:
         """Name under which requests share threads and streams.
 
-        The tenant, the link, or the network if there are no keys.
+        The tenant, the link, the recording of a phone, or the network if there are no keys.
         """
         if self.link is not None:
             return f"link {self.link.id}"
+        if self.join is not None:
+            return f"recording {self.join.recording_id}"
         return f"tenant {self.tenant}" if self.key else f"network {self.network}"
 
     @property
@@ -85,6 +99,8 @@ class Caller:
         """Key or link on whose validity the request depends."""
         if self.link is not None:
             return Credential("link", self.link.id)
+        if self.join is not None:
+            return Credential("join", self.join.id)
         return Credential("key", self.key.id if self.key else None)
 
 
@@ -138,6 +154,28 @@ def websocket_caller(websocket: WebSocket, services: Services) -> Caller:
         offered = [name for name in websocket.scope["subprotocols"] if name.startswith(KEY_SUBPROTOCOL)]
         bearer = offered[0].removeprefix(KEY_SUBPROTOCOL) if offered else None
     return _require(_identify(websocket, services, bearer, cookie, is_reading=False), Scope.WRITE)
+
+
+def joining_secret(websocket: WebSocket) -> str | None:
+    """Secret of a recording's link that a WebSocket brings, as a subprotocol or a bearer; ``None`` without one."""
+    scheme, credentials = get_authorization_scheme_param(websocket.headers.get("authorization"))
+    if scheme.lower() == "bearer" and credentials.startswith(LINK_PREFIX):
+        return credentials
+    offered = (name for name in websocket.scope["subprotocols"] if name.startswith(JOIN_SUBPROTOCOL))
+    return next((name.removeprefix(JOIN_SUBPROTOCOL) for name in offered), None)
+
+
+def joining_caller(request: HTTPConnection, services: Services, secret: str) -> Caller:
+    """Identify the phone's side of a recording by the secret of its link; raise 401 if it is unknown, or 429."""
+    join = services.store.join_secrets.find(secret)
+    if join is None:
+        raise _unknown_link(request, services)
+    network = client_network(request)
+    caller = Caller(join.tenant, frozenset({Scope.READ, Scope.WRITE}), None, network, join=join)
+    request.state.caller = caller
+    # Phones must not use up the requests of the tenant.
+    request.state.rate_limit = services.rates.count(caller.owner)
+    return caller
 
 
 def _identify(
@@ -243,13 +281,51 @@ def _find_viewer(
     return caller
 
 
-def _unknown_link(request: Request, services: Services) -> ApiError:
+def _unknown_link(request: HTTPConnection, services: Services) -> ApiError:
     """Count a wrong link like a wrong key; return the error to raise."""
     error = wrong_key(request, services)
     if error.status != 401:
         return error
     hint = "Ask for a new link."
     return ApiError(LINK_UNKNOWN, "This link is not known, has ended or was revoked.", hint=hint, headers=error.headers)
+
+
+def _find_uploader(
+    request: Request,
+    services: ServicesDep,
+    bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
+    cookie: Annotated[str | None, Security(_cookie)],
+    multicap_phone: Annotated[
+        str | None, Header(max_length=64, description="Id of a recording's phone, beside the secret of its link.")
+    ] = None,
+) -> Caller:
+    """Identify the caller of a route of uploads: by a key, or as the phone of a recording."""
+    if bearer is None or not bearer.credentials.startswith(LINK_PREFIX):
+        return _require_method(request, _find_caller(request, services, bearer, cookie))
+    caller = joining_caller(request, services, bearer.credentials)
+    if caller.join is None or multicap_phone is None:
+        raise ApiError(HEADER_INVALID, "A phone of a recording sends its id in the header Multicap-Phone.")
+    settings, recording_id = services.settings, caller.join.recording_id
+    number = services.store.recordings.phone_number(recording_id, multicap_phone)
+    phone = UploadingPhone(recording_id, number, settings.max_recording_uploads, settings.max_recording_bytes)
+    request.state.caller = replace(caller, phone=phone)
+    return replace(caller, phone=phone)
+
+
+async def _uploader_in_turn(
+    request: Request, services: ServicesDep, uploader: Annotated[Caller, Depends(_find_uploader)]
+) -> AsyncIterator[Caller]:
+    async with _turn(request, services, uploader):
+        yield uploader
+
+
+async def _uploads_of(
+    request: Request,
+    services: ServicesDep,
+    caller: Annotated[Caller, Depends(_uploader_in_turn, scope="function")],
+) -> TenantRecords:
+    actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
+    return services.store.of(caller.tenant, services.quotas, actor, caller.phone)
 
 
 async def _viewer_in_turn(
@@ -307,3 +383,5 @@ AnyCallerDep = Annotated[Caller, Depends(_any_in_turn, scope="function")]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
 # TenantRecords of the caller's tenant: routes have no other access to sessions and jobs.
 RecordsDep = Annotated[TenantRecords, Depends(_records_of)]
+# Of a phone of a recording the uploads that it sent, and nothing else.
+UploadsDep = Annotated[TenantRecords, Depends(_uploads_of)]

@@ -13,6 +13,7 @@ from api.http.fair_share import FairShare, FairThreads
 from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
 from api.live.places import LivePlaces
+from api.recordings.rooms import Rooms
 from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
 from api.uploads.spool import UploadSpool
@@ -49,6 +50,7 @@ class Services:
     wrong_keys: WrongKeys
     readiness: LimitedChecks
     live_places: LivePlaces
+    rooms: Rooms
 
     @property
     def quotas(self) -> Quotas:
@@ -111,6 +113,12 @@ async def _calibration_id(
     return canonical_id(calibration_id, "calibration")
 
 
+async def _recording_id(
+    recording_id: Annotated[str, Path(description="Id of a recording.", json_schema_extra=_UUID)],
+) -> str:
+    return canonical_id(recording_id, "recording")
+
+
 async def _character_id(
     character_id: Annotated[str, Path(description="Id of a character.", json_schema_extra=_UUID)],
 ) -> str:
@@ -121,6 +129,7 @@ ServicesDep = Annotated[Services, Depends(_services)]
 SessionId = Annotated[str, Depends(_session_id)]
 CalibrationId = Annotated[str, Depends(_calibration_id)]
 CharacterId = Annotated[str, Depends(_character_id)]
+RecordingId = Annotated[str, Depends(_recording_id)]
 JobId = Annotated[str, Depends(_job_id)]
 UploadId = Annotated[str, Depends(_upload_id)]
 Limit = Annotated[int, Query(ge=1, le=200, description="How many at most.")]

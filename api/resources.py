@@ -12,6 +12,8 @@ from api.live import routes as live
 from api.motion import routes as motion
 from api.options import routes as options
 from api.people import routes as people
+from api.recordings import routes as recordings
+from api.recordings import sockets
 from api.results import routes as results
 from api.sessions import routes as sessions
 from api.sessions import thumbnails, videos
@@ -32,6 +34,8 @@ RESOURCES: tuple[Resource, ...] = (
     events.RESOURCE,
     links.RESOURCE,
     live.RESOURCE,
+    recordings.RESOURCE,
+    sockets.RESOURCE,
     results.RESOURCE,
     motion.RESOURCE,
     people.RESOURCE,

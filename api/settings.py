@@ -252,6 +252,46 @@ class Settings(StorageSettings):
         default=32, gt=0, le=128, description="Largest number of people in a frame of a live capture."
     )
 
+    public_url: str | None = Field(
+        default=None,
+        pattern=r"^https?://[^/?#\s]+$",
+        description="Address by which phones reach the service, such as https://192.168.1.20:8443, in the links of "
+        "recordings; without it that of the host's request.",
+    )
+    max_recording_hours: float = Field(
+        default=72.0, gt=0, le=24 * 365, description="Longest lifetime of a recording by phones, with its link."
+    )
+    max_recording_phones: int = Field(default=32, gt=0, le=1000, description="Largest number of phones of a recording.")
+    max_recording_hosts: int = Field(
+        default=8, gt=0, description="Largest number of hosts that are connected to a recording, at each API process."
+    )
+    max_recording_takes: int = Field(default=200, gt=0, description="Largest number of takes of a recording.")
+    max_take_s: float = Field(
+        default=3600.0, gt=0, le=43_200, description="Longest duration of a take; phones stop by themselves then."
+    )
+    max_recording_uploads: int = Field(
+        default=2000, gt=0, description="Largest number of uploads of a recording's phones that no session took."
+    )
+    max_recording_bytes: int = Field(
+        default=256 * GIB, gt=0, description="Largest size of the uploads of a recording's phones that no session took."
+    )
+    max_recording_message_bytes: int = Field(
+        default=16 * KIB, gt=0, description="Largest size of a message in JSON of a recording's phone or host."
+    )
+    max_recording_messages_per_s: float = Field(
+        default=50.0, gt=0, description="Largest average rate of the messages of a recording's phone or host."
+    )
+    max_thumbnail_bytes: int = Field(default=30_000, gt=0, description="Largest size of a phone's thumbnail.")
+    max_thumbnails_per_s: float = Field(
+        default=2.0, ge=0, description="Thumbnails of a phone in a second that are passed on; more are dropped."
+    )
+    recording_idle_s: float = Field(
+        default=30.0,
+        gt=0,
+        description="Longest time in which a phone of a recording sends nothing, or a phone or host takes nothing of "
+        "what waits.",
+    )
+
     @field_validator("shared_uploads")
     @classmethod
     def _require_bucket(cls, shared: bool, given: ValidationInfo) -> bool:

@@ -1,9 +1,10 @@
 """``python -m worker.reaper``: repair what was lost, remove what has expired, and send webhooks.
 
 The reaper frees the leases of workers that stopped responding, ends chunks that keep failing, and publishes a message
-while work is ready: a lost message, or a broker that lost all messages, costs a few seconds. It removes expired results
-and the remaining files of deleted sessions. It deletes the videos of jobs that do not keep them. It plans jobs again
-whose code no worker runs any more, and queues overlay videos and reports of jobs whose edits rest.
+while work is ready: a lost message, or a broker that lost all messages, costs a few seconds. It removes expired
+results, ended recordings, and the remaining files of deleted sessions. It deletes the videos of jobs that do not keep
+them. It plans jobs again whose code no worker runs any more, and queues overlay videos and reports of jobs whose edits
+rest.
 """
 
 import contextlib
@@ -137,6 +138,8 @@ class Reaper:
     def _expire(self) -> None:
         for job_id in self._disk.using_reserve(self._store.removals.expire_jobs):
             log.info("job_expired", job=job_id)
+        for recording_id in self._disk.using_reserve(self._store.recordings.expire):
+            log.info("recording_expired", recording=recording_id)
 
     def _delete_videos(self) -> None:
         for session_id in self._store.sessions.with_superfluous_videos():

@@ -1,6 +1,5 @@
 """Calibrations: send a file, make one from a board or from people, list, read, download, rename, delete."""
 
-from collections.abc import Sequence
 from typing import Annotated
 from urllib.parse import quote
 
@@ -8,6 +7,7 @@ from fastapi import APIRouter, Body, Query, Response, status
 
 from api.auth import RecordsDep
 from api.calibrations import examples
+from api.calibrations.beginning import accepted, begun_calibration
 from api.calibrations.form import CALIBRATION_FORM
 from api.calibrations.intake import CheckedCalibration, ReadFile, check_calibration
 from api.calibrations.schemas import (
@@ -20,22 +20,15 @@ from api.calibrations.schemas import (
 from api.contract.description import RETRY_AFTER, answer, file_content, location, problems
 from api.contract.examples import CALIBRATION_ID, JOB_ID
 from api.contract.resource import Resource
-from api.dependencies import POLL_AFTER_S, CalibrationId, Cursor, Limit, Services, ServicesDep
+from api.dependencies import CalibrationId, Cursor, Limit, Services, ServicesDep
 from api.errors import ApiError
 from api.http.bodies.reading import SmallBodyRoute
 from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.http.idempotency import Answer, IdempotentRequest
 from api.jobs.schemas import JobOut
 from api.sessions.creation import Creation, Texts, add_creation
-from api.sessions.intake import stored
 from pipeline.problem_codes.requests import NOT_FINISHED, NOT_FOUND
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model.sessions import Session
-from worker.jobs.model.work import StagePlan
-from worker.jobs.spec import JobSpec
-from worker.jobs.tenant_records import TenantRecords
-from worker.planning import plan_job
-from worker.telemetry import tracing
 
 router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
 # A route that takes JSON; the form has its own limits.
@@ -51,25 +44,8 @@ def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCali
     content = checked.content
     if isinstance(content, ReadFile):
         return _add_file(services, idempotent, checked, content)
-    making, provider = checked.choices(), services.store.workers.provider()
-    if isinstance(content, Session):
-        services.disk.require_room()
-        stages = plan_job(content, JobSpec(), services.settings.chunk_frames, making=making, provider=provider)
-        with idempotent.records.transaction() as work:
-            answer = _begin(services, idempotent, work, checked, content.id, stages)
-        services.queue.publish()
-        return answer
-    with stored(services, content) as new:
-        stages = plan_job(new, JobSpec(), services.settings.chunk_frames, making=making, provider=provider)
-        with idempotent.records.transaction() as work:
-            work.uploads.use(new.upload_ids)
-            work.sessions.add(
-                new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256, "calibration"
-            )
-            answer = _begin(services, idempotent, work, checked, new.id, stages)
-    # When the broker is away, the reaper publishes later.
-    services.queue.publish()
-    return answer
+    with begun_calibration(services, idempotent.records, checked) as (work, job):
+        return idempotent.store(work, accepted(job))
 
 
 def _add_file(services: Services, idempotent: IdempotentRequest, checked: CheckedCalibration, sent: ReadFile) -> Answer:
@@ -82,22 +58,6 @@ def _add_file(services: Services, idempotent: IdempotentRequest, checked: Checke
     for upload_id in checked.upload_ids:
         services.uploads.remove(upload_id)
     return answer
-
-
-def _begin(
-    services: Services,
-    idempotent: IdempotentRequest,
-    work: TenantRecords,
-    checked: CheckedCalibration,
-    session_id: str,
-    stages: Sequence[StagePlan],
-) -> Answer:
-    """Queue the job of a calibration in an open transaction, which records both."""
-    making = checked.choices()
-    job = work.jobs.add(session_id, JobSpec(), stages, services.settings.retention_s, tracing.current(), making)
-    work.calibrations.begin(job, checked.name)
-    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
-    return idempotent.store(work, Answer(202, headers, JobOut.of(job).model_dump_json()))
 
 
 _CREATE = """\

@@ -1,7 +1,7 @@
 """``python -m api.contract.openapi``: write the files in ``openapi/``, or compare them with the code (``--check``).
 
-``openapi.json`` is the contract, ``live.asyncapi.json`` that of the WebSocket of live captures; ``examples/`` holds
-requests and responses of each operation.
+``openapi.json`` is the contract, ``live.asyncapi.json`` that of the WebSocket of live captures,
+``recordings.asyncapi.json`` that of recordings by phones; ``examples/`` holds requests and responses of each operation.
 """
 
 import argparse
@@ -14,12 +14,14 @@ from typing import Any
 from api.app import create_app
 from api.contract import examples
 from api.live.asyncapi import describe_live
+from api.recordings.asyncapi import describe_recordings
 from api.resources import RESOURCES
 from api.settings import Settings
 
 FOLDER = Path(__file__).parents[2] / "openapi"
 COMMITTED = FOLDER / "openapi.json"
 LIVE = FOLDER / "live.asyncapi.json"
+RECORDINGS = FOLDER / "recordings.asyncapi.json"
 
 _METHODS = ("get", "head", "options", "post", "patch", "delete")
 
@@ -33,7 +35,8 @@ def documents() -> dict[Path, str]:
     """Contents of all files by path."""
     contract = json.loads(document())
     exchanges = {FOLDER / "examples" / f"{name}.json": _text(exchange) for name, exchange in _exchanges(contract)}
-    return {COMMITTED: document(), LIVE: _text(describe_live()), **exchanges}
+    sockets = {LIVE: _text(describe_live()), RECORDINGS: _text(describe_recordings())}
+    return {COMMITTED: document(), **sockets, **exchanges}
 
 
 def _text(value: object) -> str:

@@ -10,6 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from api.live.metrics import LiveMetrics
+from api.recordings.metrics import RecordingMetrics
 from worker.jobs.database.totals import Total
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.store import JobStore
@@ -47,6 +48,7 @@ class RequestMetrics:
             registry=self.registry,
         )
         self.live = LiveMetrics(self.registry)
+        self.recordings = RecordingMetrics(self.registry)
         self._free_bytes = Gauge(
             "disk_free_bytes", "Free bytes on the disk of the data folder.", namespace=_PREFIX, registry=self.registry
         )

@@ -23,7 +23,7 @@ import structlog
 from fastapi import Depends, Header, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.auth import RecordsDep
+from api.auth import RecordsDep, UploadsDep
 from api.dependencies import ServicesDep
 from api.errors import ApiError
 from pipeline.problem_codes.requests import HEADER_INVALID
@@ -145,18 +145,21 @@ class IdempotentRequest:
                 _log.exception("idempotency_key_not_renewed")
 
 
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        description="The client's own name of this request, such as a UUID. The same request under the same key is "
+        "done once; for a day it gets the first answer.",
+        max_length=_MAX_KEY_LENGTH,
+    ),
+]
+
+
 def _idempotent_request(
     request: Request,
     services: ServicesDep,
     records: RecordsDep,
-    idempotency_key: Annotated[
-        str | None,
-        Header(
-            description="The client's own name of this request, such as a UUID. The same request under the same key is "
-            "done once; for a day it gets the first answer.",
-            max_length=_MAX_KEY_LENGTH,
-        ),
-    ] = None,
+    idempotency_key: IdempotencyKey = None,
 ) -> IdempotentRequest:
     if idempotency_key is not None and not (idempotency_key.isascii() and idempotency_key.isprintable()):
         raise ApiError(HEADER_INVALID, "Idempotency-Key must be printable ASCII.")
@@ -164,8 +167,20 @@ def _idempotent_request(
     return IdempotentRequest(idempotency_key or None, records, f"{request.method} {request.url.path}", lease_s)
 
 
+def _idempotent_upload(
+    request: Request, services: ServicesDep, records: UploadsDep, idempotency_key: IdempotencyKey = None
+) -> IdempotentRequest:
+    idempotent = _idempotent_request(request, services, records, idempotency_key)
+    if idempotent.key is not None and (phone := request.state.caller.phone) is not None:
+        # Phones have keys of their own: none meets a request of another phone, or of the tenant.
+        idempotent.key = _fingerprint([phone.recording_id, phone.number, idempotent.key])
+    return idempotent
+
+
 def _fingerprint(parts: object) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 IdempotentRequestDep = Annotated[IdempotentRequest, Depends(_idempotent_request)]
+# Of uploads, which phones of recordings send too.
+IdempotentUploadDep = Annotated[IdempotentRequest, Depends(_idempotent_upload)]

@@ -22,9 +22,9 @@ _INTERVAL_S = 0.25
 
 
 class Credential(NamedTuple):
-    """Key or link of a request."""
+    """Key or link of a request; ``join`` is the link of a recording."""
 
-    kind: Literal["key", "link"]
+    kind: Literal["key", "link", "join"]
     id: str | None  # ``None`` for a request without a key, which is allowed as long as the service has no keys
 
 
@@ -80,6 +80,10 @@ class KeysInUse:
             credential.id for credential in watched if credential.kind == "link" and credential.id is not None
         }:
             valid |= {Credential("link", link_id) for link_id in self._store.link_secrets.valid(links)}
+        if joins := {
+            credential.id for credential in watched if credential.kind == "join" and credential.id is not None
+        }:
+            valid |= {Credential("join", link_id) for link_id in self._store.join_secrets.valid(joins)}
         if Credential("key", None) in watched and not self._store.keys.exist():
             valid.add(Credential("key", None))
         return valid

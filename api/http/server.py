@@ -7,8 +7,12 @@ from fastapi import FastAPI
 from uvicorn import Config
 
 from api.http.connections import Connections, bounded_protocol
+from api.http.socket_problems import TOO_LARGE, WRONG_DATA, message_of
 from api.http.websockets import bounded_websocket
-from api.live.problems import TOO_LARGE, WRONG_DATA, message_of, too_large, wrong_text
+from api.live.problems import too_large, wrong_text
+from api.live.schemas import LiveProblemOut
+from api.recordings import intake as recording_intake
+from api.recordings.messages import RecordingProblemOut
 from api.settings import Settings
 from worker.process.priorities import raise_descriptor_limit
 
@@ -23,11 +27,18 @@ _RESERVED_DESCRIPTORS = 256
 _DESCRIPTORS_PER_CONNECTION = 2
 
 
-def _wrong_frames(max_bytes: int, close_code: int) -> str | None:
-    """Last message to a client whose frames are too large or no text."""
-    problems = {TOO_LARGE: too_large(max_bytes), WRONG_DATA: wrong_text()}
-    problem = problems.get(close_code)
-    return None if problem is None else message_of(problem, str(uuid_utils.uuid7())).model_dump_json()
+def _wrong_frames(settings: Settings, path: str, close_code: int) -> str | None:
+    """Last message to a client whose frames are too large or no text, by the path of its WebSocket."""
+    is_recording = path.startswith("/v1/recordings/")
+    if is_recording:
+        max_bytes = max(settings.max_recording_message_bytes, settings.max_thumbnail_bytes)
+        problems = {TOO_LARGE: recording_intake.too_large(max_bytes), WRONG_DATA: recording_intake.wrong_text()}
+    else:
+        problems = {TOO_LARGE: too_large(settings.max_live_message_bytes), WRONG_DATA: wrong_text()}
+    if (problem := problems.get(close_code)) is None:
+        return None
+    model = RecordingProblemOut if is_recording else LiveProblemOut
+    return message_of(problem, str(uuid_utils.uuid7()), model).model_dump_json()
 
 
 def server_config(app: FastAPI, settings: Settings) -> Config:
@@ -42,8 +53,10 @@ def server_config(app: FastAPI, settings: Settings) -> Config:
         host=settings.host,
         port=settings.port,
         http=bounded_protocol(settings.client_idle_s, connections),
-        ws=bounded_websocket(connections, partial(_wrong_frames, settings.max_live_message_bytes)),
-        ws_max_size=settings.max_live_message_bytes,
+        ws=bounded_websocket(connections, partial(_wrong_frames, settings)),
+        ws_max_size=max(
+            settings.max_live_message_bytes, settings.max_recording_message_bytes, settings.max_thumbnail_bytes
+        ),
         ws_per_message_deflate=False,
         proxy_headers=bool(proxies),
         forwarded_allow_ips=[str(network) for network in proxies],

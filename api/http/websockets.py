@@ -43,12 +43,12 @@ class WebSocketGuard:
 
 
 def bounded_websocket(
-    connections: Connections, message_of: Callable[[int], str | None]
+    connections: Connections, message_of: Callable[[str, int], str | None]
 ) -> type[WebSocketsSansIOProtocol]:
     """Protocol of WebSockets that count among the open connections.
 
-    A client whose frames are wrong gets a last message before the connection is closed: ``message_of`` the close code,
-    ``None`` for no message.
+    A client whose frames are wrong gets a last message before the connection is closed: ``message_of`` the path and the
+    close code, ``None`` for no message.
     """
 
     class BoundedWebSocket(WebSocketsSansIOProtocol):
@@ -83,7 +83,7 @@ def bounded_websocket(
             close = self.conn.close_sent
             code, reason = (close.code, close.reason) if close is not None else (_PROTOCOL_ERROR, "")
             self.queue.put_nowait({"type": "websocket.disconnect", "code": code, "reason": reason})
-            text = message_of(code) if self.handshake_complete else None
+            text = message_of(self.scope["path"], code) if self.handshake_complete else None
             message = b"" if text is None else Frame(Opcode.TEXT, text.encode()).serialize(mask=False)
             self.transport.write(b"".join([message, *self.conn.data_to_send()]))
             self.close_sent = True

@@ -3,7 +3,6 @@
 import uuid
 from typing import Annotated
 
-import structlog
 from fastapi import APIRouter, Body, Query, Response, status
 
 from api.auth import JobViewDep, RecordsDep, ViewerDep
@@ -17,6 +16,7 @@ from api.http.bodies.reading import SmallBodyRoute
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.jobs import examples
+from api.jobs.queueing import announce, planned, queue_proxies, session_and_job
 from api.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from api.jobs.space import require_space
 from api.jobs.spec_checks import (
@@ -32,25 +32,19 @@ from api.jobs.spec_checks import (
 from api.jobs.webhooks import job_ended_callbacks
 from api.sessions.creation import Creation, Texts, add_creation
 from api.sessions.form import CAPTURE_FORM
-from api.sessions.intake import CheckedSession, NewSession, check, stored
-from pipeline.job_choices import ProxyChoices
+from api.sessions.intake import CheckedSession, check
 from pipeline.problem_codes.requests import CONFLICT
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.jobs import JobKind, JobRecord
-from worker.jobs.model.sessions import Session
 from worker.jobs.model.states import RETRYABLE, JobState
-from worker.jobs.model.work import StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
-from worker.planning import has_videos, plan_again, plan_job, plan_visuals
+from worker.planning import has_videos, plan_again, plan_visuals
 from worker.telemetry import tracing
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 # One of these routes takes JSON; the form has its own limits.
 small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
-
-_log = structlog.get_logger(__name__)
 
 _ONE, _PAGE = answer("Job"), answer("JobPage")
 State = Annotated[JobState | None, Query(description="Only jobs in this state.")]
@@ -98,31 +92,20 @@ def create_job(
         services.disk.require_room()
         with copied_character(services, idempotent.records, spec) as moved:
             require_space(services, session.preflight, spec, None if moved is None else moved[1])
-            stages = _planned(services, session, spec, moved)
+            stages = planned(services, session, spec, moved)
             with idempotent.records.transaction() as work:
                 retention_s = services.settings.retention_s
                 job = work.jobs.add(session.id, spec, stages, retention_s, tracing.current(), moved=moved)
-                _queue_proxies(work, services, session)
+                queue_proxies(work, services, session)
                 answer = idempotent.store(work, _accepted(job))
-    _announce(services, job)
+    announce(services, job)
     return answer.response()
 
 
 def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session, and record both or neither."""
-    settings, spec = services.settings, checked.spec
-    with copied_character(services, idempotent.records, spec) as moved:
-        require_space(services, checked.preflight, spec, None if moved is None else moved[1])
-        with stored(services, checked) as new:
-            stages = _planned(services, new, spec, moved)
-            with idempotent.records.transaction() as work:
-                work.uploads.use(new.upload_ids)
-                work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
-                job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current(), moved=moved)
-                _queue_proxies(work, services, new)
-                answer = idempotent.store(work, _accepted(job))
-    _announce(services, job)
-    return answer
+    with session_and_job(services, idempotent.records, checked) as (work, job):
+        return idempotent.store(work, _accepted(job))
 
 
 _CREATE = """\
@@ -309,19 +292,6 @@ def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Non
     services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
 
 
-def _planned(
-    services: Services, session: Session | NewSession, spec: JobSpec, moved: tuple[str, JobCharacter] | None
-) -> tuple[StagePlan, ...]:
-    """Plan of a new reconstruction."""
-    return plan_job(
-        session,
-        spec,
-        services.settings.chunk_frames,
-        character=None if moved is None else moved[1],
-        provider=services.store.workers.provider(),
-    )
-
-
 def _page(
     records: TenantRecords,
     state: JobState | None,
@@ -335,29 +305,6 @@ def _page(
     jobs = records.jobs.page(state=state, limit=limit, after=after, session_id=session_id, kind=kind)
     next_cursor = jobs[-1].id if len(jobs) == limit else None
     return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
-
-
-def _queue_proxies(work: TenantRecords, services: Services, session: Session | NewSession) -> None:
-    """Queue the job that makes a session's proxies, in an open transaction, unless there is one or none is needed.
-
-    Of a session with a job that blurs faces, only blurred videos are shown, and of deleted videos there are no copies.
-    """
-    cameras = tuple(camera.name for camera in session.preflight.cameras if camera.media_type is None)
-    if not cameras or not has_videos(session) or work.jobs.page(session_id=session.id, kind="proxies", limit=1):
-        return
-    capture = work.sessions.capture(session.id)
-    if capture.is_blurred or capture.session.videos_deleted_at is not None:
-        return
-    making = ProxyChoices(cameras)
-    stages = plan_job(session, JobSpec(), services.settings.chunk_frames, making=making)
-    work.jobs.add(session.id, JobSpec(), stages, None, tracing.current(), making)
-
-
-def _announce(services: Services, job: JobRecord) -> None:
-    """Wake a worker for a new job."""
-    _log.info("job_created", job=job.id, session=job.session_id)
-    # When the broker is away, the reaper publishes later.
-    services.queue.publish()
 
 
 def _accepted(job: JobRecord) -> Answer:

@@ -1,7 +1,6 @@
 """Intake of messages: what clients send is checked here, before anything is computed from it."""
 
 import math
-import time
 from array import array
 from collections.abc import Mapping, Sequence
 from itertools import chain
@@ -13,7 +12,8 @@ from pydantic_core import from_json
 from api.errors import ErrorItem, pointer_to
 from api.http.bodies.field_places import FieldPlaces
 from api.http.bodies.validation import model_items
-from api.live.problems import WRONG_DATA, LiveProblem, too_large
+from api.http.socket_problems import WRONG_DATA, SocketProblem
+from api.live.problems import too_large
 from api.live.schemas import POINTS, Layout, LiveEnd, LiveKeypoints, LiveStart
 from pipeline.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
 from pipeline.problem_codes.fields import MISSING_FIELD, UNKNOWN_FIELD
@@ -24,7 +24,6 @@ from pipeline.problem_codes.live import (
     LIVE_MESSAGE,
     LIVE_PACKET,
     LIVE_TIME,
-    LIVE_TOO_FAST,
     LIVE_TOO_LARGE,
 )
 
@@ -34,7 +33,7 @@ _MAX_AHEAD_S = 60.0
 
 
 def read_start(text: str) -> LiveStart:
-    """Parse the first message; raises ``LiveProblem`` with all that is wrong."""
+    """Parse the first message; raises ``SocketProblem`` with all that is wrong."""
     try:
         start = LiveStart.model_validate_json(text)
     except ValidationError as error:
@@ -47,7 +46,7 @@ def read_start(text: str) -> LiveStart:
     return start
 
 
-def wrong_message(text: str) -> LiveProblem:
+def wrong_message(text: str) -> SocketProblem:
     """Problem of a text that is no message ``keypoints`` and no ``end``."""
     try:
         LiveKeypoints.model_validate_json(text)
@@ -56,16 +55,16 @@ def wrong_message(text: str) -> LiveProblem:
     raise ValueError("the message is right")
 
 
-def _wrong_message(text: str, error: ValidationError, models: Sequence[type[BaseModel]]) -> LiveProblem:
+def _wrong_message(text: str, error: ValidationError, models: Sequence[type[BaseModel]]) -> SocketProblem:
     try:
         content = from_json(text)
     except ValueError:
-        return LiveProblem(LIVE_MESSAGE, "The message is not JSON.", WRONG_DATA)
+        return SocketProblem(LIVE_MESSAGE, "The message is not JSON.", WRONG_DATA)
     by_type = {str(model.model_fields["type"].annotation.__args__[0]): model for model in models}  # type: ignore[union-attr]
     kind = content.get("type") if isinstance(content, dict) else None
     if not isinstance(kind, str) or kind not in by_type:
         shown = "" if not isinstance(kind, str) else f", not {kind[:_MAX_SHOWN]!r}"
-        return LiveProblem(LIVE_MESSAGE, f"A message of the type {' or '.join(by_type)} is expected here{shown}.")
+        return SocketProblem(LIVE_MESSAGE, f"A message of the type {' or '.join(by_type)} is expected here{shown}.")
     if (model := by_type[kind]) is not models[0]:
         try:
             model.model_validate_json(text)
@@ -74,23 +73,8 @@ def _wrong_message(text: str, error: ValidationError, models: Sequence[type[Base
     return _wrong_fields(model_items(error, model, _NO_PLACES))
 
 
-def _wrong_fields(items: Sequence[ErrorItem]) -> LiveProblem:
-    return LiveProblem(LIVE_FIELDS, "Fields of the message are wrong.", errors=items)
-
-
-class Pace:
-    """Average rate of messages, with a second's messages at once at most."""
-
-    def __init__(self, per_s: float) -> None:
-        self._per_s, self._left, self._at_s = per_s, per_s, time.monotonic()
-
-    def count(self) -> None:
-        """Count a message; raises ``LiveProblem`` above the rate."""
-        now_s = time.monotonic()
-        self._left = min(self._per_s, self._left + (now_s - self._at_s) * self._per_s) - 1.0
-        self._at_s = now_s
-        if self._left < 0.0:
-            raise LiveProblem(LIVE_TOO_FAST, f"At most {self._per_s:g} messages a second are allowed.")
+def _wrong_fields(items: Sequence[ErrorItem]) -> SocketProblem:
+    return SocketProblem(LIVE_FIELDS, "Fields of the message are wrong.", errors=items)
 
 
 class Intake:
@@ -112,36 +96,36 @@ class Intake:
         self._newest_s: float | None = None
 
     def from_text(self, message: LiveKeypoints) -> bytes:
-        """Packet of a message in JSON; raises ``LiveProblem``."""
+        """Packet of a message in JSON; raises ``SocketProblem``."""
         place = self._places.get(message.camera) if isinstance(message.camera, str) else message.camera
         if place is None:
             raise _unknown_camera(message.camera, self._places)
         for person, points in enumerate(message.people):
             if len(points) != self._num_points:
                 detail = f"Person {person} has {len(points)} points, and the layout has {self._num_points}."
-                raise LiveProblem(LIVE_JOINTS, detail)
+                raise SocketProblem(LIVE_JOINTS, detail)
         self._check(place, len(message.people), message.time_s)
         numbers = [*chain.from_iterable(chain.from_iterable(message.people))]
         return encode_keypoints(place, self._num_points, message.time_s, numbers, len(message.people))
 
     def from_packet(self, packet: bytes) -> bytes:
-        """Packet of a packed message, which is checked; raises ``LiveProblem``."""
+        """Packet of a packed message, which is checked; raises ``SocketProblem``."""
         head = KeypointsHead.decode(packet)
         if head is None:
-            raise LiveProblem(LIVE_PACKET, "A packed message is no packet of keypoints of the length that it states.")
+            raise SocketProblem(LIVE_PACKET, "A packed message is no packet of keypoints of the length that it states.")
         if head.num_people and head.num_points != self._num_points:
             detail = f"The packet states {head.num_points} points a person, and the layout has {self._num_points}."
-            raise LiveProblem(LIVE_JOINTS, detail)
+            raise SocketProblem(LIVE_JOINTS, detail)
         numbers = array("f", bytes(KeypointsHead.body_of(packet)))
         # The sum of finite numbers of single precision is finite in double precision; of others it is not.
         if not math.isfinite(sum(numbers)) or not -MAX_TIME_S <= head.time_s <= MAX_TIME_S:
-            raise LiveProblem(LIVE_PACKET, "A number of the packet is not finite, or the time is out of range.")
+            raise SocketProblem(LIVE_PACKET, "A number of the packet is not finite, or the time is out of range.")
         scores = numbers[2::3]
         if numbers and not (
             min(scores) >= 0.0 and max(scores) <= 1.0 and min(numbers) >= -MAX_PX and max(numbers) <= MAX_PX
         ):
             detail = f"Coordinates are within {MAX_PX:,.0f} pixels, scores from 0 to 1."
-            raise LiveProblem(LIVE_PACKET, detail)
+            raise SocketProblem(LIVE_PACKET, detail)
         self._check(head.camera, head.num_people, head.time_s)
         return packet
 
@@ -150,22 +134,22 @@ class Intake:
             raise _unknown_camera(camera, self._places)
         if num_people > self._max_people:
             detail = f"A frame has {num_people} people; at most {self._max_people} are allowed."
-            raise LiveProblem(LIVE_TOO_LARGE, detail)
+            raise SocketProblem(LIVE_TOO_LARGE, detail)
         if self._newest_s is not None and time_s > self._newest_s + _MAX_AHEAD_S:
             ahead_s = time_s - self._newest_s
             detail = f"A frame is {ahead_s:.1f} s ahead of all others; at most {_MAX_AHEAD_S:g} s are allowed."
-            raise LiveProblem(LIVE_TIME, detail)
+            raise SocketProblem(LIVE_TIME, detail)
         self._newest_s = time_s if self._newest_s is None else max(time_s, self._newest_s)
 
 
 def require_size(message: Mapping[str, Any], max_bytes: int) -> None:
-    """Raise ``LiveProblem`` for a message of more bytes than allowed."""
+    """Raise ``SocketProblem`` for a message of more bytes than allowed."""
     content = message.get("bytes") or message.get("text") or b""
     if len(content) > max_bytes:
         raise too_large(max_bytes)
 
 
-def _unknown_camera(camera: str | int, names: Mapping[str, int]) -> LiveProblem:
+def _unknown_camera(camera: str | int, names: Mapping[str, int]) -> SocketProblem:
     shown = repr(camera[:_MAX_SHOWN]) if isinstance(camera, str) else str(camera)
     known = ", ".join([name[:_MAX_SHOWN] for name in names][:8])
-    return LiveProblem(LIVE_CAMERA, f"The calibration has no camera {shown}; it has {known}.")
+    return SocketProblem(LIVE_CAMERA, f"The calibration has no camera {shown}; it has {known}.")

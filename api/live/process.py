@@ -32,7 +32,7 @@ class CaptureProcess:
     process: Process
 
     async def send(self, message: bytes) -> None:
-        """Send a message as soon as the process takes it; raises ``LiveProblem`` if the process has ended."""
+        """Send a message as soon as the process takes it; raises ``SocketProblem`` if the process has ended."""
         if self.process.stdin is None:
             raise failed()
         try:
@@ -42,7 +42,7 @@ class CaptureProcess:
             raise failed() from None
 
     async def answer(self) -> tuple[CaptureAnswer, bytes]:
-        """Next answer of the process; raises ``LiveProblem`` if the process has ended without it."""
+        """Next answer of the process; raises ``SocketProblem`` if the process has ended without it."""
         if self.process.stdout is None:
             raise failed()
         try:

@@ -12,17 +12,19 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from api.http.pace import Pace
+from api.http.socket_problems import SocketProblem
 from api.live.backlog import Backlog, Waiting
-from api.live.intake import Intake, Pace, require_size, wrong_message
+from api.live.intake import Intake, require_size, wrong_message
 from api.live.keeping import KeptPackets
 from api.live.metrics import LiveMetrics
-from api.live.problems import LiveProblem, failed
+from api.live.problems import failed
 from api.live.process import CaptureProcess
 from api.live.schemas import DroppedOut, LiveCountsOut, LiveEnd, LiveInstantOut, LiveKeypoints
 from api.settings import Settings
 from pipeline.live.packets import Dropped, with_dropped
 from pipeline.live.pipes import CaptureAnswer
-from pipeline.problem_codes.live import LIVE_IDLE, LIVE_KEY_ENDED
+from pipeline.problem_codes.live import LIVE_IDLE, LIVE_KEY_ENDED, LIVE_TOO_FAST
 
 # Backlogs of a connection: some seconds of a few cameras, and of instants.
 _MAX_FRAMES, _MAX_INSTANTS = 1024, 256
@@ -83,7 +85,7 @@ class Relay:
 
         Raises
         ------
-        LiveProblem, WebSocketDisconnect
+        SocketProblem, WebSocketDisconnect
             If the capture ends early.
         """
         ways = (self._receive(), self._feed(), self._collect(), self._send())
@@ -96,7 +98,9 @@ class Relay:
         while True:
             message = await receive(self._websocket, self._settings)
             since_s = time.monotonic()
-            pace.count()
+            if not pace.has_room():
+                per_s = self._settings.max_live_messages_per_s
+                raise SocketProblem(LIVE_TOO_FAST, f"At most {per_s:g} messages a second are allowed.")
             if (text := message.get("text")) is None:
                 packet = self._intake.from_packet(message["bytes"])
             else:
@@ -155,7 +159,7 @@ class Relay:
                     await self._websocket.send(message)
             except TimeoutError:
                 detail = f"The client took nothing for {self._settings.live_idle_s:g} s."
-                raise LiveProblem(LIVE_IDLE, detail) from None
+                raise SocketProblem(LIVE_IDLE, detail) from None
             self._metrics.sent(since_s)
 
     def _head(self) -> str:
@@ -163,7 +167,7 @@ class Relay:
         return f'{{"type":"{LiveInstantOut.model_fields["type"].default}","dropped":{dropped.model_dump_json()},'
 
     async def _watch_process(self) -> None:
-        """Raise ``LiveProblem`` if the process does not answer in time."""
+        """Raise ``SocketProblem`` if the process does not answer in time."""
         while True:
             await asyncio.sleep(_WATCH_S)
             if self._at_process and time.monotonic() > self._answered_s + self._settings.live_answer_s:
@@ -171,12 +175,12 @@ class Relay:
 
 
 async def receive(websocket: WebSocket, settings: Settings) -> dict[str, Any]:
-    """Next message of a client, of an allowed size and in time; raises ``LiveProblem`` or ``WebSocketDisconnect``."""
+    """Next message of a client, of an allowed size and in time; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
     try:
         async with asyncio.timeout(settings.live_idle_s):
             message = dict(await websocket.receive())
     except TimeoutError:
-        raise LiveProblem(LIVE_IDLE, f"The client sent nothing for {settings.live_idle_s:g} s.") from None
+        raise SocketProblem(LIVE_IDLE, f"The client sent nothing for {settings.live_idle_s:g} s.") from None
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", 1005))
     require_size(message, settings.max_live_message_bytes)
@@ -196,7 +200,7 @@ async def _parsed(text: str) -> LiveKeypoints | LiveEnd:
 
 async def _watch_key(ended: asyncio.Event) -> None:
     await ended.wait()
-    raise LiveProblem(LIVE_KEY_ENDED, "The key of the connection is no longer valid.")
+    raise SocketProblem(LIVE_KEY_ENDED, "The key of the connection is no longer valid.")
 
 
 async def _all_or_first_error(

@@ -18,14 +18,15 @@ from api.auth import Caller, websocket_caller
 from api.contract.resource import Resource
 from api.dependencies import Services
 from api.errors import ApiError, ErrorItem, as_api_error
+from api.http.socket_problems import SocketProblem, message_of
 from api.http.websockets import deny
 from api.live.intake import Intake, read_start
 from api.live.keeping import KeptPackets, keep_session
 from api.live.metrics import LiveMetrics
-from api.live.problems import LiveProblem, failed, message_of
+from api.live.problems import failed
 from api.live.process import CaptureProcess, capture_process
 from api.live.relay import Relay, receive
-from api.live.schemas import DroppedOut, LiveEnded, LiveReady, LiveStart
+from api.live.schemas import DroppedOut, LiveEnded, LiveProblemOut, LiveReady, LiveStart
 from api.sessions.preflight import InvalidFilesError
 from api.sessions.receiving import spool_folder
 from api.settings import Settings
@@ -80,9 +81,9 @@ async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_e
     except WebSocketDisconnect as gone:
         code, close_code = "client_disconnected", gone.code or _CLIENT_GONE
     except Exception as error:
-        problem = message_of(error, websocket.state.request_id)
+        problem = message_of(error, websocket.state.request_id, LiveProblemOut)
         code, close_code = problem.code, problem.close_code
-        if not isinstance(error, LiveProblem | ApiError):
+        if not isinstance(error, SocketProblem | ApiError):
             _log.exception("live_capture_failed", code=code)
         with contextlib.suppress(Exception):  # the client may be gone, or take nothing
             async with asyncio.timeout(_CLOSE_S):
@@ -102,7 +103,7 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
     records = services.store.of(caller.tenant, services.quotas, actor)
     first = await receive(websocket, settings)
     if (text := first.get("text")) is None:
-        raise LiveProblem(LIVE_MESSAGE, "The first message is start, in JSON.")
+        raise SocketProblem(LIVE_MESSAGE, "The first message is start, in JSON.")
     start = await run_in_threadpool(read_start, text)
     async with spool_folder(settings.spool_dir) as folder:
         services.disk.require_room()
@@ -136,7 +137,7 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
 async def _calibration(
     services: Services, caller: Caller, records: TenantRecords, start: LiveStart, folder: Path
 ) -> Path:
-    """File of the calibration in metres, Z up; raises ``LiveProblem`` with all that is wrong."""
+    """File of the calibration in metres, Z up; raises ``SocketProblem`` with all that is wrong."""
     if start.calibration_id is not None:
         content = await run_in_threadpool(_stored_calibration, records, str(start.calibration_id))
     else:
@@ -144,7 +145,7 @@ async def _calibration(
     num_cameras, max_cameras = len(json.loads(content)["cameras"]), services.settings.max_cameras
     if num_cameras > max_cameras:
         message = f"The calibration has {num_cameras} cameras; at most {max_cameras} are allowed."
-        raise LiveProblem(LIVE_FIELDS, message)
+        raise SocketProblem(LIVE_FIELDS, message)
     path = folder / "calibration.json"
     await run_in_threadpool(path.write_text, content, "utf-8")
     return path
@@ -160,7 +161,7 @@ async def _sent_calibration(services: Services, caller: Caller, start: LiveStart
         contents = await services.checks.run(caller.owner, services.preflight.read_calibration, arguments, folder)
     except InvalidFilesError as invalid:
         errors = [item.model_copy(update={"pointer": "/calibration", "file": None}) for item in invalid.errors]
-        raise LiveProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None
+        raise SocketProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None
     return contents.files["multicap"]
 
 
@@ -171,11 +172,11 @@ def _stored_calibration(records: TenantRecords, calibration_id: str) -> str:
     except NotFound:
         message = "There is no such calibration."
         item = ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint="List them.")
-        raise LiveProblem(LIVE_FIELDS, message, errors=[item]) from None
+        raise SocketProblem(LIVE_FIELDS, message, errors=[item]) from None
     if files is None:
         message = "The calibration is not made yet."
         item = ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint="Wait for its job.")
-        raise LiveProblem(LIVE_FIELDS, message, errors=[item])
+        raise SocketProblem(LIVE_FIELDS, message, errors=[item])
     return files["multicap"]
 
 
@@ -183,7 +184,7 @@ def _stored_calibration(records: TenantRecords, calibration_id: str) -> str:
 async def _ready(
     services: Services, start: LiveStart, calibration: Path
 ) -> AsyncIterator[tuple[CaptureProcess, dict[str, Any]]]:
-    """Process that has begun, and the contents of its first answer; raises ``LiveProblem``."""
+    """Process that has begun, and the contents of its first answer; raises ``SocketProblem``."""
     settings = services.settings
     content = {
         "calibration": str(calibration),
@@ -205,7 +206,7 @@ async def _ready(
                 raise failed() from None
         if kind is CaptureAnswer.REFUSED:
             errors = [ErrorItem(**problem) for problem in json.loads(answer)]
-            raise LiveProblem(LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)
+            raise SocketProblem(LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)
         yield process, json.loads(answer)
 
 

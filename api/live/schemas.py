@@ -5,11 +5,10 @@ from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
-from api.errors import ErrorItem
+from api.http.socket_problems import SocketProblemOut
 from api.motion.schemas import MotionPose
 from api.sessions.schemas import SessionName, Up
 from pipeline.live.packets import MAX_PX, MAX_TIME_S
-from pipeline.problem_codes.model import Code
 
 Layout = Literal[
     "coco-17", "coco-18", "body-25", "body-25b", "halpe-26", "mediapipe-33", "coco-wholebody-133", "halpe-136"
@@ -219,17 +218,10 @@ class LiveEnded(_Sent):
     kept_frames: int = Field(description="Frames that were kept: fewer than `received` if a session can't have more.")
 
 
-class LiveProblemOut(_Sent):
+class LiveProblemOut(SocketProblemOut):
     """Reason why the capture ends; the service then closes the connection with `close_code`."""
 
-    type: Literal["problem"] = "problem"
-    code: Code = Field(description="Stable name of the problem; docs/problems.md lists all codes.")
-    detail: str = Field(description="Description of the problem, a sentence for a person.")
-    errors: tuple[ErrorItem, ...] = Field(default=(), description="Everything that is wrong with the message.")
-    hint: str | None = Field(default=None, description="Advice to the caller.")
-    retryable: bool = Field(default=False, description="Whether the same capture may succeed later.")
     close_code: int = Field(description="Code with which the connection is closed.")
-    request_id: str = Field(description="Id of the connection, also in the service's log.")
 
 
 RECEIVED: tuple[type[BaseModel], ...] = (LiveStart, LiveKeypoints, LiveEnd)

@@ -60,7 +60,7 @@ from worker.jobs.tenant_records import TenantRecords
 _KINDS = {VIDEOS: "video", INTRINSICS: CALIBRATION}
 
 # Fields of a camera in the manifest that determine its frame times.
-_OF_CAMERA = {"offset_s", "rate"}
+_OF_CAMERA = {"offset_s", "offset_std_s", "rate"}
 
 _tracer = trace.get_tracer("multicap")
 
@@ -265,6 +265,7 @@ def _as_before(manifest: Manifest, source: Session) -> Manifest:
                 file=recording.file,
                 more_files=recording.more_files,
                 offset_s=recording.offset_s,
+                offset_std_s=recording.offset_std_s,
                 rate=recording.frame_rate_hz,
             )
             for recording in preflight.recordings
@@ -305,7 +306,7 @@ def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) ->
 def _facts_of_videos(manifest: Manifest) -> Iterator[ErrorItem]:
     """Find what a manifest states of cameras that is of videos alone."""
     for index, camera in enumerate(manifest.cameras):
-        for field in ("offset_s", "rate", "more_files"):
+        for field in ("offset_s", "offset_std_s", "rate", "more_files"):
             if getattr(camera, field):
                 yield ErrorItem(
                     code=CAMERAS_OF_KEYPOINTS,
@@ -341,6 +342,7 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
                 "file": camera.file,
                 "more_files": camera.more_files,
                 "offset_s": camera.offset_s,
+                "offset_std_s": camera.offset_std_s,
                 "frame_rate_hz": camera.rate,
             }
             for camera in manifest.cameras

@@ -72,6 +72,15 @@ class CameraManifest(BaseModel):
         allow_inf_nan=False,
         description="Time of the first frame on the clock that all cameras share.",
     )
+    offset_std_s: float | None = Field(
+        default=None,
+        strict=True,
+        ge=0.0,
+        le=3600.0,
+        allow_inf_nan=False,
+        description="Standard deviation of `offset_s`; with it `sync: auto` measures the clock within the uncertainty, "
+        "and uses what is beyond it with a warning alone. Null: nothing is known of it.",
+    )
     rate: float | None = Field(
         default=None,
         strict=True,

@@ -13,7 +13,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
-from api.auth import RecordsDep
+from api.auth import UploadsDep
 from api.contract.description import Responses, file_content, location, problems
 from api.contract.examples import UPLOAD_IDS
 from api.contract.resource import Resource
@@ -21,7 +21,7 @@ from api.dependencies import Services, ServicesDep, UploadId
 from api.errors import ApiError
 from api.http.bodies.form import name_error, too_large
 from api.http.bodies.reading import announced_bytes, drain
-from api.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
+from api.http.idempotency import Answer, IdempotentRequest, IdempotentUploadDep
 from api.uploads.receiving import Checksum
 from pipeline.problem_codes.requests import (
     CHECKSUM_INVALID,
@@ -108,7 +108,7 @@ def describe_uploads(response: Response, services: ServicesDep) -> None:
 async def create_upload(
     request: Request,
     services: ServicesDep,
-    idempotent: IdempotentRequestDep,
+    idempotent: IdempotentUploadDep,
     _: Annotated[None, Depends(_require_version)],
     upload_length: Annotated[str | None, Header(description="Bytes of the whole file.")] = None,
     upload_metadata: Annotated[
@@ -158,7 +158,7 @@ async def create_upload(
     },
 )
 def get_upload(
-    upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_require_version)]
+    upload_id: UploadId, services: ServicesDep, records: UploadsDep, _: Annotated[None, Depends(_require_version)]
 ) -> Response:
     """Read the offset of an upload, at which a client continues."""
     upload = records.uploads.get(upload_id)
@@ -192,7 +192,7 @@ async def continue_upload(
     request: Request,
     upload_id: UploadId,
     services: ServicesDep,
-    records: RecordsDep,
+    records: UploadsDep,
     _: Annotated[None, Depends(_require_version)],
     upload_offset: Annotated[
         str | None, Header(description="Position of the piece, which must be the upload's offset.")
@@ -219,7 +219,7 @@ async def continue_upload(
     responses={**_answers(204), **problems(404, 412, 421)},
 )
 async def delete_upload(
-    upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_require_version)]
+    upload_id: UploadId, services: ServicesDep, records: UploadsDep, _: Annotated[None, Depends(_require_version)]
 ) -> Response:
     """Delete an upload with its file."""
     await run_in_threadpool(_delete, services, records, upload_id)

@@ -83,6 +83,11 @@ class KeypointSession:
         return dict.fromkeys(self.times, 0.0)
 
     @property
+    def offset_std_s(self) -> dict[str, float]:
+        """Uncertainties of declared offsets, by camera name: timestamps have none."""
+        return {}
+
+    @property
     def stretches(self) -> tuple[range, ...]:
         """Ranges of all output frames without long pauses in the detections; see ``recorded_stretches``."""
         return recorded_stretches(

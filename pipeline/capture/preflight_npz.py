@@ -76,6 +76,7 @@ def encode_session(session: CaptureSession) -> bytes:
         "cameras": cameras,
         "videos": [_video(video) for video in session.videos],
         "findings": [finding.to_json() for finding in session.findings],
+        **({"offset_std_s": dict(session.offset_std_s)} if session.offset_std_s else {}),
     }
     arrays["head"] = np.array(json.dumps(head))
     for k, (camera, video) in enumerate(zip(session.cameras, session.videos, strict=True)):
@@ -131,6 +132,7 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
         videos=tuple(_decode_video(video, arrays, str(k), folder) for k, video in enumerate(head["videos"])),
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         findings=_decode_findings(head),
+        offset_std_s=head.get("offset_std_s", {}),
     )
 
 

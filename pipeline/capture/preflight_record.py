@@ -83,6 +83,7 @@ class PreflightRecording:
     offset_s: float = 0.0
     frame_rate_hz: float | None = None
     more_files: tuple[str, ...] = ()
+    offset_std_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

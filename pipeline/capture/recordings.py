@@ -37,6 +37,8 @@ class Recording:
         Frame rate, if the timestamps of the video are wrong; ``None``: the timestamps are right.
     more_files
         Names or paths of further files in which the recording of ``file`` goes on, in order.
+    offset_std_s
+        Standard deviation of the offset; ``None``: nothing is known of it.
     """
 
     camera: str
@@ -44,6 +46,7 @@ class Recording:
     offset_s: float = 0.0
     frame_rate_hz: float | None = None
     more_files: tuple[str, ...] = ()
+    offset_std_s: float | None = None
 
     @property
     def files(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +58,8 @@ class CaptureSession:
         Range of the output frames to reconstruct; ``None``: all.
     whole_timebase
         Output frames of the session, if the times were corrected afterwards; ``None``: those of the times.
+    offset_std_s
+        Standard deviation of a camera's declared offset, by camera name, where it is stated.
     """
 
     cameras: tuple[Camera, ...]
@@ -66,6 +68,7 @@ class CaptureSession:
     findings: tuple[Finding, ...]
     frames: range | None = None
     whole_timebase: Timebase | None = None
+    offset_std_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def timebase(self) -> Timebase:
@@ -226,7 +229,15 @@ def open_session(
     ]
     findings += clock_findings(paired, clock)
     findings += slow_motion(times, {name: video.path.name for name, video in paired.items() if not stated_hz.get(name)})
-    return CaptureSession(cameras, tuple(paired.values()), times, tuple(findings))
+    return CaptureSession(
+        cameras, tuple(paired.values()), times, tuple(findings), offset_std_s=_stds_s(recording_of_camera)
+    )
+
+
+def _stds_s(recordings: Mapping[str, Recording]) -> dict[str, float]:
+    """Standard deviations of declared offsets by camera, where they are stated."""
+    stds_s = {name: recording.offset_std_s for name, recording in recordings.items()}
+    return {name: std_s for name, std_s in stds_s.items() if std_s is not None}
 
 
 def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:

@@ -127,6 +127,12 @@ IDEMPOTENCY_KEY_REUSED = ANSWERS.code(
     "This `Idempotency-Key` was used for another request.",
     "Use a new key for each request.",
 )
+TAKE_EMPTY = ANSWERS.code(
+    "take_empty",
+    ("409",),
+    "No phone has sent its clip of the take of a recording.",
+    "Ask the phones for it by `upload`, and wait until they have sent it.",
+)
 VIDEOS_DELETED = ANSWERS.code(
     "videos_deleted",
     ("409", "410", "422", "job"),
@@ -347,7 +353,7 @@ DUPLICATE_FILE_NAME = PARTS.code(
 CAMERAS_OF_KEYPOINTS = PARTS.code(
     "cameras_of_keypoints",
     _FIELD,
-    "`offset_s`, `rate` or `more_files` of a camera in the manifest was sent with keypoints.",
+    "`offset_s`, `offset_std_s`, `rate` or `more_files` of a camera in the manifest was sent with keypoints.",
     "Omit it: timestamps or a frame rate state the times. Only `file` can be stated.",
 )
 CALIBRATION_UNKNOWN = PARTS.code(

@@ -109,6 +109,18 @@ SYNC_BY_SOUND = WARNINGS.code(
     "The offsets of the cameras are those of their sound alone.",
     "Look at the motion; declare the offset, or film people who move where all cameras see them.",
 )
+SYNC_AS_DECLARED = WARNINGS.code(
+    "sync_as_declared",
+    _WARNING,
+    "The offsets of the cameras are the declared ones, whose uncertainty is stated: motion does not tell them.",
+    "Look at the motion; film people who move where all cameras see them.",
+)
+SYNC_BEYOND_DECLARED = WARNINGS.code(
+    "sync_beyond_declared",
+    _WARNING,
+    "The measured offset of a camera is beyond the uncertainty of the declared one.",
+    "Look at the motion; the clock of the camera was wrong, or its pictures came late.",
+)
 SYNC_UNCERTAIN = WARNINGS.code(
     "sync_uncertain",
     _WARNING,

@@ -16,8 +16,8 @@ from pipeline.findings import Finding, from_problem
 from pipeline.joints import JointSet
 from pipeline.problem_codes.findings import CLOCK_MEASURED
 from pipeline.progress import OnShare, ignore
+from pipeline.synchronization.declared import synchronize_declared
 from pipeline.synchronization.motions import excerpt
-from pipeline.synchronization.sound.combined import synchronize_with_sound
 from pipeline.synchronization.sound.offsets import SoundOffsets, sound_offsets
 from pipeline.synchronization.synchronize import corrected_times
 from pipeline.video.sound.listen_process import listen_in_child
@@ -34,12 +34,14 @@ def measure_clocks(
     sound: SoundOffsets = SoundOffsets(),  # noqa: B008 - frozen
     on_share: OnShare = ignore,
 ) -> Synchronization:
-    """Measure the clocks of a session's cameras, from motion with the help of sound.
+    """Measure the clocks of a session's cameras, from motion with the help of sound and of declared offsets.
 
     Raises ``InputError`` if the clocks are not certain: a motion from wrong times would look plausible.
     """
     bodies = excerpt(session.times, detections)
-    clocks = synchronize_with_sound(session.cameras, session.times, bodies, joints, session.starts_s, sound, on_share)
+    clocks = synchronize_declared(
+        session.cameras, session.times, bodies, joints, session.starts_s, sound, session.offset_std_s, on_share
+    )
     if clocks.refusals:
         raise InputError(clocks.refusals)
     return clocks

@@ -30,6 +30,8 @@ _PARTNERS = 6
 _MIN_DRIFT_S = 30.0
 # Evidence is kept around the offset that was found.
 _SHOWN_S = 2.5
+KNOWN_WITHIN_S = _PROPOSED_REACH * STEP_S
+"""Distance up to which lags are compared around those that are known roughly."""
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 
 

@@ -7,6 +7,7 @@
     ├── Conflict             not in this state
     │   ├── NotFinished      a job without results yet
     │   ├── NoResults        a job that failed or was canceled has no results
+    │   ├── PhoneRemoved     the host has removed the phone of a recording
     │   ├── VideosDeleted    the session's videos were deleted, and the work needs them
     │   └── KeyBusy          the request of an idempotency key is at work
     ├── KeyReused            an idempotency key came with another request
@@ -58,6 +59,13 @@ class VideosDeleted(Conflict):
 
     def __init__(self) -> None:
         super().__init__("The videos of this session were deleted, and this needs them.")
+
+
+class PhoneRemoved(Conflict):
+    """The host has removed the phone of a recording."""
+
+    def __init__(self) -> None:
+        super().__init__("The host has removed this phone.")
 
 
 class KeyBusy(Conflict):

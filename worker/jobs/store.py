@@ -10,10 +10,12 @@ from worker.jobs.database.connection import Database
 from worker.jobs.database.quotas import NO_QUOTAS, Quotas
 from worker.jobs.database.tables import sessions
 from worker.jobs.database.totals import read_figures
+from worker.jobs.model.recordings import UploadingPhone
 from worker.jobs.model.rights import Actor
 from worker.jobs.model.work import Figures
 from worker.jobs.repositories.audit import Audit
 from worker.jobs.repositories.rights.browser_sessions import BrowserSessions
+from worker.jobs.repositories.rights.join_secrets import JoinSecrets
 from worker.jobs.repositories.rights.keys import Keys
 from worker.jobs.repositories.rights.links import LinkSecrets
 from worker.jobs.repositories.webhook_secrets import WebhookSecrets
@@ -54,12 +56,18 @@ class JobStore(Records):
         self.keys = Keys(self._database)
         self.browser_sessions = BrowserSessions(self._database)
         self.link_secrets = LinkSecrets(self._database)
+        self.join_secrets = JoinSecrets(self._database)
         self.webhook_secrets = WebhookSecrets(self._database)
         self.audit = Audit(self._database)
 
-    def of(self, tenant: str, quotas: Quotas = NO_QUOTAS, actor: Actor = _NOBODY) -> TenantRecords:
-        """Records of one tenant. ``actor`` is the key and the request that are written to the audit."""
-        return TenantRecords(Access(self._database, tenant, quotas, actor))
+    def of(
+        self, tenant: str, quotas: Quotas = NO_QUOTAS, actor: Actor = _NOBODY, phone: UploadingPhone | None = None
+    ) -> TenantRecords:
+        """Records of one tenant. ``actor`` is the key and the request that are written to the audit.
+
+        A ``phone`` reaches the uploads that it sent, and no others.
+        """
+        return TenantRecords(Access(self._database, tenant, quotas, actor, phone))
 
     def transaction(
         self, tenant: str, quotas: Quotas = NO_QUOTAS, actor: Actor = _NOBODY

@@ -12,6 +12,7 @@ from worker.jobs.repositories.calibrations import Calibrations
 from worker.jobs.repositories.characters import Characters
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
 from worker.jobs.repositories.jobs import Jobs
+from worker.jobs.repositories.recordings import Recordings
 from worker.jobs.repositories.results import Results
 from worker.jobs.repositories.rights.links import Links
 from worker.jobs.repositories.sessions import Sessions
@@ -33,6 +34,7 @@ class Records:
         self.uploads = Uploads(access)
         self.idempotency_keys = IdempotencyKeys(access)
         self.links = Links(access)
+        self.recordings = Recordings(access)
 
 
 class TenantRecords(Records):

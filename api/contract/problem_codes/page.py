@@ -12,6 +12,7 @@ from pipeline.problem_codes.findings import FILES, FINDINGS, PEOPLE
 from pipeline.problem_codes.jobs import EDITS, JOBS, READINESS
 from pipeline.problem_codes.live import LIVE, STREAMS
 from pipeline.problem_codes.model import CodeGroup
+from pipeline.problem_codes.recordings import RECORDINGS
 from pipeline.problem_codes.requests import ANSWERS, PARTS
 from pipeline.problem_codes.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
 from pipeline.problem_codes.specs import SPECS
@@ -21,7 +22,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
 
 GROUPS: tuple[CodeGroup, ...] = (
     *(ANSWERS, FIELDS, PARTS, SPECS, CALIBRATIONS, VIDEOS, KEYPOINTS, TIMES),
-    *(LIVE, STREAMS, FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, CHARACTERS, COMMANDS, FINDINGS),
+    *(LIVE, RECORDINGS, STREAMS, FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, CHARACTERS, COMMANDS, FINDINGS),
 )
 """All problem codes, in the order of the page."""
 
@@ -36,7 +37,7 @@ later, and `request_id` is in the service's log. The column *where* says where a
 status of the answer; `job` is the error of a job, `waiting` an outage that a job waits for, `attempt` a failed attempt
 at one of its chunks, `readyz` an entry of `/readyz`, `command` the command line, `warning` a warning of a result,
 `finding` a finding of a check (see [preflight](preflight.md) and [calibration](calibration.md)), `live` a message of a
-[live capture](live_service.md).
+[live capture](live_service.md), `recording` a message of a [recording](phones_service.md).
 
 This page is made from the code: `python -m api.contract.problem_codes.page` writes it.
 """

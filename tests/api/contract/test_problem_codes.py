@@ -15,7 +15,7 @@ from pipeline.problem_codes.model import ProblemCode, status_of
 
 CODES = [code for group in GROUPS for code in group.codes]
 ROOT = Path(__file__).parents[3]
-PLACES = {"live", "job", "waiting", "attempt", "readyz", "command", "warning", "finding"}
+PLACES = {"live", "recording", "job", "waiting", "attempt", "readyz", "command", "warning", "finding"}
 
 
 def test_codes_are_declared_once() -> None:

@@ -9,6 +9,7 @@ from worker.jobs.database.connection import lock
 from worker.jobs.database.quotas import NO_QUOTAS, Quotas, read_unfinished, read_usage, require_room
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.database.transactions import Transactions
+from worker.jobs.model.recordings import UploadingPhone
 from worker.jobs.model.rights import Actor
 
 _COMMAND_LINE = Actor()
@@ -22,6 +23,7 @@ class Access:
     tenant: str | None = None  # Tenant whose rows can be reached; ``None``: all tenants
     quotas: Quotas = NO_QUOTAS  # Limits of the tenant
     actor: Actor = _COMMAND_LINE  # Key and request that are written to the audit
+    phone: UploadingPhone | None = None  # Phone whose uploads alone can be reached; ``None``: all uploads
 
     @property
     def owner(self) -> str:

@@ -76,6 +76,8 @@ uploads = Table(
     Column("metadata", String, nullable=False),
     Column("expires_at", UtcTimestamp, nullable=False),
     Column("spool", String),  # host and folder that hold its bytes; null: upload of an older version
+    Column("recording_id", String(36), index=True),  # whose phone sends it; null: a key sends it
+    Column("phone", Integer),  # number of the phone
     Index(None, "tenant", "id"),
     Index(None, "expires_at"),
 )
@@ -366,6 +368,66 @@ links = Table(
     Column("name", String),  # of the file or of the camera that it opens; null: the scope has none
     Column("created_at", UtcTimestamp, nullable=False),
     Column("expires_at", UtcTimestamp, nullable=False, index=True),
+)
+
+# Recordings: rooms in which browsers of phones record takes. Only digests of secrets are stored: of the link by which
+# phones join, and of the id that a phone's browser keeps. ``revision`` counts the changes of a recording's rows.
+recordings = Table(
+    "recordings",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant", String(64), nullable=False),
+    Column("name", String, nullable=False),
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("expires_at", UtcTimestamp, nullable=False, index=True),
+    Column("revision", Integer, nullable=False, server_default="0"),
+    Column("join_id", String(36), nullable=False),  # of the link; a new link has another one
+    Column("join_sha256", String(64), nullable=False, unique=True),
+    Column("join_key_id", String(36)),  # key that made the link; null: the service had no keys
+    Index(None, "tenant", "id"),
+)
+
+phones = Table(
+    "phones",
+    metadata,
+    Column("recording_id", ForeignKey("recordings.id", ondelete="CASCADE"), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("sha256", String(64), nullable=False),
+    Column("name", String(64), nullable=False),
+    Column("device", String(100), nullable=False),
+    Column("joined_at", UtcTimestamp, nullable=False),
+    Column("removed_at", UtcTimestamp),  # null: the host did not remove it
+    UniqueConstraint("recording_id", "sha256"),
+)
+
+# Takes of recordings. Starts and stops are seconds since 1970 by the clock that the service tells phones.
+takes = Table(
+    "takes",
+    metadata,
+    Column("recording_id", ForeignKey("recordings.id", ondelete="CASCADE"), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("name", String(200), nullable=False),
+    Column("start_s", Double, nullable=False),
+    Column("stop_s", Double, nullable=False),  # as long as nobody stops it, the latest one
+    Column("is_stopped", Boolean(create_constraint=False), nullable=False),
+    Column("settings", JSON, nullable=False),  # size and rate of the video that phones are asked for
+    Column("is_upload_wanted", Boolean(create_constraint=False), nullable=False),
+    Column("is_discarded", Boolean(create_constraint=False), nullable=False),
+    Column("session_id", String(36)),  # made from it; it may be deleted since
+    Column("job_id", String(36)),  # queued with the session
+    Column("calibration_id", String(36)),  # made from it, by the job of the same id
+)
+
+# Clips: what a phone recorded of a take, as it says itself, and the uploads of its parts.
+clips = Table(
+    "clips",
+    metadata,
+    Column("recording_id", ForeignKey("recordings.id", ondelete="CASCADE"), primary_key=True),
+    Column("take", Integer, primary_key=True),
+    Column("phone", Integer, primary_key=True),
+    Column("started", JSON(none_as_null=True)),  # null: it did not say that it started
+    Column("stopped", JSON(none_as_null=True)),  # null: it records, or was cut off
+    Column("files", JSON, nullable=False),  # finished uploads with their times
 )
 
 # Audit events. Rows are never changed, and stay when their subject is deleted.

@@ -34,6 +34,8 @@ class AuditAction(StrEnum):
     CHARACTER_RENAMED = "character-renamed"
     CHARACTER_CORRECTED = "character-corrected"
     CHARACTER_DELETED = "character-deleted"
+    RECORDING_CREATED = "recording-created"
+    RECORDING_DELETED = "recording-deleted"
     LINK_CREATED = "link-created"
     LINK_REVOKED = "link-revoked"
     KEY_CREATED = "key-created"

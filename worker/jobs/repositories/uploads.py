@@ -7,12 +7,13 @@ that receives it.
 from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select, update
 
 from worker.jobs.database.access import Access
-from worker.jobs.database.connection import now
+from worker.jobs.database.connection import lock, now
 from worker.jobs.database.tables import uploads
 from worker.jobs.errors import Conflict, NotFound
+from worker.jobs.model.recordings import UploadingPhone
 from worker.jobs.model.sessions import Upload
 from worker.jobs.repositories.audit import AuditAction, record_event
 
@@ -44,10 +45,14 @@ class Uploads:
         Raises
         ------
         QuotaExceeded
+        Conflict
+            The phones of a recording have sent as much as they may.
         """
-        access = self._access
+        access, phone = self._access, self._access.phone
         with access.writing() as connection:
             access.require_room(connection, uploads=1, stored_bytes=num_bytes)
+            if phone is not None:
+                _require_room_of_phones(connection, phone, num_bytes)
             connection.execute(
                 insert(uploads).values(
                     id=upload_id,
@@ -57,6 +62,8 @@ class Uploads:
                     metadata=metadata,
                     expires_at=now() + keep_s,
                     spool=spool,
+                    recording_id=None if phone is None else phone.recording_id,
+                    phone=None if phone is None else phone.number,
                 )
             )
             record_event(connection, access.actor, access.owner, AuditAction.UPLOAD_CREATED, upload_id)
@@ -90,7 +97,7 @@ class Uploads:
         """
         if not upload_ids:
             return
-        chosen = delete(uploads).where(self._access.may_reach(uploads), uploads.c.id.in_(upload_ids))
+        chosen = delete(uploads).where(self._may_reach(), uploads.c.id.in_(upload_ids))
         with self._access.writing() as connection:
             if connection.execute(chosen).rowcount != len(upload_ids):
                 raise Conflict("An upload was deleted, or used for another session, in the meantime.")
@@ -112,13 +119,28 @@ class Uploads:
         with self._access.reading() as connection:
             return set(connection.scalars(query))
 
+    def _may_reach(self) -> ColumnElement[bool]:
+        """Condition that an upload is the tenant's, and the phone's if a phone asks."""
+        mine, phone = self._access.may_reach(uploads), self._access.phone
+        if phone is None:
+            return mine
+        return mine & (uploads.c.recording_id == phone.recording_id) & (uploads.c.phone == phone.number)
+
     def _read(self, connection: Connection, upload_id: str) -> Upload:
-        mine = self._access.may_reach(uploads)
-        query = select(uploads).where(uploads.c.id == upload_id, mine, uploads.c.expires_at >= now())
+        query = select(uploads).where(uploads.c.id == upload_id, self._may_reach(), uploads.c.expires_at >= now())
         row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFound("There is no such upload.")
         return _upload_of(row)
+
+
+def _require_room_of_phones(connection: Connection, phone: UploadingPhone, num_bytes: int) -> None:
+    lock(connection, f"uploads of {phone.recording_id}")  # two phones at once must not both take the last place
+    of_phones = select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0))
+    num_uploads, sent_bytes = connection.execute(of_phones.where(uploads.c.recording_id == phone.recording_id)).one()
+    if num_uploads >= phone.max_uploads or sent_bytes + num_bytes > phone.max_bytes:
+        limits = f"{phone.max_uploads} uploads with {phone.max_bytes:,} bytes"
+        raise Conflict(f"The phones of a recording may have {limits} at most; make sessions of takes, or discard some.")
 
 
 def _upload_of(row: Row[Any]) -> Upload:

@@ -24,8 +24,9 @@ from worker.jobs.repositories.rights.keys import digest, is_valid
 MAX_LINKS = 1000
 """Largest number of valid links of a job."""
 
-_PREFIX = "mcl_"
-_SECRET_BYTES = 32
+LINK_PREFIX = "mcl_"
+"""Start of the secrets of all links."""
+LINK_SECRET_BYTES = 32
 
 
 class Links:
@@ -39,7 +40,7 @@ class Links:
 
         Raises ``NotFound`` if there is no such job, ``Conflict`` if it has ``MAX_LINKS`` already.
         """
-        link_id, secret = str(uuid7()), _PREFIX + secrets.token_urlsafe(_SECRET_BYTES)
+        link_id, secret = str(uuid7()), LINK_PREFIX + secrets.token_urlsafe(LINK_SECRET_BYTES)
         with self._access.writing() as connection:
             job = job_row(connection, self._access, job_id, lock=True)
             connection.execute(delete(links).where(links.c.expires_at < now()))
@@ -92,7 +93,7 @@ class LinkSecrets:
 
     def find(self, secret: str) -> Link | None:
         """Link with a secret; ``None`` if it is unknown, has ended, or its key is no longer valid."""
-        if not secret.startswith(_PREFIX):
+        if not secret.startswith(LINK_PREFIX):
             return None
         query = _select_links().where(links.c.sha256 == digest(secret), *_are_valid())
         with self._transactions.reading() as connection:
