@@ -34,6 +34,9 @@ MEDIA_TYPES: dict[Format, tuple[str, str]] = {
 }
 """Ending and media type of each format."""
 
+BOARD_PATTERN = r"^(chessboard|charuco):[0-9]{1,3}x[0-9]{1,3}(:[0-9A-Za-z_.]{1,20}){1,3}$"
+"""Form of a board: `chessboard:...` or `charuco:...`."""
+
 _STATES = {None: "failed"} | {state: str(state) for state in JobState} | {JobState.EXPIRED: "failed"}
 
 
@@ -92,7 +95,7 @@ class CalibrationSpec(BaseModel):
     board: str | None = Field(
         default=None,
         max_length=100,
-        pattern=r"^(chessboard|charuco):[0-9]{1,3}x[0-9]{1,3}(:[0-9A-Za-z_.]{1,20}){1,3}$",
+        pattern=BOARD_PATTERN,
         description="Board: `chessboard:COLSxROWS:SQUARE_M`, or `charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY`.",
         examples=["chessboard:9x6:0.06", "charuco:7x5:0.06:0.045:DICT_4X4_50"],
     )

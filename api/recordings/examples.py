@@ -70,7 +70,7 @@ _RECORDING: dict[str, Any] = {
 _JOIN: dict[str, Any] = {
     "url": f"https://192.168.1.20:8443/record#join={RECORDING_ID}.mcl_...",
     "secret": "mcl_...",
-    "qr_svg": "<svg ...></svg>",
+    "qr_svg": '<svg xmlns="http://www.w3.org/2000/svg" ...></svg>',
     "expires_at": "2026-03-01T13:00:00Z",
 }
 

@@ -7,7 +7,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket
 
 from api.recordings.clock import server_s
-from api.recordings.intake import Intake, parsed
+from api.recordings.intake import RecordingIntake, parsed
 from api.recordings.messages import (
     HOST_MESSAGES,
     HOST_RECEIVED,
@@ -49,7 +49,7 @@ class HostConnection:
         self._websocket, self._room, self._records, self._settings = websocket, room, records, settings
         self._shown_revision = -1
 
-    async def receive(self, intake: Intake) -> None:
+    async def receive(self, intake: RecordingIntake) -> None:
         """Take the host's messages until it goes; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
         while True:
             message = parsed(await intake.receive(), HOST_MESSAGES, HOST_RECEIVED)

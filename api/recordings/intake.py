@@ -1,4 +1,4 @@
-"""Intake of messages: what phones and hosts send is checked here, before anything is done with it."""
+"""RecordingIntake of messages: what phones and hosts send is checked here, before anything is done with it."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
@@ -27,7 +27,7 @@ _MAX_SHOWN = 40
 _JPEG = b"\xff\xd8\xff"
 
 
-class Intake:
+class RecordingIntake:
     """Messages of one connection, of an allowed size and at an allowed rate.
 
     Parameters

@@ -26,7 +26,7 @@ class _Received(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class Track(_Received):
+class PhoneTrack(_Received):
     """Video track of a phone's camera, as its browser states it."""
 
     width: int = Field(ge=1, le=16_384, description="Width of the frames in pixels.")
@@ -55,7 +55,7 @@ class PhoneHello(_Received):
     )
     name: PhoneName | None = Field(default=None, description="Name that the phone proposes at its first time.")
     device: _Word = Field(default="unknown", description="Short form of the browser and the device.")
-    track: Track | None = Field(default=None, description="Track of the camera; null until it is allowed.")
+    track: PhoneTrack | None = Field(default=None, description="PhoneTrack of the camera; null until it is allowed.")
     capabilities: Capabilities | None = Field(default=None, description="What the camera can do; null: unknown.")
     mime_types: tuple[_Word, ...] = Field(default=(), max_length=16, description="Types of video that it records.")
 
@@ -75,7 +75,7 @@ class PhoneClock(_Received):
     drift_ppm: float = Field(default=0.0, ge=-1e5, le=1e5, allow_inf_nan=False, description="Drift.")
 
 
-class Sending(_Received):
+class PhoneSending(_Received):
     """Upload that a phone sends at the moment."""
 
     take: _Number
@@ -91,14 +91,14 @@ class PhoneStatus(_Received):
     state: Literal["idle", "ready", "recording", "stopping", "sending", "hidden", "failed"] = Field(
         description="What the phone does."
     )
-    track: Track | None = Field(default=None, description="Track of the camera, if there is one.")
+    track: PhoneTrack | None = Field(default=None, description="PhoneTrack of the camera, if there is one.")
     battery: float | None = Field(default=None, ge=0.0, le=1.0, description="Charge of the battery, 0 to 1.")
     charging: bool | None = Field(default=None, description="Whether it charges.")
     free_bytes: _Count | None = Field(default=None, description="Bytes that the browser may still store.")
     clock: PhoneClock | None = Field(default=None, description="Clock; null until it is measured.")
     dropped_frames: _Count = Field(default=0, description="Frames of the take that were dropped so far.")
     pending_bytes: _Count = Field(default=0, description="Bytes of clips that are not uploaded yet.")
-    sending: Sending | None = Field(default=None, description="Upload that it sends; null: none.")
+    sending: PhoneSending | None = Field(default=None, description="Upload that it sends; null: none.")
     error: _Word | None = Field(default=None, description="What is wrong, for the host.")
 
 
@@ -117,7 +117,7 @@ class PhoneStarted(_Received):
     part: _Number = 1
     first_frame_s: ServerTime = Field(description="Time of the first frame by the service's clock.")
     std_s: _Std
-    track: Track | None = None
+    track: PhoneTrack | None = None
     mime_type: _Word | None = None
 
 
@@ -134,7 +134,7 @@ class PhoneStopped(_Received):
     is_cut: bool = Field(default=False, description="Whether it ended by itself before the stop.")
 
 
-class Lost(_Received):
+class LostTime(_Received):
     """Time of a take of which a phone has no pictures."""
 
     from_s: ServerTime
@@ -154,8 +154,8 @@ class PhoneFile(_Received):
     duration_s: _Seconds
     num_frames: _Count = 0
     dropped_frames: _Count = 0
-    lost: tuple[Lost, ...] = Field(default=(), max_length=100)
-    track: Track | None = None
+    lost: tuple[LostTime, ...] = Field(default=(), max_length=100)
+    track: PhoneTrack | None = None
     mime_type: _Word | None = None
 
 

@@ -10,7 +10,7 @@ from api.errors import as_api_error
 from api.http.pace import Pace
 from api.http.socket_problems import SocketProblem
 from api.recordings.clock import in_time, server_s
-from api.recordings.intake import Intake, parsed, require_jpeg
+from api.recordings.intake import RecordingIntake, parsed, require_jpeg
 from api.recordings.messages import (
     PHONE_MESSAGES,
     PHONE_RECEIVED,
@@ -113,7 +113,7 @@ class PhoneConnection:
             )
         )
 
-    async def receive(self, intake: Intake) -> None:
+    async def receive(self, intake: RecordingIntake) -> None:
         """Take the phone's messages until it goes; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
         while True:
             content = await intake.receive()
@@ -200,7 +200,7 @@ class PhoneConnection:
         await send(self._websocket, message, self._settings)
 
 
-async def said_hello(intake: Intake) -> PhoneHello:
+async def said_hello(intake: RecordingIntake) -> PhoneHello:
     """First message of a phone; raises ``SocketProblem`` for another one."""
     message = parsed(await intake.receive(), PHONE_MESSAGES, (PhoneHello,))
     if not isinstance(message, PhoneHello):

@@ -1,5 +1,6 @@
 """Recordings by phones: open, list, read and end them, make links for phones, and make sessions of takes."""
 
+import io
 from typing import Annotated
 
 import segno
@@ -200,11 +201,12 @@ def _new(request: Request, services: Services, recording: RecordingSession, secr
     """Build the response from a recording and the secret of its link, which the page reads behind the hash."""
     origin = services.settings.public_url or f"{request.url.scheme}://{request.headers['host']}"
     url = f"{origin}/record#join={recording.id}.{secret}"
-    code = segno.make(url, error="m", micro=False)
+    svg = io.BytesIO()
+    segno.make(url, error="m", micro=False).save(svg, "svg", scale=4, border=4, light="#fff", xmldecl=False, nl=False)
     join = JoinOut(
         url=url,
         secret=secret,
-        qr_svg=code.svg_inline(scale=4, border=4, light="#fff", dark="#000"),
+        qr_svg=svg.getvalue().decode(),
         expires_at=recording.expires_at,
     )
     return NewRecordingOut(**fields_of(RecordingOut.of(recording, server_s()), RecordingOut), join=join)

@@ -6,7 +6,9 @@ from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
+from api.calibrations.schemas import BOARD_PATTERN
 from api.contract.schemas import Id, NextCursor, ResponseModel, fields_of, printable_name
+from pipeline.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from worker.jobs.model.recordings import (
     ClipFile,
     RecordingPhone,
@@ -77,11 +79,16 @@ class TakeCalibrationSpec(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: TakeName | None = Field(default=None, description="Name of the calibration; by default that of the take.")
-    stature_m: tuple[float, ...] = Field(
-        default=(), max_length=8, description="Statures in metres of the people who walk about; or `board`."
+    stature_m: tuple[Annotated[float, Field(ge=MIN_STATURE_M, le=MAX_STATURE_M)], ...] = Field(
+        default=(),
+        max_length=MAX_STATURES,
+        description="Statures in metres of the people who walk about; or `board`.",
     )
     board: str | None = Field(
-        default=None, max_length=100, description="Board that is shown, as of calibrations; or `stature_m`."
+        default=None,
+        max_length=100,
+        pattern=BOARD_PATTERN,
+        description="Board that is shown, as of calibrations; or `stature_m`.",
     )
 
     def spec(self, cameras: tuple[Mapping[str, Any], ...], name: str) -> dict[str, Any]:

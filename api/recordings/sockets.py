@@ -17,7 +17,7 @@ from api.errors import ApiError, as_api_error
 from api.http.socket_problems import LATER, SocketProblem, message_of, socket_problem
 from api.http.websockets import deny
 from api.recordings.hosts import HostConnection
-from api.recordings.intake import Intake
+from api.recordings.intake import RecordingIntake
 from api.recordings.messages import EndedOut, RecordingProblemOut
 from api.recordings.metrics import RecordingMetrics
 from api.recordings.phones import PhoneConnection, limits_of, said_hello, send
@@ -74,7 +74,7 @@ async def _phone(websocket: WebSocket, services: Services, recording_id: str, se
     caller = await run_in_threadpool(joining_caller, websocket, services, secret)
     if caller.join is None or caller.join.recording_id != canonical_id(recording_id, "recording"):
         raise ApiError(LINK_UNKNOWN, "The link is that of another recording.", hint="Open the link again.")
-    intake = Intake(websocket, settings, must_send=True)
+    intake = RecordingIntake(websocket, settings, must_send=True)
     hello = await said_hello(intake)
     records = _records(services, websocket, caller)
     try:
@@ -112,7 +112,7 @@ async def _host(
         try:
             room.tell()  # phones at other processes send thumbnails from now on
             await _until_first(
-                host.receive(Intake(websocket, services.settings, must_send=False)),
+                host.receive(RecordingIntake(websocket, services.settings, must_send=False)),
                 host.send(side),
                 _watch(services, caller, room),
             )

@@ -24,7 +24,7 @@ from api.sessions.form import CAPTURE_FORM, SESSION_FORM
 from api.sessions.intake import CheckedSession, check, stored
 from api.sessions.receiving import Sent
 from api.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
-from pipeline.problem_codes.requests import CONFLICT, TAKE_EMPTY, UPLOAD_UNFINISHED, UPLOAD_UNKNOWN
+from pipeline.problem_codes.requests import CLIPS_MISSING, CONFLICT, UPLOAD_UNFINISHED, UPLOAD_UNKNOWN
 from worker.jobs.errors import NotFound
 from worker.jobs.model.recordings import ClipFile, RecordingSession, RecordingTake, TakeState
 from worker.jobs.tenant_records import TenantRecords
@@ -87,7 +87,7 @@ def videos_of(recording: RecordingSession, take: RecordingTake) -> TakeVideos:
         ]
     if not files:
         hint = "Ask the phones for it by `upload`, and wait until they have sent it."
-        raise ApiError(TAKE_EMPTY, "No phone has sent its clip of this take.", hint=hint)
+        raise ApiError(CLIPS_MISSING, "No phone has sent its clip of this take.", hint=hint)
     offsets_s = {phone: round(file.first_frame_s - take.start_s, 6) for phone, file in files.items()}
     far = [name for name, offset_s in offsets_s.items() if abs(offset_s) > _MAX_OFFSET_S]
     if far:

@@ -127,8 +127,8 @@ IDEMPOTENCY_KEY_REUSED = ANSWERS.code(
     "This `Idempotency-Key` was used for another request.",
     "Use a new key for each request.",
 )
-TAKE_EMPTY = ANSWERS.code(
-    "take_empty",
+CLIPS_MISSING = ANSWERS.code(
+    "clips_missing",
     ("409",),
     "No phone has sent its clip of the take of a recording.",
     "Ask the phones for it by `upload`, and wait until they have sent it.",

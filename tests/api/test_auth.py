@@ -76,6 +76,10 @@ class Guarded:
             options.setdefault("json", {})
         if method == "PATCH" and re.fullmatch(r"/v1/(calibrations|characters|sessions)/\{\w+\}", path):
             options.setdefault("json", {"name": "walk"})
+        if path.endswith("/takes/{take}/session"):
+            options.setdefault("json", {"calibration_id": self.ids["calibration_id"]})
+        if path.endswith("/takes/{take}/calibration"):
+            options.setdefault("json", {"stature_m": [1.8]})
         if (method, path) == ("PATCH", "/v1/jobs/{job_id}/people"):
             options.setdefault("json", {"edits": []})
         if (method, path) == ("POST", "/v1/jobs/{job_id}/links"):
@@ -131,6 +135,8 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
             "link_id": records.links.add(job_id, LinkScope.EVENTS, None, 3600.0)[0].id,
             "upload_id": upload.rpartition("/")[2],
             "sample_file": "cam01.mp4",
+            "recording_id": records.recordings.add("Rehearsal", 3600.0)[0].id,
+            "take": "1",
         }
         yield Guarded(live, ids, theirs, mine)
 

@@ -105,8 +105,11 @@ def inapplicable_checks(case: schemathesis.Case[Any]) -> list[Any]:
         return [positive_data_acceptance, negative_data_rejection]
     # A schema can't express which uploads exist, earlier uses of an idempotency key, or versions of a record.
     names_others = case.method == "POST" and case.path.removesuffix("/from-uploads") in INTAKES
-    # Nor which people a job has, and which files a link may name.
-    names_others = names_others or (case.method in {"PATCH", "POST"} and case.path.endswith(("/links", "/people")))
+    # Nor which people a job has, which files a link may name, and what a take is calibrated from.
+    named = ("/links", "/people", "/session", "/calibration")
+    names_others = names_others or (case.method in {"PATCH", "POST"} and case.path.endswith(named))
+    # Nor the service's limit of a recording's lifetime.
+    names_others = names_others or (case.method == "POST" and case.path == "/v1/recordings")
     if names_others or {"idempotency-key", "if-match"} & {name.lower() for name in case.headers}:
         return [positive_data_acceptance]
     # A schema can't express limits by the session's frames, the public addresses of webhooks, installed networks, or

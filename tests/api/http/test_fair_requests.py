@@ -23,7 +23,8 @@ BODIES = ("", "FromFiles", "FromUploads")
 RECORDS = ("Session", "SessionAndJob", "Calibration", "Character")
 WAITING = {
     *(f"create{record}{body}" for record in RECORDS for body in BODIES),
-    "streamJobEvents", "changeCharacter", "createUpload", "continueUpload", "deleteUpload",
+    "streamJobEvents", "changeCharacter", "createTakeSession",
+    "createTakeCalibration", "createUpload", "continueUpload", "deleteUpload",
 }  # fmt: skip
 """Routes that wait for their clients or for the check of files: their work has shares of its own."""
 

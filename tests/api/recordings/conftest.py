@@ -41,7 +41,7 @@ def rooms_service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 
 
 @dataclass
-class Opened:
+class OpenedRecording:
     """A recording that was opened, and the secret of its link."""
 
     live: Live
@@ -62,14 +62,14 @@ class Opened:
         return connected_host(self)
 
 
-def opened_recording(live: Live, headers: dict[str, str] | None = None, **spec: Any) -> Opened:
+def opened_recording(live: Live, headers: dict[str, str] | None = None, **spec: Any) -> OpenedRecording:
     answer = live.client.post("/v1/recordings", json=spec, headers=headers or {})
     assert answer.status_code == 201, answer.text
-    return Opened(live, answer.json()["id"], answer.json()["join"]["secret"], headers or {})
+    return OpenedRecording(live, answer.json()["id"], answer.json()["join"]["secret"], headers or {})
 
 
 @pytest.fixture
-def recording(rooms_service: Live) -> Iterator[Opened]:
+def recording(rooms_service: Live) -> Iterator[OpenedRecording]:
     opened = opened_recording(rooms_service)
     yield opened
     rooms_service.client.delete(f"/v1/recordings/{opened.id}")
@@ -138,7 +138,9 @@ class RoomSocket:
 class PhoneSocket(RoomSocket):
     """WebSocket of a phone that was welcomed; uploads too."""
 
-    def __init__(self, socket: websockets.sync.client.ClientConnection, recording: Opened, phone_id: str) -> None:
+    def __init__(
+        self, socket: websockets.sync.client.ClientConnection, recording: OpenedRecording, phone_id: str
+    ) -> None:
         super().__init__(socket)
         self._recording, self.phone_id = recording, phone_id
         self.welcome: dict[str, Any] = {}
@@ -182,12 +184,14 @@ def file_fields(take: int, upload_id: str, first_frame_s: float, num_bytes: int 
     return {"take": take, "upload_id": upload_id, "num_bytes": num_bytes, "mime_type": "video/webm;codecs=vp9", **times}
 
 
-def address_of(recording: Opened) -> str:
+def address_of(recording: OpenedRecording) -> str:
     host, port = recording.live.address[:2]
     return f"ws://{host}:{port}/v1/recordings/{recording.id}/connect"
 
 
-def socket_of(recording: Opened, **options: Any) -> AbstractContextManager[websockets.sync.client.ClientConnection]:
+def socket_of(
+    recording: OpenedRecording, **options: Any
+) -> AbstractContextManager[websockets.sync.client.ClientConnection]:
     """WebSocket to a recording; options as of the library."""
     limits: dict[str, Any] = {"max_size": None, "open_timeout": 60, "close_timeout": 10}
     return websockets.sync.client.connect(address_of(recording), **(limits | options))
@@ -195,7 +199,7 @@ def socket_of(recording: Opened, **options: Any) -> AbstractContextManager[webso
 
 @contextlib.contextmanager
 def connected_phone(
-    recording: Opened, name: str | None = None, phone_id: str | None = None, **hello: Any
+    recording: OpenedRecording, name: str | None = None, phone_id: str | None = None, **hello: Any
 ) -> Iterator[PhoneSocket]:
     """Phone that has joined by the subprotocols that browsers offer, and was welcomed."""
     offered = ["multicap.recording", f"mc.link.{recording.secret}"]
@@ -209,7 +213,7 @@ def connected_phone(
 
 
 @contextlib.contextmanager
-def connected_host(recording: Opened) -> Iterator[RoomSocket]:
+def connected_host(recording: OpenedRecording) -> Iterator[RoomSocket]:
     with socket_of(recording, additional_headers=recording.headers) as socket:
         yield RoomSocket(socket)
 

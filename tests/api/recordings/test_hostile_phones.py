@@ -12,11 +12,19 @@ import websockets
 
 from api.settings import Settings
 from tests.api.conftest import Live, problem_of, running
-from tests.api.recordings.conftest import JPEG, Opened, RoomSocket, file_fields, opened_recording, socket_of, taken
+from tests.api.recordings.conftest import (
+    JPEG,
+    OpenedRecording,
+    RoomSocket,
+    file_fields,
+    opened_recording,
+    socket_of,
+    taken,
+)
 
 
 @contextlib.contextmanager
-def joining(recording: Opened) -> Iterator[RoomSocket]:
+def joining(recording: OpenedRecording) -> Iterator[RoomSocket]:
     """Socket of a phone that has said nothing yet."""
     with socket_of(recording, subprotocols=[f"mc.link.{recording.secret}"]) as connection:
         yield RoomSocket(connection)
@@ -42,7 +50,7 @@ def joining(recording: Opened) -> Iterator[RoomSocket]:
     ],
 )
 def test_a_wrong_first_message_ends_the_connection(
-    recording: Opened, message: str | bytes, code: str, close_code: int
+    recording: OpenedRecording, message: str | bytes, code: str, close_code: int
 ) -> None:
     with joining(recording) as phone:
         with contextlib.suppress(websockets.ConnectionClosed):
@@ -70,20 +78,20 @@ def test_a_wrong_first_message_ends_the_connection(
         (b"GIF89a", "recording_thumbnail"),
     ],
 )
-def test_a_wrong_later_message_ends_the_connection(recording: Opened, message: Any, code: str) -> None:
+def test_a_wrong_later_message_ends_the_connection(recording: OpenedRecording, message: Any, code: str) -> None:
     with recording.host() as host, recording.phone("Left") as phone:
         phone.socket.send(message if isinstance(message, bytes) else json.dumps(message))
         assert phone.problem()["code"] == code
         host.state(lambda state: state["live"] and not state["live"][0]["is_connected"])
 
 
-def test_numbers_that_json_does_not_have_are_refused(recording: Opened) -> None:
+def test_numbers_that_json_does_not_have_are_refused(recording: OpenedRecording) -> None:
     with recording.phone("Left") as phone:
         phone.socket.send('{"type": "ping", "t0_s": NaN}')
         assert phone.problem()["code"] in {"recording_message", "recording_fields"}
 
 
-def test_hosts_send_no_pictures_and_no_wrong_messages(recording: Opened) -> None:
+def test_hosts_send_no_pictures_and_no_wrong_messages(recording: OpenedRecording) -> None:
     for message, code in ((JPEG, "recording_thumbnail"), ('{"type": "file"}', "recording_message")):
         with recording.host() as host:
             host.socket.send(message)
@@ -159,7 +167,7 @@ def test_silent_phones_are_disconnected(strict: Live) -> None:
         assert host.next("pong")
 
 
-def test_there_are_only_so_many_phones_and_hosts(recording: Opened) -> None:
+def test_there_are_only_so_many_phones_and_hosts(recording: OpenedRecording) -> None:
     with recording.phone(), recording.phone(), recording.phone(), joining(recording) as fourth:
         fourth.send("hello", phone_id="the-fourth-of-three-phones")
         problem = fourth.problem()
@@ -175,7 +183,7 @@ def test_there_are_only_so_many_phones_and_hosts(recording: Opened) -> None:
             assert (problem["code"], problem["close_code"], problem["retryable"]) == ("recording_busy", 1013, True)
 
 
-def test_phones_that_join_again_and_again_are_stopped(recording: Opened) -> None:
+def test_phones_that_join_again_and_again_are_stopped(recording: OpenedRecording) -> None:
     with recording.host() as host:
         for number in range(1, 16):  # three at a time, and four times as many that were removed
             with recording.phone() as phone:
@@ -186,7 +194,7 @@ def test_phones_that_join_again_and_again_are_stopped(recording: Opened) -> None
             assert phone.problem()["code"] == "conflict"
 
 
-def test_phones_send_only_so_many_uploads_and_bytes(recording: Opened) -> None:
+def test_phones_send_only_so_many_uploads_and_bytes(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone() as left, recording.phone() as right:
         problem_of(left.begin_upload(50_001), 409, "conflict")
         upload_id = left.upload(b"x" * 40_000)
@@ -203,7 +211,7 @@ def test_phones_send_only_so_many_uploads_and_bytes(recording: Opened) -> None:
         assert left.begin_upload(40_000).status_code == 201
 
 
-def test_a_phone_reports_only_so_many_parts(recording: Opened) -> None:
+def test_a_phone_reports_only_so_many_parts(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone() as phone:
         take = taken(host)
         upload_id = phone.upload(b"video")

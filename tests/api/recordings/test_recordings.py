@@ -10,7 +10,7 @@ from tests.api.conftest import Live, problem_of
 from tests.api.recordings.conftest import (
     JPEG,
     STARTED_LATE_S,
-    Opened,
+    OpenedRecording,
     RoomSocket,
     file_fields,
     opened_recording,
@@ -37,7 +37,7 @@ def test_a_recording_is_opened_with_a_link_and_its_code(rooms_service: Live) -> 
     join = opened["join"]
     assert join["url"] == f"http://127.0.0.1:{rooms_service.address[1]}/record#join={opened['id']}.{join['secret']}"
     assert join["secret"].startswith("mcl_")
-    assert join["qr_svg"].startswith("<svg")
+    assert join["qr_svg"].startswith('<svg xmlns="http://www.w3.org/2000/svg"')
     assert join["expires_at"] == opened["expires_at"]
     read = rooms_service.client.get(f"/v1/recordings/{opened['id']}").json()
     assert read == {name: value for name, value in opened.items() if name != "join"}
@@ -57,7 +57,7 @@ def test_wrong_choices_are_named(rooms_service: Live) -> None:
         assert [item["pointer"] for item in problem["errors"]] == [pointer]
 
 
-def test_phones_record_a_take_together(recording: Opened) -> None:
+def test_phones_record_a_take_together(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone("Left") as left, recording.phone("Left") as right:
         assert (left.welcome["name"], right.welcome["name"]) == ("Left", "Left 2")
         host.state(lambda state: len(state["live"]) == 2)
@@ -86,7 +86,7 @@ def test_phones_record_a_take_together(recording: Opened) -> None:
     assert [phone["name"] for phone in recording.read()["phones"]] == ["Left", "Left 2"]
 
 
-def test_the_clock_is_told_at_once(recording: Opened) -> None:
+def test_the_clock_is_told_at_once(recording: OpenedRecording) -> None:
     with recording.phone() as phone, recording.host() as host:
         for client in (phone, host):
             sent_s = server_s()
@@ -96,7 +96,7 @@ def test_the_clock_is_told_at_once(recording: Opened) -> None:
             assert sent_s <= pong["server_s"] <= server_s()
 
 
-def test_hosts_see_what_phones_say_and_show(recording: Opened) -> None:
+def test_hosts_see_what_phones_say_and_show(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone("Left", mime_types=["video/webm"]) as phone:
         phone.send("status", state="ready", battery=0.5, clock={"offset_s": 1.5, "std_s": 0.002})
         state = host.state(lambda state: state["live"] and state["live"][0]["status"])
@@ -110,7 +110,7 @@ def test_hosts_see_what_phones_say_and_show(recording: Opened) -> None:
         host.state(lambda state: not state["live"][0]["is_connected"])
 
 
-def test_a_phone_comes_back_with_its_name_and_goes_on_with_the_take(recording: Opened) -> None:
+def test_a_phone_comes_back_with_its_name_and_goes_on_with_the_take(recording: OpenedRecording) -> None:
     with recording.host() as host:
         with recording.phone("Left", phone_id="the-same-phone-comes-again") as phone:
             host.send("start")
@@ -123,7 +123,7 @@ def test_a_phone_comes_back_with_its_name_and_goes_on_with_the_take(recording: O
             assert phone.next("stop")["take"] == 1
 
 
-def test_a_phone_that_was_away_learns_all_from_the_welcome(recording: Opened) -> None:
+def test_a_phone_that_was_away_learns_all_from_the_welcome(recording: OpenedRecording) -> None:
     with recording.host() as host:
         with recording.phone(phone_id="the-same-phone-comes-again"):
             pass
@@ -140,7 +140,7 @@ def test_a_phone_that_was_away_learns_all_from_the_welcome(recording: Opened) ->
             assert (take["state"], take["is_upload_wanted"]) == ("discarded", False)
 
 
-def test_a_host_that_comes_back_sees_everything(recording: Opened) -> None:
+def test_a_host_that_comes_back_sees_everything(recording: OpenedRecording) -> None:
     with recording.phone("Left") as phone:
         with recording.host() as host:
             host.send("start")
@@ -152,7 +152,7 @@ def test_a_host_that_comes_back_sees_everything(recording: Opened) -> None:
             assert state["live"][0]["is_connected"]
 
 
-def test_only_one_take_at_a_time_and_only_so_many(recording: Opened) -> None:
+def test_only_one_take_at_a_time_and_only_so_many(recording: OpenedRecording) -> None:
     with recording.host() as host:
         host.send("stop")
         assert host.next("problem")["detail"] == "No take is being recorded."
@@ -169,7 +169,7 @@ def test_only_one_take_at_a_time_and_only_so_many(recording: Opened) -> None:
         assert "4 takes at most" in host.next("problem")["detail"]
 
 
-def test_phones_are_renamed_and_removed(recording: Opened) -> None:
+def test_phones_are_renamed_and_removed(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone("Left") as left, recording.phone("Right") as right:
         host.send("rename", phone=1, name="Door")
         assert left.next("rename")["name"] == "Door"
@@ -188,7 +188,7 @@ def test_phones_are_renamed_and_removed(recording: Opened) -> None:
         assert other.welcome["name"] == "Window 2"
 
 
-def test_a_removed_phone_does_not_come_back(recording: Opened) -> None:
+def test_a_removed_phone_does_not_come_back(recording: OpenedRecording) -> None:
     identity = "a-phone-that-is-removed"
     with recording.host() as host, recording.phone(phone_id=identity) as phone:
         host.send("remove", phone=1)
@@ -207,7 +207,7 @@ def test_the_end_of_a_recording_ends_its_connections(rooms_service: Live) -> Non
         assert host.ended() == "recording"
 
 
-def test_another_link_ends_the_one_before(recording: Opened) -> None:
+def test_another_link_ends_the_one_before(recording: OpenedRecording) -> None:
     with recording.phone("Left", phone_id="a-phone-with-the-old-link") as phone:
         renewed = recording.live.client.post(f"/v1/recordings/{recording.id}/join")
         assert renewed.status_code == 201
@@ -220,7 +220,7 @@ def test_another_link_ends_the_one_before(recording: Opened) -> None:
         assert phone.begin_upload(5).status_code == 201
 
 
-def test_the_same_phone_has_one_connection(recording: Opened) -> None:
+def test_the_same_phone_has_one_connection(recording: OpenedRecording) -> None:
     identity = "a-phone-with-two-tabs-open"
     with recording.phone(phone_id=identity) as first, recording.phone(phone_id=identity) as second:
         assert first.ended() == "replaced"
@@ -228,7 +228,7 @@ def test_the_same_phone_has_one_connection(recording: Opened) -> None:
         assert second.next("pong")
 
 
-def test_files_come_from_uploads_of_the_phone_alone(recording: Opened) -> None:
+def test_files_come_from_uploads_of_the_phone_alone(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone() as left, recording.phone() as right:
         take = taken(host)
         upload_id = left.upload(b"video")

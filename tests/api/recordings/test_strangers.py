@@ -11,7 +11,7 @@ import websockets
 from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, problem_of, running
-from tests.api.recordings.conftest import TUS, Opened, RoomSocket, opened_recording, socket_of, taken
+from tests.api.recordings.conftest import TUS, OpenedRecording, RoomSocket, opened_recording, socket_of, taken
 from worker.jobs.model.rights import Scope
 
 CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))
@@ -19,34 +19,34 @@ USUAL = frozenset({Scope.READ, Scope.WRITE})
 
 
 @dataclass
-class Guarded:
+class GuardedRoom:
     """Service with keys of two tenants; one of them has a recording."""
 
     live: Live
     mine: dict[str, str]
     theirs: dict[str, str]
     reading: dict[str, str]
-    recording: Opened
+    recording: OpenedRecording
 
 
 @pytest.fixture
-def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
+def guarded(make_settings: Callable[..., Settings]) -> Iterator[GuardedRoom]:
     with running(make_settings(max_wrong_keys_per_minute=100_000, max_recording_messages_per_s=1000.0)) as live:
         keys = live.services.store.keys
         mine, theirs, reading = (
             {"Authorization": f"Bearer {keys.add(tenant, 'test', scopes)[1]}"}
             for tenant, scopes in (("mine", USUAL), ("theirs", USUAL), ("mine", frozenset({Scope.READ})))
         )
-        yield Guarded(live, mine, theirs, reading, opened_recording(live, mine))
+        yield GuardedRoom(live, mine, theirs, reading, opened_recording(live, mine))
 
 
-def refused(recording: Opened, secret: str) -> dict[str, object]:
+def refused(recording: OpenedRecording, secret: str) -> dict[str, object]:
     """Problem that a phone with a secret gets before it said anything."""
     with socket_of(recording, subprotocols=["multicap.recording", f"mc.link.{secret}"]) as socket:
         return RoomSocket(socket).problem()
 
 
-def test_wrong_and_ended_secrets_are_refused(guarded: Guarded) -> None:
+def test_wrong_and_ended_secrets_are_refused(guarded: GuardedRoom) -> None:
     recording = guarded.recording
     for wrong in ("mcl_wrong", recording.secret + "x", recording.secret.swapcase(), "mc_x"):
         problem = refused(recording, wrong)
@@ -64,7 +64,7 @@ def test_wrong_secrets_are_counted_as_wrong_keys_are(make_settings: Callable[...
         assert codes == ["link_unknown"] * 3 + ["too_many_wrong_keys"] * 2
 
 
-def test_hosts_need_a_key_of_the_tenant_that_writes(guarded: Guarded) -> None:
+def test_hosts_need_a_key_of_the_tenant_that_writes(guarded: GuardedRoom) -> None:
     for headers, status, code in (
         ({}, 401, "key_required"),
         (guarded.theirs, 404, "not_found"),
@@ -82,7 +82,7 @@ def test_hosts_need_a_key_of_the_tenant_that_writes(guarded: Guarded) -> None:
         assert host.state(lambda state: True)["recording"]["id"] == guarded.recording.id
 
 
-def test_another_tenant_reaches_nothing_of_a_recording(guarded: Guarded) -> None:
+def test_another_tenant_reaches_nothing_of_a_recording(guarded: GuardedRoom) -> None:
     client, theirs, recording = guarded.live.client, guarded.theirs, guarded.recording
     address = f"/v1/recordings/{recording.id}"
     problem_of(client.get(address, headers=theirs), 404, "not_found")
@@ -96,7 +96,7 @@ def test_another_tenant_reaches_nothing_of_a_recording(guarded: Guarded) -> None
     assert len(client.get("/v1/recordings", headers=guarded.mine).json()["recordings"]) == 1
 
 
-def test_a_link_opens_uploads_of_its_phone_and_nothing_else(guarded: Guarded) -> None:
+def test_a_link_opens_uploads_of_its_phone_and_nothing_else(guarded: GuardedRoom) -> None:
     live, recording = guarded.live, guarded.recording
     with recording.phone("Left") as left, recording.phone("Right") as right:
         upload_id = left.upload(b"video")
@@ -123,7 +123,7 @@ def test_a_link_opens_uploads_of_its_phone_and_nothing_else(guarded: Guarded) ->
         assert live.client.delete(own, headers=TUS | left.headers).status_code == 204
 
 
-def test_phones_do_not_meet_idempotency_keys_of_others(guarded: Guarded) -> None:
+def test_phones_do_not_meet_idempotency_keys_of_others(guarded: GuardedRoom) -> None:
     with guarded.recording.phone("Left") as left, guarded.recording.phone("Right") as right:
         key = {"Idempotency-Key": "the same key"}
         first, again, other = (phone.begin_upload(5, **key).headers["location"] for phone in (left, left, right))
@@ -131,7 +131,7 @@ def test_phones_do_not_meet_idempotency_keys_of_others(guarded: Guarded) -> None
         assert other != first
 
 
-def test_the_end_of_the_key_ends_the_link(guarded: Guarded) -> None:
+def test_the_end_of_the_key_ends_the_link(guarded: GuardedRoom) -> None:
     store = guarded.live.services.store
     key, secret = store.keys.add("mine", "host", USUAL)
     recording = opened_recording(guarded.live, {"Authorization": f"Bearer {secret}"})
@@ -151,7 +151,7 @@ def test_a_link_made_without_keys_ends_with_the_first_key(make_settings: Callabl
             assert phone.problem()["code"] == "recording_link_ended"
 
 
-def test_pages_of_other_origins_open_no_socket(guarded: Guarded) -> None:
+def test_pages_of_other_origins_open_no_socket(guarded: GuardedRoom) -> None:
     offered = [f"mc.link.{guarded.recording.secret}"]
     for headers in ({"Origin": "https://evil.example"}, {"Host": "evil.example"}):
         with (
@@ -161,7 +161,7 @@ def test_pages_of_other_origins_open_no_socket(guarded: Guarded) -> None:
             pass
 
 
-def test_no_secret_is_stored(guarded: Guarded) -> None:
+def test_no_secret_is_stored(guarded: GuardedRoom) -> None:
     with guarded.recording.host() as host, guarded.recording.phone("Left") as phone:
         phone.record(1, taken(host)["start_s"])
         host.state(lambda state: state["recording"]["takes"][0]["clips"])

@@ -9,7 +9,7 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import PREFLIGHT, Live, problem_of, running
-from tests.api.recordings.conftest import STARTED_LATE_S, Opened, connected_phone, opened_recording, taken
+from tests.api.recordings.conftest import STARTED_LATE_S, OpenedRecording, connected_phone, opened_recording, taken
 
 # Checks files as the program of the other tests does, calibrations alone and videos without one too: the first video
 # takes its place.
@@ -34,7 +34,7 @@ def studio(make_settings: Callable[..., Settings], tmp_path_factory: pytest.Temp
 
 
 @pytest.fixture
-def filmed(studio: Live) -> Iterator[tuple[Opened, list[dict[str, Any]]]]:
+def filmed(studio: Live) -> Iterator[tuple[OpenedRecording, list[dict[str, Any]]]]:
     """Recording of two phones with a take that both have sent, and messages to hosts."""
     recording = opened_recording(studio)
     with (
@@ -62,7 +62,7 @@ def calibration_of(studio: Live) -> str:
 
 
 def test_a_take_becomes_a_session_with_declared_offsets(
-    studio: Live, filmed: tuple[Opened, list[dict[str, Any]]]
+    studio: Live, filmed: tuple[OpenedRecording, list[dict[str, Any]]]
 ) -> None:
     recording, _ = filmed
     spec = {"calibration_id": calibration_of(studio)}
@@ -94,7 +94,7 @@ def test_a_take_becomes_a_session_with_declared_offsets(
 
 
 def test_a_session_comes_with_its_job_and_once_for_an_idempotency_key(
-    studio: Live, filmed: tuple[Opened, list[dict[str, Any]]]
+    studio: Live, filmed: tuple[OpenedRecording, list[dict[str, Any]]]
 ) -> None:
     recording, _ = filmed
     spec = {"calibration_id": calibration_of(studio), "job": {}, "name": "Walk"}
@@ -153,7 +153,7 @@ def test_what_is_missing_is_named(studio: Live) -> None:
         assert problem_of(studio.client.post(address, json=spec), 409, "conflict")["hint"] == "Stop it first."
         host.send("stop")
         left.next("stop")
-        problem_of(studio.client.post(address, json=spec), 409, "take_empty")
+        problem_of(studio.client.post(address, json=spec), 409, "clips_missing")
         begun = left.begin_upload(5)
         upload_id = begun.headers["location"].rpartition("/")[2]
         times = {"first_frame_s": start["at_server_s"], "std_s": 0.0, "duration_s": 1.0, "num_bytes": 5}
@@ -180,7 +180,7 @@ def test_what_is_missing_is_named(studio: Live) -> None:
 
 
 def test_a_calibration_is_made_from_a_take_and_a_session_follows(
-    studio: Live, filmed: tuple[Opened, list[dict[str, Any]]]
+    studio: Live, filmed: tuple[OpenedRecording, list[dict[str, Any]]]
 ) -> None:
     recording, _ = filmed
     address = f"/v1/recordings/{recording.id}/takes/1/calibration"
@@ -202,6 +202,6 @@ def test_a_calibration_is_made_from_a_take_and_a_session_follows(
     assert recording.read()["takes"][0]["session_id"] == made.json()["session_id"]
 
 
-def test_documents_of_takes_hold_no_secret(filmed: tuple[Opened, list[dict[str, Any]]]) -> None:
+def test_documents_of_takes_hold_no_secret(filmed: tuple[OpenedRecording, list[dict[str, Any]]]) -> None:
     recording, takes = filmed
     assert recording.secret not in json.dumps([recording.read(), takes])
