@@ -2,10 +2,10 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from pipeline.capture.preflight_record import Preflight, PreflightRecording
+from pipeline.capture.preflight_record import Preflight
 from pipeline.edits import PeopleEdit
 from pipeline.job_choices import VisualChoices
 from pipeline.space import foreseen_memory
@@ -162,12 +162,5 @@ def _inputs(session: PlannableSession) -> tuple[str, ...]:
         return (*files, repr(session.preflight.timebase.frame_rate_hz))
     if (clock := session.preflight.clock) != "declared":
         files.append(clock)
-    return (*files, *sorted(map(_stated, session.preflight.recordings)))
-
-
-def _stated(recording: PreflightRecording) -> str:
-    """Facts about a camera's video; one that is not stated leaves them as they were before it could be stated."""
-    facts = asdict(recording)
-    if recording.offset_std_s is None:
-        del facts["offset_std_s"]
-    return json.dumps(facts, sort_keys=True)
+    stated = (json.dumps(recording.to_json(), sort_keys=True) for recording in session.preflight.recordings)
+    return (*files, *sorted(stated))

@@ -85,6 +85,13 @@ class PreflightRecording:
     more_files: tuple[str, ...] = ()
     offset_std_s: float | None = None
 
+    def to_json(self) -> dict[str, Any]:
+        """JSON object; an uncertainty that is not stated leaves it as it was before it could be stated."""
+        facts = asdict(self)
+        if self.offset_std_s is None:
+            del facts["offset_std_s"]
+        return facts
+
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
@@ -150,7 +157,7 @@ class Preflight:
             "timebase": asdict(self.timebase),
             "stretches": [[stretch.start, stretch.stop] for stretch in self.stretches],
             "warnings": list(self.warnings),
-            "recordings": [asdict(recording) for recording in self.recordings],
+            "recordings": [recording.to_json() for recording in self.recordings],
             "units": self.units,
             "findings": [finding.to_json() for finding in self.findings],
             "clock": self.clock,

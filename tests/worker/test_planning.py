@@ -273,15 +273,22 @@ def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
 
 
 def test_what_was_said_of_the_videos_is_an_input() -> None:
-    def said(offset_s: float) -> Session:
+    def said(offset_s: float, std_s: float | None = None) -> Session:
         plain = make_session()
-        recordings = (PreflightRecording("0", offset_s=offset_s),)
+        recordings = (PreflightRecording("0", offset_s=offset_s, offset_std_s=std_s),)
         return replace(plain, preflight=replace(plain.preflight, recordings=recordings))
 
     plain = make_session()
     in_mm = replace(plain, preflight=replace(plain.preflight, units="mm"))
     turned = replace(plain, preflight=replace(plain.preflight, up="-y"))
-    found = [keys(plain), keys(said(offset_s=0.1)), keys(said(offset_s=0.2)), keys(in_mm), keys(turned)]
+    found = [
+        keys(plain),
+        keys(said(offset_s=0.1)),
+        keys(said(offset_s=0.2)),
+        keys(said(0.2, 0.01)),
+        keys(in_mm),
+        keys(turned),
+    ]
     for stage in found[0]:
         assert len({key for keys_by_stage in found for key in keys_by_stage[stage]}) == len(found) * len(
             found[0][stage]

@@ -63,9 +63,10 @@ class TestParts:
         assert ", ".join(names) in finding.message
 
     def test_the_record_keeps_them(self, folder: Path, rig: Path) -> None:
-        session = open_session(folder, rig, [Recording("left", offset_s=0.04)])
+        session = open_session(folder, rig, [Recording("left", offset_s=0.04, offset_std_s=0.002)])
         again = decode_session(encode_session(session), folder)
         assert files_of(again) == files_of(session)
+        assert again.offset_std_s == session.offset_std_s == {"left": 0.002}
         for one, other in zip(decode(again.videos[0], 6, 18), decode(session.videos[1], 6, 18), strict=True):
             np.testing.assert_array_equal(one[1], other[1])
         files = [[path.name for path in video.paths] for video in session.videos]
