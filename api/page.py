@@ -1,4 +1,4 @@
-"""The page at ``/``, Swagger UI at ``/docs``, the files of both at ``/portal``, and the contract."""
+"""The page at ``/``, that of phones at ``/record``, Swagger UI at ``/docs``, files at ``/portal``, and the contract."""
 
 import json
 import os
@@ -58,6 +58,13 @@ class PortalFiles(CompressedFiles):
 def get_page() -> FileResponse:
     """Answer with the page."""
     return FileResponse(_FOLDER / "index.html", headers={**_REVALIDATED, "Content-Security-Policy": _PAGE_POLICY})
+
+
+@router.get("/record")
+def get_phone_page() -> FileResponse:
+    """Answer with the page of phones that are cameras of a recording."""
+    page = _FOLDER / "record" / "phone.html"
+    return FileResponse(page, headers={**_REVALIDATED, "Content-Security-Policy": _PAGE_POLICY})
 
 
 @router.get("/docs")

@@ -18,11 +18,12 @@ const GUEST = { name: null, scopes: [], isGuest: true };
 const VIEWS = {
   new: () => import("./send/view.js"),
   captures: () => import("./watch/view.js"),
+  record: () => import("./record/view.js"),
   live: () => import("./live/view.js"),
   calibrations: () => import("./calibrations/view.js"),
   jobs: () => import("./look/view.js"),
 };
-const NAV = [["new", "New capture", "write"], ["captures", "Captures", "read"], ["live", "Live", "write"], ["calibrations", "Calibrations", "read"]];
+const NAV = [["new", "New capture", "write"], ["captures", "Captures", "read"], ["record", "Record", "write"], ["live", "Live", "write"], ["calibrations", "Calibrations", "read"]];
 
 const at = (id) => document.getElementById(id);
 let caller = null;

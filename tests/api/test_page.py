@@ -14,11 +14,19 @@ from tests.e2e.browsing import opened
 PORTAL = Path(__file__).parents[2] / "api" / "portal"
 
 
-def test_page_and_all_that_it_refers_to(live: Live) -> None:
-    answer = live.client.get("/")
+@pytest.mark.parametrize(
+    ("path", "some"),
+    [
+        ("/", {"/portal/main.js", "/portal/shared/base.css", "/docs", "/openapi.json"}),
+        ("/record", {"/portal/record/phone/main.js", "/portal/shared/base.css"}),
+        ("/portal/record/board.html", {"/portal/record/board/page.js"}),
+    ],
+)
+def test_page_and_all_that_it_refers_to(live: Live, path: str, some: set[str]) -> None:
+    answer = live.client.get(path)
     assert answer.headers["content-type"].startswith("text/html")
     references = {one for one in re.findall(r'(?:src|href)="([^"]+)"', answer.text) if not one.startswith("#")}
-    assert {"/portal/main.js", "/portal/shared/base.css", "/docs", "/openapi.json"} <= references
+    assert some <= references
     for reference in references:
         assert live.client.get(reference).status_code == 200, reference
 
@@ -72,7 +80,7 @@ def test_texts_are_sent_compressed_with_an_entity_tag_of_their_own(live: Live) -
         assert live.client.get(path, headers=headers).status_code == 304
 
 
-@pytest.mark.parametrize("path", ["/", "/docs", *(f"/portal/{name}" for name in modules())])
+@pytest.mark.parametrize("path", ["/", "/docs", "/record", *(f"/portal/{name}" for name in modules())])
 def test_nothing_comes_from_elsewhere_and_no_text_is_markup(live: Live, path: str) -> None:
     text = live.client.get(path).text
     assert not re.findall(r"https?://", text)
@@ -89,7 +97,7 @@ def test_the_contract_s_page_and_all_that_it_refers_to(live: Live) -> None:
     }  # fmt: skip
     for reference in references:
         assert live.client.get(reference).status_code == 200
-    for path in ("/", "/docs"):
+    for path in ("/", "/docs", "/record"):
         parts = live.client.get(path).headers["content-security-policy"].split(";")
         policy = dict(part.strip().split(" ", 1) for part in parts)
         assert len(policy) == len(parts)
@@ -201,7 +209,10 @@ def test_the_page_is_small(live: Live) -> None:
     }
     assert sizes["vendor/three/three.core.js"] > 100_000
     assert sum(sizes.values()) <= 1_000_000
-    # The views before the viewer and what plays live, which are loaded when they are needed.
-    later = {path.relative_to(PORTAL).as_posix() for path in (PORTAL / "live").glob("*.js")} - {"live/view.js"}
-    first = [name for name in sizes if not name.startswith(("vendor/three", "vendor/uPlot", "viewer/"))]
-    assert sum(sizes[name] for name in first if name not in later) <= 138_000
+    # The views before the viewer, what plays live and a recording, which are loaded when they are needed.
+    folders = (PORTAL / "live", PORTAL / "record")
+    later = {path.relative_to(PORTAL).as_posix() for folder in folders for path in folder.rglob("*.js")}
+    later -= {"live/view.js", "record/view.js", "record/join_links.js"}
+    others = ("vendor/three", "vendor/uPlot", "viewer/", "record/phone", "record/board")
+    first = [name for name in sizes if not name.startswith(others)]
+    assert sum(sizes[name] for name in first if name not in later) <= 141_000

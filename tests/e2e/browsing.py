@@ -50,12 +50,18 @@ def close_browser() -> None:
     _running.close()
 
 
-def _browser() -> Browser:
-    """Browser of the module's tests, started by the first of them."""
-    global _shared  # noqa: PLW0603 - it lives from one test to the next
+def chromium_path() -> str:
+    """Path of Chromium; a test without it is skipped."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("there is no chromium (`make browser` installs it on Debian)")
+    return chromium
+
+
+def _browser() -> Browser:
+    """Browser of the module's tests, started by the first of them."""
+    global _shared  # noqa: PLW0603 - it lives from one test to the next
+    chromium = chromium_path()
     if not VENDOR.is_dir():
         pytest.skip("the page's libraries are not installed (`make setup`)")
     if _shared is None or not _shared.is_connected():

@@ -246,6 +246,7 @@ def test_views_are_accessible_and_fit(
 ) -> None:
     job = one_job(served, keypoints)
     views = {"#/new": "New capture", "#/captures": "Captures", "#/calibrations": "Calibrations", "#/live": "Live"}
+    views["#/record"] = "Record"
     views[f"#/jobs/{job['id']}"] = job["session_name"]
     with opened(str(served.client.base_url), {"width": width, "height": 800}) as page:
         page.emulate_media(color_scheme=scheme, reduced_motion="reduce")

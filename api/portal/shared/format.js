@@ -21,6 +21,9 @@ export function length(seconds) {
   return `${minutes}:${rest.toFixed(1).padStart(4, "0")}`;
 }
 
+// Length of a take while it is recorded, in whole seconds: 0:04, 1:30.
+export const clock = (seconds) => length(Math.floor(seconds)).replace(/\.0$/, "");
+
 export const count = (number, one, many = `${one}s`) => `${number} ${number === 1 ? one : many}`;
 
 export const percent = (fraction) => `${Math.floor(fraction * 100)} %`;

@@ -1,0 +1,58 @@
+// Takes, clips and phones of a recording as words.
+
+import { length, percent, size } from "../../shared/format.js";
+
+const GOOD_CLOCK_S = 0.01;
+const LOW_BATTERY = 0.15;
+const LOW_BYTES = 500e6;
+const PHONE_STATES = {
+  idle: ["no camera", "wait"], ready: ["ready", "good"], recording: ["recording", "bad"], stopping: ["stopping", "wait"], sending: ["sending", "run"],
+  hidden: ["not in front", "warn"], failed: ["trouble", "bad"],
+};
+const AWAY = ["not connected", "mute"];
+
+/** Words and tone of a phone's state; `live` is what is known of it at the moment. */
+export function phoneState(live) {
+  if (!live?.is_connected) return AWAY;
+  return PHONE_STATES[live.status?.state] ?? ["joining", "wait"];
+}
+
+/** Facts of a phone: `{ text, isWorse }` each. */
+export function phoneFacts(live) {
+  const { status = null, hello = null } = live ?? {};
+  const track = status?.track ?? hello?.track;
+  const { battery, charging, free_bytes: free, clock, dropped_frames: dropped } = status ?? {};
+  const isGiven = (value) => value !== undefined && value !== null;
+  return [
+    track && { text: `${track.width} × ${track.height}` },
+    track && { text: `${Math.round(10 * track.frame_rate_hz) / 10} Hz` },
+    isGiven(battery) && { text: `battery ${percent(battery)}`, isWorse: battery < LOW_BATTERY && !charging },
+    isGiven(clock) && { text: `clock ± ${Math.max(1, Math.round(1000 * clock.std_s))} ms`, isWorse: clock.std_s > GOOD_CLOCK_S },
+    isGiven(free) && { text: `${size(free)} free`, isWorse: free < LOW_BYTES },
+    dropped > 0 && { text: `${dropped} dropped`, isWorse: true },
+  ].filter(Boolean);
+}
+
+/** What is there of a phone's clip of a take, by its number: `{ words, tone, isHere }`. */
+export function clipState(clip, live, take) {
+  const { started, stopped, files } = clip;
+  const sending = live?.status?.sending;
+  const isHere = files.length > 0 && files.length >= (stopped?.num_parts ?? 1);
+  if (isHere) return { words: "here", tone: "good", isHere };
+  if (sending?.take === take) return { words: `${percent(sending.sent_bytes / Math.max(1, sending.num_bytes))} sent`, tone: "run", isHere };
+  if (!live?.is_connected) return { words: "on the phone, which is not connected", tone: "warn", isHere };
+  if (stopped) return { words: "on the phone", tone: "wait", isHere };
+  return started ? { words: "recording", tone: "bad", isHere } : { words: "not begun", tone: "wait", isHere };
+}
+
+/** Sentences about what a phone lost of a take that started at `startS`. */
+export function clipLosses(clip, startS) {
+  const lost = clip.files.flatMap(({ facts }) => facts.lost ?? []);
+  const times = lost.map(({ from_s: from, to_s: to }) => `lost ${(to - from).toFixed(1)} s, from ${length(Math.max(0, from - startS))} to ${length(Math.max(0, to - startS))}`);
+  const unsaid = lost.length === 0 && clip.stopped?.lost_s > 0 ? [`lost ${clip.stopped.lost_s.toFixed(1)} s`] : [];
+  const dropped = clip.stopped?.dropped_frames ?? 0;
+  return [...times, ...unsaid, ...(dropped > 0 ? [`${dropped} frames dropped`] : [])];
+}
+
+/** Duration of a take in seconds at a time of the service. */
+export const takeDurationS = ({ state, start_s: startS, stop_s: stopS }, nowS) => Math.max(0, (state === "recording" ? nowS : stopS) - startS);

@@ -1,0 +1,324 @@
+// The phone of a recording: its camera, its clock, what it records when the host says so, and what it sends.
+
+import { RoomConnection } from "../room.js";
+import { adjust, cameraProblem, factsOf, holdStill, openCamera, release } from "./camera.js";
+import { PreviewFrames } from "./camera_frames.js";
+import { ServerClock } from "../clock.js";
+import { deviceOf, keepIdentity } from "./identity.js";
+import { TakeJournal } from "./journal.js";
+import { fileMessage, lossesOf, stoppedMessage } from "./journal_lines.js";
+import { ClipSender } from "./sender.js";
+import { readBattery, readFreeBytes, WakeLock } from "./surroundings.js";
+import { recordableTypes, TakeRecorder } from "./take_recorder.js";
+import { Thumbnails } from "./thumbnails.js";
+
+const FIRST_SETTINGS = { width: 1920, height: 1080, frame_rate_hz: 30 };
+const STATUS_MS = 1000;
+const [PING_MS, FIRST_PING_MS, NUM_FIRST_PINGS] = [2000, 120, 12];
+const DRAW_MS = 500;
+const AHEAD_S = 0.3; // of a part that begins in the middle of a take
+
+const nowS = () => performance.now() / 1000;
+
+/** The phone. It tells by the event `change` that something is to be drawn again. */
+export class PhoneCamera extends EventTarget {
+  #journal = new TakeJournal();
+  #wake = null;
+  #timers = [];
+  #thumbnails = null;
+  #changedAt = 0;
+  clock = new ServerClock();
+  room = null;
+  stream = null;
+  frames = null;
+  recorder = null; // of the part that is recorded now
+  isStopping = false;
+  takes = new Map(); // as the service offers them, by number
+  parts = []; // that are on the phone
+  held = []; // what of the camera is held still
+  welcome = null;
+  problem = null; // what is wrong, for the phone's user
+  end = null; // why the recording is over for this phone
+  surroundings = {};
+
+  constructor(identity, video) {
+    super();
+    this.identity = identity;
+    this.video = video;
+    this.sender = new ClipSender({
+      journal: this.#journal,
+      headers: () => ({ Authorization: `Bearer ${identity.secret}`, "Multicap-Phone": identity.phoneId }),
+      changed: () => this.#changed(),
+      sent: (part, id) => this.#sent(part, id),
+    });
+  }
+
+  /** Name of the phone. */
+  get name() {
+    return this.welcome?.name ?? this.identity.name;
+  }
+
+  get track() {
+    return this.stream?.getVideoTracks()[0] ?? null;
+  }
+
+  get state() {
+    if (this.problem) return "failed";
+    if (this.recorder) return this.isStopping ? "stopping" : "recording";
+    if (document.hidden) return "hidden";
+    if (this.sender.progress) return "sending";
+    return this.track ? "ready" : "idle";
+  }
+
+  /** Bytes of the phone's parts that the service does not have yet. */
+  get pendingBytes() {
+    return this.parts.reduce((sum, { numBytes, uploadId }) => sum + (uploadId === null ? numBytes : 0), 0);
+  }
+
+  /** Join the recording, first without a camera: what is on the phone is sent. */
+  async join() {
+    keepIdentity(this.identity);
+    await navigator.storage.persist?.().catch(() => null);
+    await this.#readParts();
+    this.room = new RoomConnection(this.identity.recording, this.identity.secret);
+    this.room.addEventListener("open", () => this.#hello());
+    this.room.addEventListener("message", ({ detail }) => this.#take(detail));
+    this.room.addEventListener("away", () => this.#changed());
+    const ping = () => {
+      this.room.send({ type: "ping", t0_s: nowS() });
+      this.#timers[1] = setTimeout(ping, this.clock.numSamples < NUM_FIRST_PINGS ? FIRST_PING_MS : PING_MS);
+    };
+    this.#timers = [setInterval(() => this.#status(), STATUS_MS), setTimeout(ping, FIRST_PING_MS)];
+    document.addEventListener("visibilitychange", () => this.#status());
+  }
+
+  /** Open the camera; `problem` says why it can't be. */
+  async openCamera() {
+    try {
+      this.stream = await openCamera(FIRST_SETTINGS, this.identity.facing);
+    } catch (error) {
+      this.problem = cameraProblem(error);
+      this.#changed();
+      return;
+    }
+    this.problem = recordableTypes().length ? null : { message: "This browser can't record videos.", hint: "Open the link in another browser." };
+    this.track.addEventListener("ended", () => this.#cameraGone());
+    this.video.srcObject = this.stream;
+    this.video.play().catch(() => null);
+    this.frames = new PreviewFrames(this.video);
+    this.#thumbnails = new Thumbnails(this.video, this.frames, (blob) => this.room.sendPicture(blob));
+    this.#wake ??= new WakeLock();
+    this.room.again(); // the service learns of the camera by the first message
+    this.#changed();
+  }
+
+  /** Give the phone another name. */
+  rename(name) {
+    this.identity.name = name;
+    keepIdentity(this.identity);
+    if (this.welcome) this.welcome.name = name;
+    this.room.send({ type: "rename", name });
+    this.#changed();
+  }
+
+  /** Turn to the other camera, the front or the back one. */
+  async turn() {
+    if (this.recorder) return;
+    this.identity.facing = this.identity.facing === "user" ? "environment" : "user";
+    keepIdentity(this.identity);
+    this.#closeCamera();
+    await this.openCamera();
+  }
+
+  /** Remove parts that no host asks for any more, such as those of earlier recordings. */
+  async remove(parts) {
+    for (const { key } of parts) await this.#remove(key);
+    await this.#readParts();
+    this.#changed();
+  }
+
+  #hello() {
+    const { phoneId, name } = this.identity;
+    const facts = this.track ? factsOf(this.track) : {};
+    this.room.send({ type: "hello", phone_id: phoneId, ...(name && { name }), device: deviceOf(navigator.userAgent), ...facts, mime_types: recordableTypes() });
+  }
+
+  async #take(message) {
+    const { type } = message;
+    if (type === "pong") this.clock.add(message.t0_s, message.server_s, nowS());
+    else if (type === "welcome") await this.#welcomed(message);
+    else if (type === "start") await this.#begin(message.take, message.at_server_s, message);
+    else if (type === "stop") await this.#stop(message.take, message.at_server_s);
+    else if (type === "rename") this.#named(message.name);
+    else if (type === "upload") this.#wanted(message.take);
+    else if (type === "delete") await this.#delete(message.take);
+    else if (type === "ended") this.#over(message.reason);
+    else if (type === "problem" && message.close_code !== null) this.#over("link");
+    this.#changed();
+  }
+
+  async #welcomed(message) {
+    this.welcome = message;
+    this.#named(message.name);
+    this.takes = new Map(message.takes.map((take) => [take.number, take]));
+    for (const take of message.takes) {
+      const own = this.#partsOf(take.number);
+      if (take.state === "used" || take.state === "discarded") await this.#delete(take.number);
+      else if (take.state === "recording") await this.#goOn(take);
+      else if (own.length) {
+        if (this.recorder?.take === take.number) await this.#stop(take.number, take.stop_s);
+        this.#tellStopped(take.number);
+        // What was sent while the connection was lost.
+        for (const part of own) if (part.uploadId !== null && !take.parts.includes(part.part)) this.#tellSent(part, part.uploadId);
+        if (take.is_upload_wanted) this.#wanted(take.number);
+      }
+    }
+  }
+
+  // A take is being recorded: this phone was reloaded, or came late.
+  async #goOn({ number, start_s: startS, stop_s: stopS, settings }) {
+    if (this.recorder || !this.track) return;
+    await this.#begin(number, startS, { latest_stop_s: stopS, settings });
+  }
+
+  async #begin(number, atServerS, { name = `Take ${number}`, latest_stop_s: stopS, settings }) {
+    this.takes.set(number, { parts: [], is_upload_wanted: false, ...this.takes.get(number), number, name, state: "recording", start_s: atServerS, stop_s: stopS });
+    if (this.recorder || !this.track) return;
+    while (!this.clock.isKnown) await new Promise((resolve) => { setTimeout(resolve, FIRST_PING_MS); });
+    const recorder = new TakeRecorder({ stream: this.stream, frames: this.frames, clock: this.clock, journal: this.#journal }, {
+      recording: this.identity.recording, take: number, part: (this.#partsOf(number).at(-1)?.part ?? 0) + 1,
+    });
+    Object.assign(this, { recorder, isStopping: false });
+    this.#changed();
+    if (settings) await adjust(this.track, settings);
+    this.held = await holdStill(this.track);
+    const started = await recorder.start(Math.max(atServerS, this.clock.serverS(nowS()) + AHEAD_S)).catch((problem) => { recorder.problem = problem; return null; });
+    if (started) {
+      this.room.send({ type: "started", take: number, part: recorder.part, ...started, track: factsOf(this.track).track });
+      await this.#readParts();
+      recorder.whenEnded().finally(() => this.#ended(recorder));
+    } else {
+      await this.#journal.remove(recorder.key);
+      await this.#ended(recorder);
+    }
+  }
+
+  async #stop(number, atServerS) {
+    const take = this.takes.get(number);
+    if (take) Object.assign(take, { state: "recorded", stop_s: atServerS });
+    if (this.recorder?.take !== number) return;
+    this.isStopping = true;
+    this.recorder.stop(atServerS);
+  }
+
+  async #ended(recorder) {
+    if (this.recorder === recorder) this.recorder = null;
+    this.isStopping = false;
+    if (recorder.problem) this.problem = { message: `The recording stopped: ${recorder.problem.message}`, hint: "Free some storage of this phone." };
+    await this.#readParts();
+    if (this.track) release(this.track);
+    if (this.#partsOf(recorder.take).length) {
+      this.#tellStopped(recorder.take);
+      if (this.takes.get(recorder.take)?.is_upload_wanted) this.#wanted(recorder.take);
+    }
+    this.#changed();
+  }
+
+  #wanted(number) {
+    const take = this.takes.get(number);
+    if (take) take.is_upload_wanted = true;
+    for (const part of this.#partsOf(number)) if (!part.isOpen && part.uploadId === null && part.numBytes > 0) this.sender.add(part);
+  }
+
+  async #delete(number) {
+    this.takes.delete(number);
+    for (const { key } of this.#partsOf(number)) await this.#remove(key);
+    await this.#readParts();
+  }
+
+  async #remove(key) {
+    this.sender.drop(key);
+    await this.#journal.remove(key);
+  }
+
+  async #sent(part, id) {
+    await this.#readParts();
+    this.#tellSent(part, id);
+    this.#changed();
+  }
+
+  #tellSent(part, id) {
+    const losses = lossesOf(this.#partsOf(part.take), this.takes.get(part.take)?.stop_s ?? null);
+    this.room.send(fileMessage(part, id, losses.get(part.key) ?? []));
+  }
+
+  #tellStopped(number) {
+    const parts = this.#partsOf(number).filter(({ isOpen }) => !isOpen);
+    this.room.send(stoppedMessage(number, parts, this.lossesOf(number)));
+  }
+
+  /** Times of a take without pictures, by the keys of the parts before them. */
+  lossesOf(number) {
+    const take = this.takes.get(number);
+    return lossesOf(this.#partsOf(number), take && take.state !== "recording" ? take.stop_s : null);
+  }
+
+  #partsOf(number) {
+    return this.parts.filter(({ recording, take }) => recording === this.identity.recording && take === number);
+  }
+
+  async #readParts() {
+    this.parts = await this.#journal.parts();
+  }
+
+  #named(name) {
+    if (this.welcome) this.welcome.name = name;
+    if (this.identity.name === name) return;
+    this.identity.name = name;
+    keepIdentity(this.identity);
+  }
+
+  #over(reason) {
+    this.end = reason;
+    this.room.close();
+    for (const timer of this.#timers) clearInterval(timer);
+    this.recorder?.stop(0);
+    this.#closeCamera();
+    this.#wake?.close();
+  }
+
+  // Another app took the camera, such as a call: what was recorded so far is a part.
+  #cameraGone() {
+    this.#closeCamera();
+    this.problem = { message: "Another app took the camera.", hint: "Tap Allow the camera to go on." };
+    this.#changed();
+  }
+
+  #closeCamera() {
+    this.#thumbnails?.stop();
+    this.frames?.close();
+    for (const track of this.stream?.getTracks() ?? []) track.stop();
+    this.stream = this.frames = this.#thumbnails = null;
+    this.video.srcObject = null;
+  }
+
+  async #status() {
+    this.surroundings = { ...await readBattery(), free_bytes: await readFreeBytes() };
+    const clock = this.clock.report(nowS());
+    const take = this.takes.get(this.recorder?.take);
+    // No host stopped it, or the stop did not come through.
+    if (take && !this.isStopping && this.clock.serverS(nowS()) > take.stop_s) this.#stop(take.number, take.stop_s);
+    this.room.send({
+      type: "status", state: this.state, ...(this.track && { track: factsOf(this.track).track }), ...this.surroundings, ...(clock && { clock }),
+      dropped_frames: this.recorder?.counts().dropped ?? 0, pending_bytes: this.pendingBytes,
+      ...(this.sender.progress && { sending: this.sender.progress }), ...(this.problem && { error: this.problem.message.slice(0, 100) }),
+    });
+    this.#changed();
+  }
+
+  #changed() {
+    if (performance.now() - this.#changedAt < DRAW_MS && this.recorder) return; // the recording comes first
+    this.#changedAt = performance.now();
+    this.dispatchEvent(new Event("change"));
+  }
+}

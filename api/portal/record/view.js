@@ -1,0 +1,86 @@
+// View Record: phones as cameras. The list of recordings; one of them is loaded when it is opened.
+
+import { call } from "../shared/api.js";
+import { persistently } from "../shared/away.js";
+import { count, moment } from "../shared/format.js";
+import { html, nothing, render } from "../shared/lit.js";
+import { problemBox } from "../shared/problem.js";
+import { address, go } from "../shared/router.js";
+import { keepJoin } from "./join_links.js";
+
+/** List of recordings, and the form of a new one. */
+class RecordingList {
+  #isClosed = false;
+  #recordings = null;
+  #problem = null;
+
+  constructor(place) {
+    this.place = place;
+    this.#load();
+    this.draw();
+  }
+
+  close() {
+    this.#isClosed = true;
+  }
+
+  async #load() {
+    try {
+      const away = (problem) => { this.#problem = problem; this.draw(); };
+      this.#recordings = (await persistently(() => call("/v1/recordings"), { isOver: () => this.#isClosed, away })).recordings;
+      this.#problem = null;
+    } catch (problem) {
+      this.#problem = problem;
+    }
+    this.draw();
+  }
+
+  async #add(event) {
+    event.preventDefault();
+    const name = event.target.elements.name.value.trim();
+    try {
+      const { id, join } = await call("/v1/recordings", { method: "POST", body: name ? { name } : {} });
+      keepJoin(id, join);
+      go("record", id);
+    } catch (problem) {
+      this.#problem = problem;
+      this.draw();
+    }
+  }
+
+  draw() {
+    if (this.#isClosed) return;
+    render(html`<h1 class="title">Record</h1>
+      <section class="panel record-new" aria-labelledby="new-title"><h2 id="new-title">Phones as cameras</h2>
+        <p>Put two to eight phones around the people, let them join by a code, and record with all of them at once. No app is needed.</p>
+        <form @submit=${(event) => this.#add(event)}><label class="field"><span>Name of the recording</span><input name="name" maxlength="200" placeholder="Living room, Sunday" autocomplete="off"></label>
+          <div class="actions"><button class="button primary">New recording</button></div></form>
+        ${problemBox(this.#problem)}</section>
+      ${this.#recordings?.length ? html`<section class="panel" aria-labelledby="list-title"><h2 id="list-title">Recordings</h2>
+        <ul class="record-list">${this.#recordings.map(({ id, name, created_at: created, expires_at: end, phones, takes }) => html`<li><a href=${address("record", id)}>${name}</a>
+          <span class="quiet facts"><span>${moment(created)}</span><span>${count(phones.length, "phone")}</span><span>${count(takes.length, "take")}</span><span>until ${moment(end)}</span></span></li>`)}</ul></section>` : nothing}`, this.place);
+  }
+}
+
+// View of one recording, whose module comes a moment later.
+class RecordingPlace {
+  #view = null;
+  #isClosed = false;
+
+  constructor(place, id) {
+    render(html`<h1 class="title">Record</h1><p class="quiet">Loading …</p>`, place);
+    persistently(() => import("./host/view.js"), { isOver: () => this.#isClosed }).then(({ RecordingView }) => {
+      if (!this.#isClosed) this.#view = new RecordingView(place, id);
+    }, () => render(problemBox({ message: "The view can't be loaded. Reload the page." }), place));
+  }
+
+  close() {
+    this.#isClosed = true;
+    this.#view?.close();
+  }
+}
+
+export function open(place, route) {
+  const view = route.id === null ? new RecordingList(place) : new RecordingPlace(place, route.id);
+  return { title: "Record", close: () => view.close() };
+}
