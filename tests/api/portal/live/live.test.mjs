@@ -6,7 +6,7 @@ import { test } from "node:test";
 import { packKeypoints, unpackInstant } from "../../../../api/portal/live/packets.js";
 import { peopleOf, recordingOf, sortedFiles } from "../../../../api/portal/live/keypoints.js";
 import { LiveStore } from "../../../../api/portal/live/store.js";
-import { entriesOf } from "../../../../api/portal/live/zip.js";
+import { entriesOf, textOf } from "../../../../api/portal/live/zip.js";
 
 const read = (name) => readFileSync(`${process.env.FIXTURES}/${name}`);
 const expected = JSON.parse(read("expected.json"));
@@ -50,6 +50,31 @@ test("what can't be played is named", async () => {
   await assert.rejects(recordingOf({ ...sorted, timestamps: times("cam_1,x,0") }, ["cam_1", "cam_2"], null), /Line 2/);
   await assert.rejects(entriesOf(new File(["nothing"], "a.zip")), /no zip/);
   assert.throws(() => peopleOf("[]"), /OpenPose/);
+  assert.deepEqual(peopleOf('{"people": [null, {}, {"pose_keypoints_2d": "x"}, {"pose_keypoints_2d": [1, 2, 0.5]}]}'), [[1, 2, 0.5]]);
+});
+
+test("an entry of a zip that is larger than it states is not read", async () => {
+  const [, entry] = await entriesOf(zipOf("cam_1.zip"));
+  assert.match(await textOf(zipOf("cam_1.zip"), entry), /pose_keypoints_2d/);
+  await assert.rejects(textOf(zipOf("cam_1.zip"), { ...entry, numBytes: 20 }), /larger than it states/);
+});
+
+test("points of BODY_25B are told from those of BODY_25", async () => {
+  const framesOf = (row) => ["cam_1", "cam_2"].flatMap((camera) => [1, 2, 3, 4, 5].map((frame) => {
+    const text = JSON.stringify({ people: [{ pose_keypoints_2d: row.flatMap(([x, y]) => [x + 1, y + 1, 0.9]) }] });
+    const file = new File([text], `a_${frame}_keypoints.json`);
+    Object.defineProperty(file, "webkitRelativePath", { value: `all/${camera}/a_${frame}_keypoints.json` });
+    return file;
+  }));
+  const layoutOf = async (row) => (await recordingOf(await sortedFiles(framesOf(row)), ["cam_1", "cam_2"], 25)).layout;
+  const both = (x, y) => [[50 + x, y], [50 - x, y]]; // left, right
+  const [[lShoulder, rShoulder], [lElbow, rElbow], [lWrist, rWrist], [lHip, rHip], [lKnee, rKnee], [lAnkle, rAnkle]] = [both(18, 30), both(22, 60), both(24, 90), both(10, 95), both(10, 140), both(10, 185)];
+  const face = [...both(3, 8), ...both(6, 10)];
+  const feet = [...both(12, 190), ...both(14, 190), ...both(9, 188)];
+  const body25B = [[50, 10], ...face, lShoulder, rShoulder, lElbow, rElbow, lWrist, rWrist, lHip, rHip, lKnee, rKnee, lAnkle, rAnkle, [50, 26], [50, 0], ...feet];
+  const body25 = [[50, 10], [50, 30], rShoulder, rElbow, rWrist, lShoulder, lElbow, lWrist, [50, 95], rHip, rKnee, rAnkle, lHip, lKnee, lAnkle, ...face, ...feet];
+  assert.equal(await layoutOf(body25B), "body-25b");
+  assert.equal(await layoutOf(body25), "body-25");
 });
 
 test("people without bones are shown by their joints, and trails end where people were not there", () => {
