@@ -20,6 +20,7 @@ export class HostedRecording extends EventTarget {
   #asked = new Set(); // takes whose clips were asked for
   clock = new ServerClock();
   state = null; // last message `state` of the service
+  leftOut = new Map(); // sentences about clips that are in no capture, by the numbers of their takes
   pictures = new Map(); // addresses of the phones' last pictures, by their numbers
   problem = null;
   sendsAtOnce = true; // whether phones are asked for each take as soon as it is recorded
@@ -101,12 +102,13 @@ export class HostedRecording extends EventTarget {
   }
 
   /** Make a session of a take, with its job. */
-  reconstruct(take, { calibrationId, name, job }) {
+  reconstruct(take, calibrationId, job) {
     return this.#act(async () => {
-      const body = { calibration_id: calibrationId, name, job };
+      const body = { calibration_id: calibrationId, job };
       const made = await call(`${this.path}/takes/${take.number}/session`, { method: "POST", body });
+      this.leftOut.set(take.number, made.left_out);
       await feed.refresh();
-      announce(`${name} is being reconstructed.`);
+      announce(`${take.name} is being reconstructed.`);
       return made;
     });
   }

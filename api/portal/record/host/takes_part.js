@@ -107,7 +107,7 @@ function calibrateForm(view, recording, take) {
 function reconstructForm(view, recording, take) {
   const submit = async (event) => {
     event.preventDefault();
-    const made = await recording.reconstruct(take, { calibrationId: view.calibrationId, name: take.name, job: view.spec });
+    const made = await recording.reconstruct(take, view.calibrationId, view.spec);
     if (made) view.show(take.number, null);
   };
   const change = (name, value) => {
@@ -138,6 +138,7 @@ function takeCard(view, recording, take) {
     ${sessionId && clips.length === 0 ? nothing : html`<ul class="record-clips" aria-label="Clips of ${name}">${clips.map((clip) => clipRow(take, clip, phones))}</ul>`}
     ${calibrationId ? calibrationJob(view, take) : nothing}
     ${jobId ? jobPart(jobId, name) : nothing}
+    ${warningList(recording.leftOut.get(number), `Left out of ${name}`)}
     <div class="actions">
       ${isRecorded && !isWanted ? html`<button type="button" class="button small" aria-label="Ask for the clips of ${name}" @click=${() => recording.send({ type: "upload", take: number })}>Ask for the clips</button>` : nothing}
       ${sessionId ? nothing : html`<button type="button" class="button small primary" ?disabled=${!canUse} aria-label="Reconstruct ${name}" @click=${() => view.show(number, "reconstruct")}>Reconstruct</button>`}
