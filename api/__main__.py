@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import socket
+import ssl
 import sys
 
 import uvicorn
@@ -35,6 +36,7 @@ def main() -> None:
     settings = read_settings(Settings)
     configure_logs(settings.log_level)
     _check_database(settings)
+    _check_certificate(settings)
     # A response needs the interpreter lock many times: threads that receive uploads have to release it sooner.
     sys.setswitchinterval(_SWITCH_S)
     app = create_app(settings)
@@ -46,6 +48,19 @@ def main() -> None:
         FastAPIInstrumentor.instrument_app(app, excluded_urls=_NOT_TRACED, exclude_spans=["receive", "send"])
     uvicorn.Server(server_config(app, settings)).run(sockets=None if fd is None else [socket.socket(fileno=fd)])
     tracing.stop()
+
+
+def _check_certificate(settings: Settings) -> None:
+    """Exit with a message if the certificate can't be used."""
+    if settings.certificate is None or settings.certificate_key is None:
+        return
+    try:
+        # A key with a password would be asked for at a terminal.
+        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        context.load_cert_chain(settings.certificate, settings.certificate_key, password=lambda: "")
+    except (OSError, ValueError):
+        names = "MULTICAP_CERTIFICATE and MULTICAP_CERTIFICATE_KEY"
+        sys.exit(f"error: {names} must name readable PEM files that belong together, the key without a password.")
 
 
 def _check_database(settings: Settings) -> None:

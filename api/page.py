@@ -10,8 +10,10 @@ from fastapi import APIRouter, FastAPI, Request
 from starlette.responses import FileResponse, Response
 from starlette.types import Scope
 
+from api.dependencies import ServicesDep
 from api.http.compression import CompressedFiles
 from api.http.middleware import SAFE_HEADERS
+from worker.jobs.errors import NotFound
 
 router = APIRouter(include_in_schema=False)
 
@@ -71,6 +73,15 @@ def get_phone_page() -> FileResponse:
 def get_docs() -> FileResponse:
     """Answer with Swagger UI, which shows the contract."""
     return FileResponse(_FOLDER / "docs.html", headers={**_REVALIDATED, "Content-Security-Policy": _DOCS_POLICY})
+
+
+@router.get("/certificate")
+def get_certificate(services: ServicesDep) -> FileResponse:
+    """Answer with the certificate of the service's own authority, which phones install to trust the service."""
+    path = services.settings.certificate_authority
+    if path is None or not path.is_file():
+        raise NotFound("The service has no authority of its own.")
+    return FileResponse(path, media_type="application/x-x509-ca-cert", filename="multicap-authority.crt")
 
 
 @router.get("/openapi.json")

@@ -44,6 +44,18 @@ class Settings(StorageSettings):
         description="Allow a listening address beyond loopback without keys. Only for services that other machines "
         "can't reach, such as a container whose port is published on loopback.",
     )
+    certificate: Path | None = Field(
+        default=None,
+        description="File of the certificate in PEM, with those between it and its authority, for a service that "
+        "encrypts by itself; without it a proxy does.",
+    )
+    certificate_key: Path | None = Field(
+        default=None, validate_default=True, description="File of the certificate's private key in PEM."
+    )
+    certificate_authority: Path | None = Field(
+        default=None,
+        description="File of the certificate of the service's own authority in PEM, which phones get at /certificate.",
+    )
     allowed_hosts: frozenset[str] = Field(
         default=frozenset(),
         description="Host names, besides localhost, by which clients may call the service, as a JSON list.",
@@ -291,6 +303,13 @@ class Settings(StorageSettings):
         description="Longest time in which a phone of a recording sends nothing, or a phone or host takes nothing of "
         "what waits.",
     )
+
+    @field_validator("certificate_key")
+    @classmethod
+    def _require_certificate(cls, key: Path | None, given: ValidationInfo) -> Path | None:
+        if (key is None) != (given.data.get("certificate") is None):
+            raise ValueError("a certificate and its key belong together: set both or neither")
+        return key
 
     @field_validator("shared_uploads")
     @classmethod

@@ -58,6 +58,8 @@ def server_config(app: FastAPI, settings: Settings) -> Config:
             settings.max_live_message_bytes, settings.max_recording_message_bytes, settings.max_thumbnail_bytes
         ),
         ws_per_message_deflate=False,
+        ssl_certfile=settings.certificate,
+        ssl_keyfile=None if settings.certificate_key is None else str(settings.certificate_key),
         proxy_headers=bool(proxies),
         forwarded_allow_ips=[str(network) for network in proxies],
         access_log=False,

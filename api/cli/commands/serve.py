@@ -12,6 +12,7 @@ import typer
 from rich.text import Text
 
 from api.app import ExposedError, require_keys_if_exposed
+from api.cli.certificates import CertificateError, Encryption, given_encryption, own_encryption
 from api.cli.console import console, refusal, reporting
 from api.cli.options import ProviderOption, take_provider
 from api.cli.served import READY
@@ -33,6 +34,7 @@ _POLL_S = 0.2
 _QUIET_S = 2.0
 _EXPLAIN_EVERY_S = 5.0
 
+_ALL_ADDRESSES = "0.0.0.0"  # noqa: S104 - with keys alone
 # Addresses by which this machine reaches a service that listens on all addresses.
 _LOOPBACK_OF = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - a table of names
 
@@ -47,28 +49,36 @@ def _listen(host: str, port: int) -> socket.socket:
         raise refusal(sentence) from error
 
 
-def _url(host: str, port: int) -> str:
+def _url(host: str, port: int, scheme: str) -> str:
     """Address by which this machine reaches the service."""
     name = _LOOPBACK_OF.get(host, host)
-    return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
+    return f"{scheme}://[{name}]:{port}" if ":" in name else f"{scheme}://{name}:{port}"
 
 
-def _api(directory: embedded.DataDirectory, host: str, listening: socket.socket) -> Program:
-    fd = listening.fileno()
+def _api(
+    directory: embedded.DataDirectory, settings: Settings, listening: socket.socket, encryption: Encryption | None
+) -> Program:
+    fd, port = listening.fileno(), listening.getsockname()[1]
     command = module_command("api", "--fd", str(fd))
-    return Program("api", command, directory.environment() | {"MULTICAP_HOST": host}, pass_fds=[fd])
+    environment = directory.environment() | {"MULTICAP_HOST": settings.host}
+    if encryption is not None:
+        environment |= encryption.environment(port, sorted(settings.allowed_hosts), settings.public_url)
+    return Program("api", command, environment, pass_fds=[fd])
 
 
-def _announce(url: str) -> None:
+def _announce(url: str, encryption: Encryption | None, public_url: str | None) -> None:
     """Print the address as soon as the service is ready; until then, explain every few seconds what is missing."""
     explain_at_s, explained = time.monotonic() + _QUIET_S, ""
-    with httpx2.Client(base_url=url, timeout=5.0, trust_env=False) as client:
+    trusted = True if encryption is None else encryption.client_context()
+    with httpx2.Client(base_url=url, timeout=5.0, trust_env=False, verify=trusted) as client:
         while (missing := _missing(client)) != "":
             if missing not in {None, explained} and time.monotonic() >= explain_at_s:
                 console.print(missing, markup=False, highlight=False, soft_wrap=True)
                 explain_at_s, explained = time.monotonic() + _EXPLAIN_EVERY_S, missing
             time.sleep(_POLL_S)
     typer.echo(f"{READY}{url}")
+    if public_url is not None:
+        console.print(f"Phones open {public_url}.", markup=False, highlight=False, soft_wrap=True)
     console.print("Ctrl-C stops it.")
 
 
@@ -87,7 +97,13 @@ def _missing(client: httpx2.Client) -> str | None:
 
 def command(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for a free one.")] = 8000,
-    host: Annotated[str, typer.Option(help="Address to listen on; without keys only loopback.")] = "127.0.0.1",
+    host: Annotated[
+        str | None,
+        typer.Option(
+            help="Address to listen on; without keys only loopback. Default: 127.0.0.1, with --https all addresses.",
+            show_default=False,
+        ),
+    ] = None,
     data: Annotated[Path | None, typer.Option(help="Data folder of the service; created if it is missing.")] = None,
     workers: Annotated[
         int | None,
@@ -98,9 +114,23 @@ def command(
         ),
     ] = None,
     provider: ProviderOption = None,
+    https: Annotated[
+        bool,
+        typer.Option("--https", help="Encrypt by a certificate of the service's own: phones need it for cameras."),
+    ] = False,
+    certificate: Annotated[
+        Path | None, typer.Option(help="Certificate of your own in PEM, in place of the service's; with its key.")
+    ] = None,
+    certificate_key: Annotated[
+        Path | None, typer.Option(help="Private key of --certificate in PEM, without a password.")
+    ] = None,
 ) -> None:
     """Run the service on this machine: web API, workers, broker and database, until Ctrl-C."""
-    settings = Settings(host=host) if data is None else Settings(host=host, data_dir=data)
+    if (certificate is None) != (certificate_key is None):
+        raise refusal("A certificate and its key belong together: give --certificate and --certificate-key.")
+    is_encrypted = https or certificate is not None
+    listening_host = host or (_ALL_ADDRESSES if is_encrypted else "127.0.0.1")
+    settings = Settings(host=listening_host) if data is None else Settings(host=listening_host, data_dir=data)
     keep_files_private()
     raise_descriptor_limit()
     with reporting(as_json=False):
@@ -113,8 +143,13 @@ def command(
                 require_keys_if_exposed(settings, store)
                 remove_killed(store.workers)
                 default_workers = _default_workers(store.keys)
-            _serve(settings, directory, port, workers or default_workers)
-    except (embedded.DataFolderError, ExposedError) as error:
+            encryption = None
+            if certificate is not None and certificate_key is not None:
+                encryption = given_encryption(certificate, certificate_key)
+            elif https:
+                encryption = own_encryption(settings.data_dir)
+            _serve(settings, directory, port, workers or default_workers, encryption)
+    except (embedded.DataFolderError, ExposedError, CertificateError) as error:
         raise refusal(str(error)) from error
     console.print("Stopped.")
 
@@ -124,15 +159,19 @@ def _default_workers(keys: Keys) -> int:
     return (os.cpu_count() or 1) + (keys.count_tenants() > 1)
 
 
-def _serve(settings: Settings, directory: embedded.DataDirectory, port: int, workers: int) -> None:
+def _serve(
+    settings: Settings, directory: embedded.DataDirectory, port: int, workers: int, encryption: Encryption | None
+) -> None:
     with _listen(settings.host, port) as listening:
-        url = _url(settings.host, listening.getsockname()[1])
-        threading.Thread(target=_announce, args=[url], daemon=True).start()
+        api = _api(directory, settings, listening, encryption)
+        url = _url(settings.host, listening.getsockname()[1], "http" if encryption is None else "https")
+        public_url = None if encryption is None else api.env["MULTICAP_PUBLIC_URL"]
+        threading.Thread(target=_announce, args=[url, encryption, public_url], daemon=True).start()
         programs = [
             embedded.broker(directory),
             embedded.worker(directory, workers),
             embedded.reaper(directory),
-            _api(directory, settings.host, listening),
+            api,
         ]
         Supervisor(programs, directory.logs_dir, _warn).run()
 
