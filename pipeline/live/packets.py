@@ -5,7 +5,7 @@ of an instant is a head and a record of each person.
 """
 
 import struct
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 KEYPOINTS_MAGIC, INSTANT_MAGIC = b"MCK1", b"MCI1"
 """First bytes of packets; the digit is the version of the form."""
@@ -42,7 +42,7 @@ class KeypointsHead(NamedTuple):
         return _KEYPOINTS_HEAD.pack(KEYPOINTS_MAGIC, self.camera, self.num_people, self.num_points, 0, self.time_s)
 
     @classmethod
-    def decode(cls, packet: bytes) -> Self | None:
+    def decode(cls, packet: bytes) -> "KeypointsHead | None":
         """Head of a packet; ``None`` if it is no packet of keypoints, or its length is not the stated one."""
         if len(packet) < _KEYPOINTS_HEAD.size:
             return None
@@ -99,7 +99,7 @@ class InstantHead(NamedTuple):
         )
 
     @classmethod
-    def decode(cls, packet: bytes) -> Self:
+    def decode(cls, packet: bytes) -> "InstantHead":
         """Head of a packet; ``ValueError`` if it is no packet of an instant."""
         if len(packet) >= _INSTANT_HEAD.size:
             magic, num_people, num_joints, num_bones, _, time_s, lag_s, sequence, *dropped = _INSTANT_HEAD.unpack_from(

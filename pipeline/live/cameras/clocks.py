@@ -3,7 +3,7 @@
 All times are in seconds; those of this machine are of ``time.monotonic``.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 # Largest difference of the rates of two clocks: what quartz of cameras and computers has, with a margin.
 _DRIFT = 2e-4
@@ -13,6 +13,7 @@ _RESTART_S = 10.0
 _TOO_LATE_S, _CAUGHT_UP_S = 1.0, 0.1
 
 
+@runtime_checkable
 class CaptureClock(Protocol):
     """Clock of a stream."""
 

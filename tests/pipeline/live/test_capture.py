@@ -19,6 +19,7 @@ from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from tests.pipeline.conftest import body, detections_of
 from tests.pipeline.live.streams import play, sent_frames
+from tests.type_checker import of_wrong_types
 
 RATE_HZ = 25.0
 
@@ -189,6 +190,7 @@ def test_cameras_have_names_of_their_own(ring: tuple[Camera, ...]) -> None:
             LiveCapture(cameras, COCO_17, LiveSettings(RATE_HZ))
 
 
+@of_wrong_types
 @pytest.mark.parametrize(
     ("frame", "fields"),
     [

@@ -11,7 +11,7 @@ INSTANTS = np.arange(10, 240, 20)
 def test_pictures_judge_no_world_while_somebody_moves() -> None:
     rng = np.random.default_rng(0)
     # Three pairs of cameras locate the picture each time, and the person who comes late; once they locate nothing.
-    instants = [*np.repeat(np.arange(12), 3), *np.repeat(np.arange(4, 12), 3), 11]
+    instants = [*sorted(3 * list(range(12))), *sorted(3 * list(range(4, 12))), 11]
     nothing_m = np.full((1, 17, 3), np.nan)
     poses_m = np.concatenate(
         [np.repeat(poster(1)[INSTANTS], 3, axis=0), np.repeat(moving(2)[INSTANTS[4:]], 3, axis=0), nothing_m]

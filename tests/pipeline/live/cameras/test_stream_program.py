@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from pipeline.live.cameras.stream_program import StreamRequest, _Stream, _Taken
+from tests.type_checker import of_wrong_types
 
 TICK = Fraction(1, 1000)
 
@@ -31,6 +32,7 @@ class StampedPacket:
         return [] if self._before is None else [StampedFrame(self._before)]
 
 
+@of_wrong_types
 def test_a_frame_from_before_a_jump_is_not_waited_for() -> None:
     """The camera counts anew from 0; the last frame from before would be due in a day."""
     stamps = [86_400_000, 86_400_040, 0, 40, 80]
