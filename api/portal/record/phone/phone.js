@@ -78,7 +78,7 @@ export class PhoneCamera extends EventTarget {
   /** Join the recording, first without a camera: what is on the phone is sent. */
   async join() {
     keepIdentity(this.identity);
-    await navigator.storage.persist?.().catch(() => null);
+    navigator.storage.persist?.().catch(() => null); // some browsers ask their user, who need not answer
     await this.#readParts();
     this.room = new RoomConnection(this.identity.recording, this.identity.secret);
     this.room.addEventListener("open", () => this.#hello());
