@@ -17,7 +17,7 @@ export function joinPart(recording) {
   return html`<section class="panel record-join" aria-labelledby="join-title"><h2 id="join-title">Phones join by this code</h2>
     ${join ? html`<img class="record-code" alt="QR code of the link" src=${`data:image/svg+xml,${encodeURIComponent(join.qr_svg)}`}>
       <a class="record-link" href=${join.url} target="_blank" rel="noopener">${join.url}</a>
-      ${isOfThisMachine(join.url) ? html`<p class="notice" role="status">Only this machine can open this address. Open this page by the address of the machine in the network, which has to begin with https.</p>` : nothing}
+      ${isOfThisMachine(join.url) ? html`<p class="notice" role="status">Only this machine can open this address. Start the service with <code>multicap serve --https</code>, and open this page by the address that it prints.</p>` : nothing}
       <p class="quiet">It opens this recording alone, until ${moment(join.expires_at)}. Whoever has it can join.</p>`
     : html`<p class="quiet">The link is shown once, in the browser that made the recording.</p>`}
     <div class="actions"><button type="button" class="button small" @click=${renew}>New link</button></div></section>`;
