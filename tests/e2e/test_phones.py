@@ -238,8 +238,9 @@ def test_from_the_link_to_a_bvh_by_clicks_alone(
         return
     # The files began at different moments: what the clocks tell is wrong by that, and motion tells it.
     phases = phases_of(offsets_s, videos_of(served, used["session_id"], tmp_path))
-    apart = [(phase - phases["cam_0"] + PERIOD / 2) % PERIOD - PERIOD / 2 for phase in phases.values()]
-    assert max(abs(error) for error in apart) <= 0.25, apart
+    apart = {name: (phase - phases["cam_0"] + PERIOD / 2) % PERIOD - PERIOD / 2 for name, phase in phases.items()}
+    apart[cameras[SLOW][0]] /= 2  # in its own frames
+    assert max(abs(error) for error in apart.values()) <= 0.25, apart
 
 
 @pytest.mark.slow
