@@ -118,7 +118,7 @@ def test_parts_of_a_form(live: Live) -> None:
         ),
         ("/manifest/cameras/0/offset_s", "wrong_type"): "cameras[0].offset_s must be a number from -86400 to 86400.",
         ("/manifest/cameras/1", "wrong_type"): (
-            "cameras[1] must be an object with some of the fields name, file, more_files, offset_s, rate."
+            "cameras[1] must be an object with some of the fields name, file, more_files, offset_s, offset_std_s, rate."
         ),
         ("/manifest/units", "value_not_allowed"): "units must be one of m, cm, mm, or null.",
         ("/manifest/name", "control_characters"): "Control characters are not allowed.",
