@@ -54,6 +54,11 @@ def num_files(state: dict[str, Any]) -> list[int]:
     return [len(clip["files"]) for take in state["recording"]["takes"][:1] for clip in take["clips"]]
 
 
+def uploads_of(state: dict[str, Any]) -> list[str]:
+    """Ids of the uploads of the first take, by clip."""
+    return [file["upload_id"] for clip in state["recording"]["takes"][0]["clips"] for file in clip["files"]]
+
+
 def calibration_of(studio: Live) -> str:
     files = [("calibration", ("calibration.toml", b"[cam_0]"))]
     answer = studio.client.post("/v1/calibrations/from-files", files=files)
@@ -167,9 +172,8 @@ def test_what_is_missing_is_named(studio: Live) -> None:
             ("upload_unfinished", "Left"),
             ("upload_unknown", "Right"),
         ]
-        left.record(1, start["at_server_s"])
-        right.record(1, start["at_server_s"], b"WRONG")
-        host.state(lambda state: all(clip["stopped"] for clip in state["recording"]["takes"][0]["clips"]))
+        uploads = [left.record(1, start["at_server_s"]), right.record(1, start["at_server_s"], b"WRONG")]
+        host.state(lambda state: uploads_of(state) == uploads)
         problem = problem_of(studio.client.post(address, json=spec), 422, "invalid_request")
         assert [(item["code"], item["pointer"]) for item in problem["errors"]] == [("video_unreadable", None)]
         problem = problem_of(studio.client.post(address, json={"calibration_id": recording.id}), 422, "invalid_request")
