@@ -12,12 +12,16 @@ def cookie_name(connection: HTTPConnection) -> str:
     Over TLS the prefix makes browsers refuse a cookie that another host of the domain has set, or that came over an
     unencrypted connection; without TLS they refuse the prefix.
     """
-    return f"__Host-{NAME}" if connection.url.scheme == "https" else NAME
+    return f"__Host-{NAME}" if _is_encrypted(connection) else NAME
+
+
+def _is_encrypted(connection: HTTPConnection) -> bool:
+    return connection.url.scheme in {"https", "wss"}
 
 
 def set_cookie(connection: HTTPConnection, response: Response, secret: str, lifetime_s: int) -> None:
     """Let a browser keep the secret of its session."""
-    is_secure = connection.url.scheme == "https"
+    is_secure = _is_encrypted(connection)
     response.set_cookie(
         cookie_name(connection), secret, max_age=lifetime_s, httponly=True, samesite="strict", secure=is_secure
     )
@@ -27,7 +31,7 @@ def set_cookie(connection: HTTPConnection, response: Response, secret: str, life
 
 def delete_cookie(connection: HTTPConnection, response: Response) -> None:
     """Let a browser forget its session."""
-    is_secure = connection.url.scheme == "https"
+    is_secure = _is_encrypted(connection)
     for name in sorted({cookie_name(connection), NAME}):
         response.delete_cookie(name, httponly=True, samesite="strict", secure=is_secure)
 

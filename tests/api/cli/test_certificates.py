@@ -167,3 +167,9 @@ def test_browsers_get_secure_cookies(make_settings: Callable[..., Settings], tmp
         cookie = answer.headers["set-cookie"]
         assert cookie.startswith("__Host-")
         assert "Secure" in cookie
+        # The page's own WebSockets bring the cookie, and no key.
+        opened = client.post("/v1/recordings", json={}, headers={"Origin": f"https://localhost:{port}"}).json()
+        address = f"wss://localhost:{port}/v1/recordings/{opened['id']}/connect"
+        page = {"Cookie": cookie.partition(";")[0], "Origin": f"https://localhost:{port}"}
+        with websockets.sync.client.connect(address, ssl=trusting, additional_headers=page, open_timeout=60) as host:
+            assert json.loads(host.recv(30.0))["type"] == "state"
