@@ -309,7 +309,7 @@ def _find_uploader(
     number = services.store.recordings.phone_number(recording_id, multicap_phone)
     phone = UploadingPhone(recording_id, number, settings.max_recording_uploads, settings.max_recording_bytes)
     request.state.caller = replace(caller, phone=phone)
-    return replace(caller, phone=phone)
+    return request.state.caller
 
 
 async def _uploader_in_turn(

@@ -85,7 +85,7 @@ class PhoneSending(_Received):
 
 
 class PhoneStatus(_Received):
-    """What a phone says of itself every second or so."""
+    """State of a phone, as it says every second or so."""
 
     type: Literal["status"]
     state: Literal["idle", "ready", "recording", "stopping", "sending", "hidden", "failed"] = Field(
@@ -291,7 +291,7 @@ class EndedOut(ResponseModel):
 
 
 class LivePhoneOut(ResponseModel):
-    """What is known of a phone at the moment."""
+    """Phone as it is at the moment."""
 
     number: int
     is_connected: bool

@@ -51,7 +51,7 @@ _CHANGES_PER_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """What a phone was told of a take."""
+    """Messages about a take that a phone was sent."""
 
     is_stopped: bool
     is_upload_wanted: bool

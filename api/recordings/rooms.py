@@ -37,7 +37,7 @@ class RecordingOver(Exception):  # noqa: N818 - an end, no error
 
 @dataclass(slots=True)
 class LivePhone:
-    """What is known of a phone at the moment."""
+    """Phone as it is at the moment."""
 
     is_connected: bool = False
     status: dict[str, Any] | None = None
@@ -80,7 +80,7 @@ class Room:
 
     @property
     def is_relay_away(self) -> bool:
-        """Whether messages to and from other processes get lost at the moment."""
+        """Return whether messages to and from other processes get lost at the moment."""
         return self._relay.is_away
 
     def update(self, recording: RecordingSession) -> None:

@@ -136,7 +136,7 @@ class ClipFileOut(ResponseModel):
 
 
 class ClipOut(ResponseModel):
-    """What a phone recorded of a take."""
+    """Clip of a take by one phone."""
 
     phone: int = Field(description="Number of the phone.")
     started: dict[str, Any] | None = Field(description="Message `started` of the phone; null: it sent none.")

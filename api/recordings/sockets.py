@@ -94,7 +94,7 @@ async def _phone(websocket: WebSocket, services: Services, recording_id: str, se
         with room.phone_connected(number, about) as side:
             phone = PhoneConnection(websocket, room, records, settings, number, metrics)
             await phone.welcome()
-            # What has changed while the welcome was on its way.
+            # Changes while the welcome was on its way.
             side.wake.set()
             await _until_first(phone.receive(intake), phone.send(side), _watch(services, caller, room))
 

@@ -190,7 +190,7 @@ def test_clips_of_phones_become_a_capture_with_their_times(
         take.get_by_role("button", name="Reconstruct Twice").click()
         take.get_by_role("form", name="Reconstruct Twice").get_by_role("button", name="Reconstruct", exact=True).click()
         expect(take.locator(".record-job .state")).to_be_visible(timeout=PATIENT_MS)
-        # What became a capture is no longer on the phone.
+        # Clips that became a capture are no longer on the phone.
         expect(joined[0].page.get_by_role("list", name="On this phone")).to_have_count(0)
         calibrate_and_rename(host, joined[1].page)
         used, walked = recording_of(served, host)["takes"]

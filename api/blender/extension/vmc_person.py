@@ -45,7 +45,7 @@ class VmcPerson:
         self._turns: dict[str, Quat] = {}
         self._root: tuple[Vec, Quat] = (0.0, 0.0, 0.0), NO_TURN
         self.is_new = False
-        """Whether bones have come since the last pose."""
+        """Return whether bones have come since the last pose."""
 
     def take(self, packet: bytes) -> bool:
         """Take a packet; return whether it is OSC. Messages of other programs and wrong numbers are passed over."""
@@ -72,7 +72,7 @@ class VmcPerson:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all bones have come that an armature needs."""
+        """Return whether all bones have come that an armature needs."""
         return all(joint in self._turns for joint in (HIPS, *REQUIRED))
 
     def rest(self) -> PersonMotion:
@@ -96,7 +96,7 @@ class VmcPerson:
 
 
 def is_same_person(first: PersonMotion, second: PersonMotion) -> bool:
-    """Whether two skeletons have bones of the same lengths."""
+    """Return whether two skeletons have bones of the same lengths."""
     return all(
         abs(a - b) <= _SAME_M
         for joint, offset_m in first.offsets_m.items()

@@ -25,7 +25,7 @@ _MOST, _FEWEST = 2000, 5
 
 
 def is_body_25b(people: Iterable[People]) -> bool:
-    """Whether people of 25 points, as BODY_25 orders them, are in the order of BODY_25B; by the median of many."""
+    """Return whether people of 25 points are in the order of BODY_25B, not of BODY_25; by the median of many."""
     off = list(_off(people))
     if len(off) < _FEWEST:
         return False

@@ -176,7 +176,7 @@ def test_phones_are_renamed_and_removed(recording: OpenedRecording) -> None:
         host.send("rename", phone=1, name="Right")
         assert host.next("problem")["code"] == "conflict"
         right.send("rename", name="Window")
-        host.state(lambda state: [one["name"] for one in state["recording"]["phones"]] == ["Door", "Window"])
+        host.state(lambda state: [phone["name"] for phone in state["recording"]["phones"]] == ["Door", "Window"])
         assert right.next("rename")["name"] == "Window"
         host.send("remove", phone=2)
         assert right.ended() == "removed"

@@ -65,7 +65,7 @@ def test_hosts_and_phones_of_two_processes_see_each_other(make_settings: Callabl
         first.phone("Here") as here,
         second.phone("There") as there,
     ):
-        state = host.state(lambda state: [one["is_connected"] for one in state["live"]] == [True, True])
+        state = host.state(lambda state: [phone["is_connected"] for phone in state["live"]] == [True, True])
         assert state["relay"] == "ok"
         there.send("status", state="ready", battery=0.25)
         host.state(lambda state: (state["live"][1]["status"] or {}).get("battery") == 0.25)

@@ -42,7 +42,7 @@ class ClipFile:
 
 @dataclass(frozen=True, slots=True)
 class TakeClip:
-    """What a phone recorded of a take."""
+    """Clip of a take by one phone."""
 
     phone: int
     started: Mapping[str, Any] | None  # What the phone said when it began; ``None``: nothing
@@ -74,7 +74,7 @@ class RecordingTake:
 
     @property
     def is_used(self) -> bool:
-        """Whether its uploads became files of a session."""
+        """Return whether its uploads became files of a session."""
         return self.session_id is not None or self.calibration_id is not None
 
     def state(self, now_s: float) -> TakeState:

@@ -116,7 +116,7 @@ class Recordings:
         with self._access.reading() as connection:
             return {row.id: row.revision for row in connection.execute(query)}
 
-    # What the host does.
+    # Changes by the host.
 
     def start_take(
         self, recording_id: str, name: str | None, settings: Mapping[str, Any], start_s: float, limits: RecordingLimits
@@ -219,7 +219,7 @@ class Recordings:
                 raise NotFound("The recording has no such phone.")
             return self._change_phone(connection, recording_id, phone, {"removed_at": now()})
 
-    # What phones do.
+    # Changes by phones.
 
     def join(
         self, recording_id: str, phone_id: str, name: str | None, device: str, limits: RecordingLimits

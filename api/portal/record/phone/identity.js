@@ -1,4 +1,4 @@
-// Who this phone is: the link that it was opened by, a secret of its own for each recording, and its name.
+// Identity of this phone: the link that it was opened by, a secret of its own for each recording, and its name.
 
 const KEY = "multicap.phone";
 const MAX_KEPT = 20;

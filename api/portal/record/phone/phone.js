@@ -168,7 +168,7 @@ export class PhoneCamera extends EventTarget {
       else if (own.length) {
         if (this.recorder?.take === take.number) await this.#stop(take.number, take.stop_s);
         this.#tellStopped(take.number);
-        // What was sent while the connection was lost.
+        // Messages that were sent while the connection was lost.
         for (const part of own) if (part.uploadId !== null && !take.parts.includes(part.part)) this.#tellSent(part, part.uploadId);
         if (take.is_upload_wanted) this.#wanted(take.number);
       }

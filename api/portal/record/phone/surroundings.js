@@ -1,4 +1,4 @@
-// What the phone has left: its battery, its storage, and a screen that stays on.
+// Reserves of the phone: its battery, its storage, and a screen that stays on.
 
 /** Charge of the battery, where the browser tells of it. */
 export async function readBattery() {
