@@ -3,6 +3,7 @@
 import datetime
 import ipaddress
 import json
+import os
 import socket
 import ssl
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,13 +11,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
-import trustme
 from cryptography import x509
 
+from api.cli.certificate_authority import (
+    general_name,
+    is_limited,
+    is_trusted,
+    new_authority,
+    pem_of_certificate,
+    pem_of_key,
+)
+
 _FOLDER = "certificates"
-# Browsers of phones refuse certificates that are valid for longer than 825 days; a new one is made at each start.
-_VALID_DAYS = 397
-_AUTHORITY = "Multicap on"
+_AUTHORITY, _CERTIFICATE, _KEY = "authority.pem", "certificate.pem", "certificate-key.pem"
+# A certificate is replaced at the first start within this time before its end.
+_RENEWED_BEFORE = datetime.timedelta(days=30)
 # An address for documentation: a socket that is connected to it by UDP sends nothing, and tells the way out.
 _ELSEWHERE = ("192.0.2.1", 9)
 
@@ -33,6 +42,7 @@ class Encryption:
     key: Path
     authority: Path | None  # Certificate of the authority, for phones; ``None`` of a given certificate
     names: tuple[str, ...]  # Host names and addresses; the first one is for phones
+    has_replaced: bool = False  # Whether phones that trusted an earlier authority have to trust this one again
 
     def environment(self, port: int, allowed_hosts: Sequence[str], public_url: str | None) -> Mapping[str, str]:
         """Settings of the web API: the files, and addresses by which it may be called."""
@@ -55,31 +65,57 @@ class Encryption:
 
 
 def own_encryption(data_dir: Path) -> Encryption:
-    """Certificate for the names and addresses of this machine, by the authority of a data folder.
+    """Certificate for the names and addresses of this machine, by an authority for it in a data folder.
 
-    The authority is made at the first time and kept: phones that trust it need no change when the service starts again
-    or the machine gets another address.
+    The key of the authority is never stored: what phones trust has signed this certificate, and can sign nothing else.
+    Both are kept until shortly before their end, unless the machine has another name or another address in the network
+    of its phones.
     """
     folder = data_dir / _FOLDER
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    authority, authority_key = folder / "authority.pem", folder / "authority-key.pem"
     try:
-        if authority.exists() and authority_key.exists():
-            issuer = trustme.CA.from_pem(authority.read_bytes(), authority_key.read_bytes())
-        else:
-            issuer = trustme.CA(organization_name="Multicap", organization_unit_name=f"{_AUTHORITY} {_host_name()}")
-            issuer.private_key_pem.write_to_path(str(authority_key))
-            issuer.cert_pem.write_to_path(str(authority))
-        names = tuple(machine_names())
-        until = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=_VALID_DAYS)
-        issued = issuer.issue_cert(*names, organization_name="Multicap", not_after=until)
-    except (ValueError, OSError) as error:
-        message = f"The certificates in {folder} can't be used. Remove the folder: phones then trust another authority."
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        is_there = any((folder / name).exists() for name in (_AUTHORITY, _CERTIFICATE, _KEY))
+        if not is_there or (kept := _kept(folder)) is None:
+            return _new(folder, has_replaced=is_there)
+    except OSError as error:
+        message = f"The certificates in {folder} can't be read or written: {error.strerror}. Check its owner and mode."
         raise CertificateError(message) from error
-    certificate, key = folder / "certificate.pem", folder / "certificate-key.pem"
-    issued.private_key_pem.write_to_path(str(key))
-    certificate.write_bytes(b"".join(pem.bytes() for pem in issued.cert_chain_pems))
-    return Encryption(certificate, key, authority, names)
+    return kept
+
+
+def _kept(folder: Path) -> Encryption | None:
+    """Certificate in a folder; ``None`` if it is damaged, ends soon, or lacks what phones and this machine call."""
+    certificate, key, authority = folder / _CERTIFICATE, folder / _KEY, folder / _AUTHORITY
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate, key, password=_no_password)
+        found, issuer = (x509.load_pem_x509_certificate(path.read_bytes()) for path in (certificate, authority))
+        certified = set(_names_of(found))
+    except (ssl.SSLError, FileNotFoundError, ValueError):
+        return None
+    names, until = list(machine_names()), datetime.datetime.now(datetime.UTC) + _RENEWED_BEFORE
+    needed = [names[0], *(name for name in names if isinstance(general_name(name), x509.DNSName))]
+    if not is_limited(issuer) or not all(is_trusted(found, issuer, name, until) for name in needed):
+        return None
+    return Encryption(certificate, key, authority, tuple(name for name in names if name in certified))
+
+
+def _new(folder: Path, *, has_replaced: bool) -> Encryption:
+    """Write a new authority's certificate, and one for this machine by it, with its key."""
+    names, now = tuple(machine_names()), datetime.datetime.now(datetime.UTC)
+    authority = new_authority(_host_name() or "a machine", names, now)
+    signed, key = authority.sign(names)
+    contents = {
+        _KEY: (pem_of_key(key), 0o600),
+        _CERTIFICATE: (pem_of_certificate(signed), 0o644),
+        _AUTHORITY: (pem_of_certificate(authority.certificate), 0o644),
+    }
+    for name, (content, mode) in contents.items():
+        part = folder / f"{name}.part"
+        part.unlink(missing_ok=True)
+        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            file.write(content)
+        part.replace(folder / name)
+    return Encryption(folder / _CERTIFICATE, folder / _KEY, folder / _AUTHORITY, names, has_replaced)
 
 
 def given_encryption(certificate: Path, key: Path) -> Encryption:
@@ -100,9 +136,14 @@ def given_encryption(certificate: Path, key: Path) -> Encryption:
 
 
 def machine_names() -> Iterator[str]:
-    """Addresses and names of this machine, that of the way to its network first, without doubles."""
-    found = [*_way_out(), *_addresses(), _host_name(), f"{_host_name()}.local", "localhost", "127.0.0.1", "::1"]
-    yield from dict.fromkeys(name for name in found if name)
+    """Addresses and names of this machine, that of the way to its network first, without doubles.
+
+    Addresses of IPv6 change by themselves and are left out. So is the bare name of the machine: an authority for the
+    name `dev` would be one for a whole top-level domain.
+    """
+    host = _host_name()
+    local = [f"{host}.local"] if host else []
+    yield from dict.fromkeys([*_way_out(), *_addresses(), *local, "localhost", "127.0.0.1", "::1"])
 
 
 def _way_out() -> Iterator[str]:
@@ -115,14 +156,14 @@ def _way_out() -> Iterator[str]:
 
 
 def _addresses() -> Iterator[str]:
-    """Addresses of this machine that others may reach, of IPv4 first."""
+    """Addresses of this machine by IPv4 that others may reach."""
     found = [
-        ipaddress.ip_address(address.address)
+        ipaddress.IPv4Address(address.address)
         for addresses in psutil.net_if_addrs().values()
         for address in addresses
-        if address.family in {socket.AF_INET, socket.AF_INET6} and "%" not in address.address
+        if address.family == socket.AF_INET
     ]
-    yield from (str(address) for address in sorted(found, key=lambda one: one.version) if not address.is_loopback)
+    yield from (str(address) for address in sorted(found) if not address.is_loopback)
 
 
 def _host_name() -> str:

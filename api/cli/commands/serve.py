@@ -77,6 +77,8 @@ def _announce(url: str, encryption: Encryption | None, public_url: str | None) -
                 explain_at_s, explained = time.monotonic() + _EXPLAIN_EVERY_S, missing
             time.sleep(_POLL_S)
     typer.echo(f"{READY}{url}")
+    if encryption is not None and encryption.has_replaced:
+        console.print("The certificate is new. Phones that trusted the earlier one ask again.", highlight=False)
     if public_url is not None:
         console.print(f"Phones open {public_url}.", markup=False, highlight=False, soft_wrap=True)
     console.print("Ctrl-C stops it.")

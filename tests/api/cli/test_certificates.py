@@ -9,68 +9,175 @@ import stat
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import httpx2
 import pytest
-import trustme
 import uvicorn
 import websockets.sync.client
 from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from typer.testing import CliRunner
 
 from api.app import create_app
+from api.cli import certificates as module
+from api.cli.certificate_authority import (
+    VALID_DAYS,
+    is_trusted,
+    new_authority,
+    pem_of_certificate,
+    pem_of_key,
+)
 from api.cli.certificates import CertificateError, Encryption, given_encryption, machine_names, own_encryption
 from api.cli.main import app
 from api.http.server import server_config
 from api.settings import Settings
 from tests.api.conftest import Live, problem_of
+from tests.waiting import wait_for
 from worker.jobs.model.rights import Scope
 from worker.jobs.store import JobStore
 
 runner = CliRunner()
 
 
+NAMES = ("192.168.1.20", "studio.local", "localhost", "127.0.0.1", "::1")
+FOREIGN = ("bank.example", "192.168.1.21", "fd00::1", "studio", "other.local", "local", "example.localdomain")
+
+
 def certificate_of(encryption: Encryption) -> x509.Certificate:
     return x509.load_pem_x509_certificate(encryption.certificate.read_bytes())
 
 
-def test_the_authority_stays_and_certificates_are_new(tmp_path: Path) -> None:
+def authority_of(encryption: Encryption) -> x509.Certificate:
+    assert encryption.authority is not None
+    return x509.load_pem_x509_certificate(encryption.authority.read_bytes())
+
+
+def shake_hands(client: ssl.SSLContext, certificate: Path, key: Path, name: str) -> None:
+    """Greet a server by TLS that has a certificate, without a network; raises what the client refuses."""
+    server = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    server.load_cert_chain(certificate, key)
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = [
+        client.wrap_bio(to_client, to_server, server_hostname=name),
+        server.wrap_bio(to_server, to_client, server_side=True),
+    ]
+    while ends:
+        for end in list(ends):
+            with contextlib.suppress(ssl.SSLWantReadError):
+                end.do_handshake()
+                ends.remove(end)
+
+
+def test_an_authority_signs_for_the_names_of_its_machine_alone(tmp_path: Path) -> None:
+    now = datetime.datetime.now(datetime.UTC)
+    authority = new_authority("studio", [*NAMES, "dev"], now)
+    root = tmp_path / "authority.pem"
+    root.write_bytes(pem_of_certificate(authority.certificate))
+    client = ssl.create_default_context(cafile=str(root))
+    for name in (*NAMES, *FOREIGN, "dev", "a.dev"):
+        signed, key = authority.sign([name])
+        (tmp_path / "certificate.pem").write_bytes(pem_of_certificate(signed))
+        (tmp_path / "key.pem").write_bytes(pem_of_key(key))
+        assert is_trusted(signed, authority.certificate, name, now) == (name in NAMES), name
+        refused = contextlib.nullcontext() if name in NAMES else pytest.raises(ssl.SSLCertVerificationError)
+        with refused:
+            shake_hands(client, tmp_path / "certificate.pem", tmp_path / "key.pem", name)
+    # A foreign name beside an own one makes the whole certificate worthless.
+    signed, _ = authority.sign(["localhost", "bank.example"])
+    assert not is_trusted(signed, authority.certificate, "localhost", now)
+
+
+def test_an_authority_signs_servers_alone_and_none_below_it() -> None:
+    found = new_authority("studio", NAMES, datetime.datetime.now(datetime.UTC)).certificate.extensions
+    constraints = found.get_extension_for_class(x509.NameConstraints)
+    assert constraints.critical
+    assert constraints.value.permitted_subtrees is not None
+    assert {str(name.value).partition("/")[0] for name in constraints.value.permitted_subtrees} == set(NAMES)
+    basic = found.get_extension_for_class(x509.BasicConstraints)
+    assert (basic.critical, basic.value.ca, basic.value.path_length) == (True, True, 0)
+    usages = found.get_extension_for_class(x509.ExtendedKeyUsage).value
+    assert list(usages) == [x509.oid.ExtendedKeyUsageOID.SERVER_AUTH]
+
+
+def test_a_certificate_is_kept_and_the_key_of_its_authority_is_not(tmp_path: Path) -> None:
     first = own_encryption(tmp_path)
-    before = first.certificate.read_bytes()
-    assert first.authority is not None
-    authority = first.authority.read_bytes()
+    contents = {path.name: path.read_bytes() for path in (tmp_path / "certificates").iterdir()}
+    assert sorted(contents) == ["authority.pem", "certificate-key.pem", "certificate.pem"]
     second = own_encryption(tmp_path)
-    assert second.authority is not None
-    assert second.authority.read_bytes() == authority
-    assert second.certificate.read_bytes() != before
+    assert (second.names, second.has_replaced) == (first.names, False)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "certificates").iterdir()} == contents
     found = certificate_of(second)
-    found.verify_directly_issued_by(x509.load_pem_x509_certificate(authority))
-    valid = found.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
-    assert valid < datetime.timedelta(days=398)  # phones accept no longer ones
+    found.verify_directly_issued_by(authority_of(second))
+    key = load_pem_private_key(contents["certificate-key.pem"], None)
+    spki = (serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo)
+    assert key.public_key().public_bytes(*spki) == found.public_key().public_bytes(*spki)
+    assert key.public_key().public_bytes(*spki) != authority_of(second).public_key().public_bytes(*spki)
+    for certificate in (found, authority_of(second)):
+        valid = certificate.not_valid_after_utc - certificate.not_valid_before_utc
+        assert valid == datetime.timedelta(days=VALID_DAYS)
+    assert VALID_DAYS <= 825  # phones accept no longer ones
     names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert "localhost" in names.get_values_for_type(x509.DNSName)
     assert {"127.0.0.1", "::1"} <= {str(address) for address in names.get_values_for_type(x509.IPAddress)}
     assert set(second.names) == set(machine_names())
-    for name in ("authority-key.pem", "certificate-key.pem"):
-        assert "PRIVATE KEY" in (tmp_path / "certificates" / name).read_text()
+    assert stat.S_IMODE((tmp_path / "certificates" / "certificate-key.pem").stat().st_mode) == 0o600
     assert stat.S_IMODE((tmp_path / "certificates").stat().st_mode) == 0o700
 
 
-def test_a_damaged_authority_is_a_sentence(tmp_path: Path) -> None:
-    own_encryption(tmp_path)
-    (tmp_path / "certificates" / "authority-key.pem").write_text("damaged")
-    with pytest.raises(CertificateError, match="Remove the folder"):
+def test_another_address_or_name_or_the_end_makes_another_authority(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "machine_names", partial(iter, NAMES))
+    first = authority_of(own_encryption(tmp_path))
+    # An address beside the one of phones changes nothing.
+    more = (*NAMES[:1], "172.17.0.1", *NAMES[1:])
+    monkeypatch.setattr(module, "machine_names", partial(iter, more))
+    kept = own_encryption(tmp_path)
+    assert (authority_of(kept), kept.names, kept.has_replaced) == (first, NAMES, False)
+    before = first
+    for names in (("192.168.1.21", *NAMES[1:]), ("192.168.1.21", "other.local", *NAMES[2:])):
+        monkeypatch.setattr(module, "machine_names", partial(iter, names))
+        renewed = own_encryption(tmp_path)
+        assert authority_of(renewed) != before
+        assert (renewed.names, renewed.has_replaced) == (names, True)
+        before = authority_of(renewed)
+    monkeypatch.setattr(module, "_RENEWED_BEFORE", datetime.timedelta(days=VALID_DAYS))
+    assert own_encryption(tmp_path).has_replaced
+
+
+@pytest.mark.parametrize("name", ["authority.pem", "certificate.pem", "certificate-key.pem"])
+def test_damaged_and_missing_certificates_are_made_anew(tmp_path: Path, name: str) -> None:
+    file = tmp_path / "certificates" / name
+    for is_there in (True, False):
+        before = authority_of(own_encryption(tmp_path))
+        if is_there:
+            file.write_text("damaged")
+        else:
+            file.unlink()
+        renewed = own_encryption(tmp_path)
+        assert renewed.has_replaced
+        assert authority_of(renewed) != before
+
+
+def test_an_unusable_folder_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "certificates").write_text("a file")
+    with pytest.raises(CertificateError, match="Check its owner and mode"):
         own_encryption(tmp_path)
 
 
 @pytest.fixture
 def given(tmp_path: Path) -> tuple[Path, Path]:
     """Certificate of somebody's own, and its key."""
-    issued = trustme.CA().issue_cert("studio.example", "*.studio.example", "192.0.2.7")
+    names = ["studio.example", "192.0.2.7"]
+    signed, signing = new_authority("studio", names, datetime.datetime.now(datetime.UTC)).sign(
+        ["studio.example", "*.studio.example", "192.0.2.7"]
+    )
     certificate, key = tmp_path / "studio.pem", tmp_path / "studio-key.pem"
-    certificate.write_bytes(b"".join(pem.bytes() for pem in issued.cert_chain_pems))
-    issued.private_key_pem.write_to_path(str(key))
+    certificate.write_bytes(pem_of_certificate(signed))
+    key.write_bytes(pem_of_key(signing))
     return certificate, key
 
 
@@ -112,6 +219,8 @@ def encrypted(settings: Settings) -> Iterator[int]:
     try:
         yield server.servers[0].sockets[0].getsockname()[1]
     finally:
+        # uvicorn fails if a WebSocket is being closed when it stops.
+        wait_for(lambda: not server.server_state.connections, timeout_s=30.0)
         server.should_exit = True
         thread.join(120)
 
