@@ -16,6 +16,7 @@ from tests.worker.jobs.conftest import StoreBench, stages
 from worker.jobs.database.tables import metadata
 from worker.jobs.errors import KeyBusy, NewerDatabase
 from worker.jobs.model.jobs import JobProblem
+from worker.jobs.model.recordings import RecordingLimits, UploadingPhone
 from worker.jobs.model.rights import Scope
 from worker.jobs.repositories.idempotency_keys import KeyClaim
 
@@ -118,3 +119,17 @@ def test_a_schema_of_a_newer_version_is_refused_and_left_alone(jobs: StoreBench,
     with engine.begin() as connection:
         connection.execute(sa.text("UPDATE alembic_version SET version_num = :now"), {"now": REVISIONS[0]})
     jobs.store.migrate()
+
+
+def test_uploads_of_phones_stay_when_recordings_go(jobs: StoreBench, engine: sa.Engine) -> None:
+    records = jobs.store.of("studio")
+    recording, _ = records.recordings.add("Rehearsal", 3600.0)
+    limits = RecordingLimits(phones=2, takes=2, take_s=60.0)
+    records.recordings.join(recording.id, "the-secret-of-a-phone", "Phone", "Chrome", limits)
+    phone = UploadingPhone(recording.id, 1, 5, 100)
+    jobs.store.of("studio", phone=phone).uploads.add("upload", "a.webm", 5, "", 3600.0, "here")
+    migrate(engine, "downgrade", "0036")
+    migrate(engine, "upgrade", "head")
+    assert (records.recordings.page(), records.uploads.get("upload").num_bytes) == ([], 5)
+    again, _ = records.recordings.add("Rehearsal", 3600.0)
+    assert [found.id for found in records.recordings.page()] == [again.id]
