@@ -24,7 +24,7 @@ def describe_recordings() -> dict[str, Any]:
             address=_ADDRESS,
             received=PHONE_RECEIVED,
             sent=PHONE_SENT,
-            packed_received={"Thumbnail": "JPEG of the camera's picture."},
+            packed_received={"Thumbnail": "JPEG of the camera's picture, of at most 1,024 x 1,024 pixels."},
             security=("link",),
             parameters=_PARAMETERS,
         ),

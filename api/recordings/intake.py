@@ -1,5 +1,6 @@
 """RecordingIntake of messages: what phones and hosts send is checked here, before anything is done with it."""
 
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -24,7 +25,7 @@ from pipeline.problem_codes.recordings import (
 _Message = TypeVar("_Message")
 _NO_PLACES = FieldPlaces(lambda: ({}, {}))
 _MAX_SHOWN = 40
-_JPEG = b"\xff\xd8\xff"
+_MAX_THUMBNAIL_PX = 1024
 
 
 class RecordingIntake:
@@ -68,9 +69,21 @@ def parsed(content: str | bytes, adapter: TypeAdapter[_Message], models: Sequenc
 
 
 def require_jpeg(content: bytes) -> None:
-    """Raise ``SocketProblem`` for bytes that are no JPEG."""
-    if not content.startswith(_JPEG):
-        raise SocketProblem(RECORDING_THUMBNAIL, "A thumbnail is a JPEG.")
+    """Raise ``SocketProblem`` for bytes that are no JPEG, or one whose picture would fill the memory of hosts."""
+    if max(_jpeg_size_px(content), default=0) not in range(1, _MAX_THUMBNAIL_PX + 1):
+        detail = f"A thumbnail is a JPEG of at most {_MAX_THUMBNAIL_PX} x {_MAX_THUMBNAIL_PX} pixels."
+        raise SocketProblem(RECORDING_THUMBNAIL, detail)
+
+
+def _jpeg_size_px(content: bytes) -> tuple[int, ...]:
+    """Height and width that the frame of a JPEG states (ITU-T T.81, B.2.2); empty without one."""
+    at = 2 if content.startswith(b"\xff\xd8") else len(content)
+    while at + 9 <= len(content) and content[at] == 0xFF:
+        marker = content[at + 1]
+        if 0xC0 <= marker <= 0xCF and marker not in {0xC4, 0xC8, 0xCC}:  # start of frame; tables and a reserved code
+            return struct.unpack_from(">HH", content, at + 5)
+        at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+    return ()
 
 
 def too_large(max_bytes: int) -> SocketProblem:

@@ -5,10 +5,12 @@ from typing import Annotated, Any, Self
 from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 from api.calibrations.schemas import BOARD_PATTERN
 from api.contract.schemas import Id, NextCursor, ResponseModel, fields_of, printable_name
 from pipeline.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
+from pipeline.problem_codes.fields import WRONG_FORMAT
 from worker.jobs.model.recordings import (
     ClipFile,
     RecordingPhone,
@@ -19,10 +21,21 @@ from worker.jobs.model.recordings import (
 )
 from worker.jobs.spec import JobSpec
 
+
+def camera_name(text: str) -> str:
+    """Refuse names that calibrations refuse for cameras: with slashes or odd blanks, or of dots alone."""
+    if not text.isprintable() or "/" in text or "\\" in text or not text.strip(" ."):
+        raise PydanticCustomError(WRONG_FORMAT, "A name has no slashes, no blanks but spaces, and more than dots.")
+    return text
+
+
 PhoneName = Annotated[
     str,
     AfterValidator(printable_name),
-    Field(min_length=1, max_length=64, description="Name of the phone, and of its camera in sessions."),
+    AfterValidator(camera_name),
+    Field(
+        min_length=1, max_length=64, description="Name of the phone, and of its camera in sessions; without slashes."
+    ),
 ]
 TakeName = Annotated[
     str, AfterValidator(printable_name), Field(min_length=1, max_length=200, description="Name of the take.")

@@ -30,8 +30,8 @@ from worker.jobs.model.recordings import ClipFile, RecordingSession, RecordingTa
 from worker.jobs.tenant_records import TenantRecords
 
 _NO_PLACES = FieldPlaces(lambda: ({}, {}))
-# A session's first frame may be a day from the start of its clock.
-_MAX_OFFSET_S = 86_400.0
+# A first frame that is further before or behind the take is one of a wrong clock.
+_MAX_BESIDE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class TakeVideos:
 def videos_of(recording: RecordingSession, take: RecordingTake) -> TakeVideos:
     """Videos of a take: of each phone its longest part, since a recording has no gaps.
 
-    Raises ``ApiError`` if no phone has sent a clip.
+    Raises ``ApiError`` if no phone has sent a clip of the take.
     """
     files, names, left_out = dict[str, ClipFile](), dict[str, str](), list[str]()
     for phone in recording.phones:
@@ -77,6 +77,9 @@ def videos_of(recording: RecordingSession, take: RecordingTake) -> TakeVideos:
         if clip is None or clip.longest is None:
             if clip is not None or not phone.is_removed:
                 left_out.append(f"{phone.name} has sent no clip of this take.")
+            continue
+        if not -_MAX_BESIDE_S <= clip.longest.first_frame_s - take.start_s <= take.duration_s + _MAX_BESIDE_S:
+            left_out.append(f"{phone.name}: its first frame is not within the take; its clock is wrong.")
             continue
         used = files[phone.name] = clip.longest
         names[phone.name] = f"phone-{phone.number}{_ending(used)}"
@@ -87,11 +90,8 @@ def videos_of(recording: RecordingSession, take: RecordingTake) -> TakeVideos:
         ]
     if not files:
         hint = "Ask the phones for it by `upload`, and wait until they have sent it."
-        raise ApiError(CLIPS_MISSING, "No phone has sent its clip of this take.", hint=hint)
+        raise ApiError(CLIPS_MISSING, " ".join(["There is no clip of this take.", *left_out]), hint=hint)
     offsets_s = {phone: round(file.first_frame_s - take.start_s, 6) for phone, file in files.items()}
-    far = [name for name, offset_s in offsets_s.items() if abs(offset_s) > _MAX_OFFSET_S]
-    if far:
-        raise ApiError(CONFLICT, f"The clock of {', '.join(far)} is more than a day off.", hint="Discard the take.")
     return TakeVideos(files, names, offsets_s, tuple(left_out))
 
 
@@ -224,7 +224,7 @@ def _adopted(
                     code=UPLOAD_UNKNOWN,
                     message=f"The upload of {phone} is gone: its time is over, or it was deleted.",
                     camera=phone,
-                    hint="Let the phone send its clip again, or discard the take.",
+                    hint="Open the phone's page again: it sends the clip if it has it. Else discard the take.",
                 )
             )
             continue

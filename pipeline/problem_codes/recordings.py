@@ -25,7 +25,7 @@ RECORDING_FIELDS = RECORDINGS.code(
 RECORDING_THUMBNAIL = RECORDINGS.code(
     "recording_thumbnail",
     _WHERE,
-    "A message of bytes is no JPEG, or comes from a host.",
+    "A message of bytes is no JPEG of at most 1,024 pixels a side, or comes from a host.",
     "Send small JPEGs of the camera's picture, from phones alone.",
 )
 RECORDING_TOO_LARGE = RECORDINGS.code(

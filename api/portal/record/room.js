@@ -62,17 +62,20 @@ export class RoomConnection extends EventTarget {
   #open() {
     this.#socket = new WebSocket(this.address, this.protocols);
     this.#socket.binaryType = "arraybuffer";
-    this.#socket.addEventListener("open", () => {
-      this.#numFailures = 0;
-      this.#tell("open");
-    });
-    this.#socket.addEventListener("message", ({ data }) => (typeof data === "string" ? this.#tell("message", JSON.parse(data)) : this.#tell("bytes", data)));
+    this.#socket.addEventListener("open", () => this.#tell("open"));
+    this.#socket.addEventListener("message", ({ data }) => (typeof data === "string" ? this.#hear(JSON.parse(data)) : this.#tell("bytes", data)));
     this.#socket.addEventListener("close", ({ code, reason }) => {
       if (this.#isClosed) return;
       this.#timer = setTimeout(() => this.#open(), AGAIN_MS[Math.min(this.#numFailures, AGAIN_MS.length - 1)]);
       this.#numFailures += 1;
       this.#tell("away", { code, reason });
     });
+  }
+
+  // The service refuses by a message: only another one tells that it is there.
+  #hear(message) {
+    if (message.type !== "problem") this.#numFailures = 0;
+    this.#tell("message", message);
   }
 
   #tell(type, detail) {

@@ -16,7 +16,8 @@ import websockets.sync.client
 from api.settings import Settings
 from tests.api.conftest import Live, running
 
-JPEG = b"\xff\xd8\xff\xe0" + bytes(100)
+# Start of an image, a comment, and a frame of 180 x 240 pixels.
+JPEG = b"\xff\xd8" + b"\xff\xfe\x00\x04ab" + b"\xff\xc0\x00\x11\x08\x00\xb4\x00\xf0\x03" + bytes(100)
 TUS = {"Tus-Resumable": "1.0.0", "Content-Type": "application/offset+octet-stream"}
 # First frames of phones, by the service's clock, after the start of a take.
 STARTED_LATE_S = 0.0125

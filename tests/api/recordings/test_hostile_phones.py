@@ -61,6 +61,10 @@ def test_a_wrong_first_message_ends_the_connection(
     assert recording.read()["phones"] == []
 
 
+# Names that no camera may have, or that show as others.
+ODD_NAMES = ("../../etc/passwd", "a\\b", "..", " ", "a\u202eb", "a\u00a0b", "line\nline", "x" * 65)
+
+
 @pytest.mark.parametrize(
     ("message", "code"),
     [
@@ -72,10 +76,15 @@ def test_a_wrong_first_message_ends_the_connection(
         ({"type": "started", "take": -1, "first_frame_s": 1.0, "std_s": 0.1}, "recording_fields"),
         ({"type": "started", "take": 1, "first_frame_s": 1e20, "std_s": 0.1}, "recording_fields"),
         ({"type": "file", "take": 1, "upload_id": "../../etc/passwd"}, "recording_fields"),
-        ({"type": "upload", "take": 1}, "recording_message"),
+        *(({"type": "rename", "name": name}, "recording_fields") for name in ODD_NAMES),
+        *(({"type": kind, "take": 1}, "recording_message") for kind in ("upload", "start", "stop", "discard")),
         ({"type": "remove", "phone": 1}, "recording_message"),
         (bytes(30_001), "recording_too_large"),
         (b"GIF89a", "recording_thumbnail"),
+        (b"\xff\xd8\xff", "recording_thumbnail"),
+        (b"\xff\xd8" + b"\xff\xe0\x00\x00" * 5000, "recording_thumbnail"),
+        (JPEG.replace(b"\x00\xb4", b"\xff\xff"), "recording_thumbnail"),
+        (JPEG.replace(b"\x00\xf0", b"\x04\x01"), "recording_thumbnail"),
     ],
 )
 def test_a_wrong_later_message_ends_the_connection(recording: OpenedRecording, message: Any, code: str) -> None:

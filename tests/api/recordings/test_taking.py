@@ -147,6 +147,24 @@ def test_the_longest_part_of_a_cut_clip_is_used(studio: Live) -> None:
     assert made["cameras"] == pytest.approx({"Left": 3.0 + STARTED_LATE_S})
 
 
+def test_a_clip_of_a_wrong_clock_is_left_out_and_spoils_nothing(studio: Live) -> None:
+    recording = opened_recording(studio)
+    with recording.host() as host, recording.phone("<img src=x>") as left, recording.phone("Wrong") as wrong:
+        take = taken(host)
+        wrong.record(1, take["start_s"] - 7200.0, b"wrong")
+        host.state(lambda state: num_files(state) == [1])
+        address, spec = f"/v1/recordings/{recording.id}/takes/1/session", {"calibration_id": calibration_of(studio)}
+        problem = problem_of(studio.client.post(address, json=spec), 409, "clips_missing")
+        assert "Wrong: its first frame is not within the take" in problem["detail"]
+        left.record(1, take["start_s"], b"left1", std_s=3600.0)
+        state = host.state(lambda state: num_files(state) == [1, 1])
+        assert [phone["name"] for phone in state["recording"]["phones"]] == ["<img src=x>", "Wrong"]
+        made = studio.client.post(address, json=spec)
+        assert made.status_code == 201, made.text
+        assert made.json()["cameras"] == pytest.approx({"<img src=x>": STARTED_LATE_S})
+        assert made.json()["left_out"] == ["Wrong: its first frame is not within the take; its clock is wrong."]
+
+
 def test_what_is_missing_is_named(studio: Live) -> None:
     recording = opened_recording(studio)
     address = f"/v1/recordings/{recording.id}/takes/1/session"

@@ -77,6 +77,11 @@ class RecordingTake:
         """Return whether its uploads became files of a session."""
         return self.session_id is not None or self.calibration_id is not None
 
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the start to the stop."""
+        return self.stop_s - self.start_s
+
     def state(self, now_s: float) -> TakeState:
         """State at a time by the service's clock."""
         if self.is_discarded:

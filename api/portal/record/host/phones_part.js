@@ -4,6 +4,7 @@ import { confirm } from "../../shared/dialog.js";
 import { moment } from "../../shared/format.js";
 import { html, nothing, repeat } from "../../shared/lit.js";
 import { isOfThisMachine } from "../join_links.js";
+import { cleanName } from "../names.js";
 import { phoneFacts, phoneState } from "./take_words.js";
 
 /** Link and QR code by which phones join. */
@@ -33,7 +34,7 @@ function phoneCard(view, recording, phone) {
   };
   const rename = (event) => {
     event.preventDefault();
-    const wanted = event.target.elements.name.value.trim();
+    const wanted = cleanName(event.target.elements.name.value);
     view.renamed = null;
     if (wanted && wanted !== name) recording.send({ type: "rename", phone: number, name: wanted });
     view.draw();

@@ -18,6 +18,7 @@ export class HostedRecording extends EventTarget {
   #timer = 0;
   #isClosed = false;
   #asked = new Set(); // takes whose clips were asked for
+  #isRefused = false; // for now: it is asked again
   clock = new ServerClock();
   state = null; // last message `state` of the service
   leftOut = new Map(); // sentences about clips that are in no capture, by the numbers of their takes
@@ -144,6 +145,8 @@ export class HostedRecording extends EventTarget {
   // The service repeats the recording only if it has changed.
   #follow(state) {
     this.state = { ...state, recording: state.recording ?? this.state.recording };
+    if (this.#isRefused) this.problem = null;
+    this.#isRefused = false;
     const unasked = this.sendsAtOnce ? this.state.recording.takes.filter((take) => take.state === "recorded" && !take.is_upload_wanted && !this.#asked.has(take.number)) : [];
     for (const { number } of unasked) {
       this.#asked.add(number);
@@ -152,9 +155,10 @@ export class HostedRecording extends EventTarget {
     this.#changed();
   }
 
-  #refuse({ detail, hint, errors = [], close_code: code }) {
+  #refuse({ detail, hint, errors = [], close_code: code, retryable }) {
+    this.#isRefused = code !== null && retryable;
     this.#fail({ message: detail, hint, items: errors });
-    if (code !== null) this.#room.close();
+    if (code !== null && !retryable) this.#room.close();
   }
 
   #show(packet) {

@@ -37,7 +37,7 @@ export function phoneFacts(live) {
 export function clipState(clip, live, take) {
   const { started, stopped, files } = clip;
   const sending = live?.status?.sending;
-  const isHere = files.length > 0 && files.length >= (stopped?.num_parts ?? 1);
+  const isHere = files.length > 0 && files.length >= Math.max(stopped?.num_parts ?? 1, started?.part ?? 1);
   if (isHere) return { words: "here", tone: "good", isHere };
   if (sending?.take === take) return { words: `${percent(sending.sent_bytes / Math.max(1, sending.num_bytes))} sent`, tone: "run", isHere };
   if (!live?.is_connected) return { words: "on the phone, which is not connected", tone: "warn", isHere };

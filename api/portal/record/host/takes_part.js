@@ -10,6 +10,7 @@ import { warningList } from "../../shared/problem.js";
 import { address } from "../../shared/router.js";
 import { choicesForm } from "../../send/choices.js";
 import { errorBox } from "../../watch/job.js";
+import { cleanName } from "../names.js";
 import { slate } from "./slate.js";
 import { clipLosses, clipState, takeDurationS } from "./take_words.js";
 import { videoWords } from "./video_settings.js";
@@ -23,7 +24,7 @@ export function recordPart(view, recording) {
   const start = (event) => {
     event.preventDefault();
     const settings = view.video();
-    const name = view.takeName.trim();
+    const name = cleanName(view.takeName, 200);
     recording.send({ type: "start", ...(name && { name }), ...(settings && { settings }) });
     view.takeName = "";
   };

@@ -1,10 +1,13 @@
 // Camera of the phone: opened at a size and rate, its exposure, focus and white balance held still.
 
+import { cleanName } from "../names.js";
+
 // Sound as it is: what makes calls pleasant would take the claps and beeps out that clocks are measured by.
 const SOUND = { echoCancellation: false, noiseSuppression: false, autoGainControl: false };
 // Modes that hold a value still, with the setting that they hold.
 const HELD = [["exposureMode", "exposureTime"], ["focusMode", "focusDistance"], ["whiteBalanceMode", "colorTemperature"]];
 const STILL = ["manual", "none"]; // browsers name it by one or the other
+const USUAL_RATE_HZ = 30;
 
 /** Constraints of a size and rate that a camera reaches as closely as it can. */
 export function videoConstraints({ width, height, frame_rate_hz: rateHz }, facing) {
@@ -59,12 +62,19 @@ export async function adjust(track, settings) {
   if (!isThere) await track.applyConstraints(videoConstraints(wanted, now.facingMode)).catch(() => null);
 }
 
-/** What the track is and can, as the service takes it. Browsers that don't tell a rate record about 30 frames a second. */
+/**
+ * What the track is and can, as the service takes it; nothing of a camera that does not tell its size.
+ *
+ * Browsers that don't tell a rate record about 30 frames a second.
+ */
 export function factsOf(track) {
-  const { width, height, frameRate = 30, facingMode } = track.getSettings();
+  const { width, height, frameRate: toldRate, facingMode } = track.getSettings();
+  if (!(width > 0 && height > 0)) return {};
+  const frameRate = toldRate > 0 ? toldRate : USUAL_RATE_HZ;
   const can = track.getCapabilities?.() ?? {};
+  const label = cleanName(track.label ?? "", 100);
   return {
-    track: { width, height, frame_rate_hz: frameRate, ...(facingMode && { facing: facingMode }), ...(track.label && { label: track.label.slice(0, 100) }) },
+    track: { width, height, frame_rate_hz: frameRate, ...(facingMode && { facing: facingMode }), ...(label && { label }) },
     capabilities: {
       max_width: can.width?.max ?? width, max_height: can.height?.max ?? height, max_frame_rate_hz: can.frameRate?.max || frameRate,
       locks: HELD.map(([mode]) => mode).filter((mode) => STILL.some((name) => can[mode]?.includes(name))),

@@ -24,7 +24,10 @@ export function partOf({ key, facts, numBytes, isOpen }) {
   const find = (kind) => facts.findLast((fact) => fact.fact === kind);
   const begin = facts[0]?.fact === "begin" ? facts[0] : null;
   if (!begin) return null;
-  const [first, piece, end, upload, sent] = ["first", "piece", "end", "upload", "sent"].map(find);
+  const [first, piece, end] = ["first", "piece", "end"].map(find);
+  // An upload that the service has no more counts for nothing.
+  const since = facts.slice(facts.findLastIndex(({ fact }) => fact === "gone") + 1);
+  const [upload, sent] = ["upload", "sent"].map((kind) => since.findLast(({ fact }) => fact === kind));
   const firstFrameS = first?.at_s ?? begin.at_s;
   const endS = (end ?? piece)?.until_s ?? firstFrameS;
   return {

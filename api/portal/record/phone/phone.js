@@ -4,6 +4,7 @@ import { RoomConnection } from "../room.js";
 import { adjust, cameraProblem, factsOf, holdStill, openCamera, release } from "./camera.js";
 import { PreviewFrames } from "./camera_frames.js";
 import { ServerClock } from "../clock.js";
+import { cleanName } from "../names.js";
 import { deviceOf, keepIdentity } from "./identity.js";
 import { TakeJournal } from "./journal.js";
 import { fileMessage, lossesOf, stoppedMessage } from "./journal_lines.js";
@@ -17,6 +18,8 @@ const STATUS_MS = 1000;
 const [PING_MS, FIRST_PING_MS, NUM_FIRST_PINGS] = [2000, 120, 12];
 const DRAW_MS = 500;
 const AHEAD_S = 0.3; // of a part that begins in the middle of a take
+const LINK_CODES = ["link_unknown", "recording_link_ended"];
+const MAX_ERROR = 100; // characters of what the host sees
 
 const nowS = () => performance.now() / 1000;
 
@@ -38,6 +41,7 @@ export class PhoneCamera extends EventTarget {
   held = []; // what of the camera is held still
   welcome = null;
   problem = null; // what is wrong, for the phone's user
+  refusal = null; // why the service refused the last connection; it is asked again
   end = null; // why the recording is over for this phone
   surroundings = {};
 
@@ -45,6 +49,7 @@ export class PhoneCamera extends EventTarget {
     super();
     this.identity = identity;
     this.video = video;
+    video.addEventListener("resize", () => this.#resized());
     this.sender = new ClipSender({
       journal: this.#journal,
       headers: () => ({ Authorization: `Bearer ${identity.secret}`, "Multicap-Phone": identity.phoneId }),
@@ -153,12 +158,19 @@ export class PhoneCamera extends EventTarget {
     else if (type === "upload") this.#wanted(message.take);
     else if (type === "delete") await this.#delete(message.take);
     else if (type === "ended") this.#over(message.reason);
-    else if (type === "problem" && message.close_code !== null) this.#over("link");
+    else if (type === "problem" && message.close_code !== null) this.#refused(message);
     this.#changed();
+  }
+
+  // A link that has ended is the end. Other refusals may pass, such as an outage: what is recorded goes on meanwhile.
+  #refused({ code, detail, hint }) {
+    if (LINK_CODES.includes(code)) this.#over("link");
+    else this.refusal = { message: detail, hint };
   }
 
   async #welcomed(message) {
     this.welcome = message;
+    this.refusal = null;
     this.#named(message.name);
     this.takes = new Map(message.takes.map((take) => [take.number, take]));
     for (const take of message.takes) {
@@ -192,6 +204,7 @@ export class PhoneCamera extends EventTarget {
     this.#changed();
     if (settings) await adjust(this.track, settings);
     this.held = await holdStill(this.track);
+    recorder.isUpright = this.#isUpright;
     const started = await recorder.start(Math.max(atServerS, this.clock.serverS(nowS()) + AHEAD_S)).catch((problem) => { recorder.problem = problem; return null; });
     if (started) {
       this.room.send({ type: "started", take: number, part: recorder.part, ...started, track: factsOf(this.track).track });
@@ -217,17 +230,42 @@ export class PhoneCamera extends EventTarget {
     if (recorder.problem) this.problem = { message: `The recording stopped: ${recorder.problem.message}`, hint: "Free some storage of this phone." };
     await this.#readParts();
     if (this.track) release(this.track);
-    if (this.#partsOf(recorder.take).length) {
+    if (recorder.isTurned) this.room.again(); // the service answers with the take, and another part begins
+    else if (this.#partsOf(recorder.take).length) {
       this.#tellStopped(recorder.take);
       if (this.takes.get(recorder.take)?.is_upload_wanted) this.#wanted(recorder.take);
     }
     this.#changed();
   }
 
+  get #isUpright() {
+    return this.video.videoHeight > this.video.videoWidth;
+  }
+
+  // A file has pictures of one size: of a phone that is turned while it records, browsers squeeze them.
+  #resized() {
+    const { recorder } = this;
+    if (!recorder || this.isStopping || recorder.isUpright === undefined || recorder.isUpright === this.#isUpright) return;
+    recorder.isTurned = true;
+    recorder.stop(0);
+  }
+
   #wanted(number) {
     const take = this.takes.get(number);
     if (take) take.is_upload_wanted = true;
-    for (const part of this.#partsOf(number)) if (!part.isOpen && part.uploadId === null && part.numBytes > 0) this.sender.add(part);
+    for (const part of this.#partsOf(number).filter(({ isOpen, numBytes }) => !isOpen && numBytes > 0)) {
+      if (part.uploadId === null) this.sender.add(part);
+      else this.#sendAgain(part);
+    }
+  }
+
+  // Send a part again whose upload is gone: it expired, or the service was restored from a backup.
+  async #sendAgain({ key, uploadId }) {
+    if (await this.sender.isKept({ uploadId })) return;
+    await this.#journal.note(key, "gone");
+    await this.#readParts();
+    const part = this.parts.find((other) => other.key === key);
+    if (part?.uploadId === null) this.sender.add(part);
   }
 
   async #delete(number) {
@@ -306,12 +344,13 @@ export class PhoneCamera extends EventTarget {
     this.surroundings = { ...await readBattery(), free_bytes: await readFreeBytes() };
     const clock = this.clock.report(nowS());
     const take = this.takes.get(this.recorder?.take);
+    const trouble = this.problem ?? this.sender.problem;
     // No host stopped it, or the stop did not come through.
     if (take && !this.isStopping && this.clock.serverS(nowS()) > take.stop_s) this.#stop(take.number, take.stop_s);
     this.room.send({
       type: "status", state: this.state, ...(this.track && { track: factsOf(this.track).track }), ...this.surroundings, ...(clock && { clock }),
       dropped_frames: this.recorder?.counts().dropped ?? 0, pending_bytes: this.pendingBytes,
-      ...(this.sender.progress && { sending: this.sender.progress }), ...(this.problem && { error: this.problem.message.slice(0, 100) }),
+      ...(this.sender.progress && { sending: this.sender.progress }), ...(trouble && { error: cleanName(trouble.message, MAX_ERROR) }),
     });
     this.#changed();
   }

@@ -9,13 +9,22 @@ const AGAIN_MS = 5000;
 // A piece of an upload, so that a connection that fails in the middle has not to be noticed by the last byte.
 const CHUNK_BYTES = 8 * 2 ** 20;
 
+/** Sentence about an upload that failed: the service's own, if it answered. */
+export function reasonOf(error) {
+  try {
+    return JSON.parse(error.originalResponse.getBody()).detail ?? "The service refused it.";
+  } catch {
+    return error.originalResponse ? "The service refused it." : "The service does not answer.";
+  }
+}
+
 /** Queue of uploads. `headers()` authorizes them, `changed()` hears of progress, `sent(part, uploadId)` of each that is complete. */
 export class ClipSender {
   #journal;
   #queue = [];
   #running = null;
   progress = null; // `{ take, part, sent_bytes, num_bytes }` of the running upload
-  problem = null; // why the last attempt came to nothing
+  problem = null; // `{ message }` of the last attempt if it came to nothing
 
   constructor({ journal, headers, changed, sent }) {
     this.#journal = journal;
@@ -36,6 +45,12 @@ export class ClipSender {
     if (this.#running?.key === key) this.#running.stop();
   }
 
+  /** Whether the service still has the upload of a part that was sent: after some time nobody may have claimed it. */
+  async isKept({ uploadId }) {
+    const answer = await fetch(`/v1/uploads/${uploadId}`, { method: "HEAD", headers: { ...this.headers(), "Tus-Resumable": "1.0.0" } }).catch(() => null);
+    return answer?.status !== 404;
+  }
+
   get keys() {
     return [...(this.#running ? [this.#running.key] : []), ...this.#queue.map(({ key }) => key)];
   }
@@ -53,8 +68,8 @@ export class ClipSender {
         await this.#journal.note(part.key, "sent", { upload_id: id });
         this.sent(part, id);
       }
-    } catch (problem) {
-      this.problem = problem;
+    } catch (error) {
+      this.problem = { message: reasonOf(error) };
       this.#queue.unshift(part);
       this.changed();
       await new Promise((resolve) => { this.#retry = resolve; setTimeout(resolve, AGAIN_MS); });

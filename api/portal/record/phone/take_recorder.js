@@ -64,7 +64,7 @@ export class TakeRecorder {
     const { stream, track, frames, clock, journal } = this.#parts;
     const [mimeType] = recordableTypes();
     const atS = clock.localS(atServerS);
-    await journal.begin(this.key, { ...this.about, mime_type: mimeType, track: factsOf(track).track, at_s: Math.max(atServerS, clock.serverS(nowS())) });
+    await journal.begin(this.key, { ...this.about, mime_type: mimeType, track: factsOf(track).track ?? null, at_s: Math.max(atServerS, clock.serverS(nowS())) });
     await until(atS - BEGIN_S);
     if (this.isCanceled) return null;
     const { intervalS } = frames;

@@ -4,6 +4,7 @@ import { announce } from "../../shared/announce.js";
 import { clock, count, percent, size } from "../../shared/format.js";
 import { html, nothing, render, typed } from "../../shared/lit.js";
 import { problemBox } from "../../shared/problem.js";
+import { cleanName } from "../names.js";
 import { identityOf } from "./identity.js";
 import { TakeJournal } from "./journal.js";
 import { PhoneCamera } from "./phone.js";
@@ -37,7 +38,7 @@ class PhoneView {
   async #join(event) {
     event.preventDefault();
     const phone = this.#phone;
-    const name = event.target.elements.name?.value.trim();
+    const name = cleanName(event.target.elements.name?.value ?? "");
     if (name) phone.identity.name = name;
     if (!this.#isJoined) await phone.join();
     this.#isJoined = true;
@@ -65,7 +66,7 @@ class PhoneView {
       <div class="phone-picture" data-state=${phone.state} ?hidden=${!phone.track}>${phone.video}${this.#overlay()}</div>
       <div class="phone-panel">
         ${this.#head()}
-        ${problemBox(phone.problem)}
+        ${problemBox(phone.problem ?? phone.refusal)}
         ${phone.track ? nothing : this.#entrance()}
         ${this.#facts()}
         ${this.#takes()}
@@ -103,7 +104,7 @@ class PhoneView {
   #nameForm() {
     const end = (event) => {
       event.preventDefault();
-      const name = event.target.elements.name.value.trim();
+      const name = cleanName(event.target.elements.name.value);
       this.#isNaming = false;
       if (name) this.#phone.rename(name);
       this.draw();
@@ -156,7 +157,7 @@ class PhoneView {
     const { progress, problem } = phone.sender;
     const isSending = progress?.take === number;
     const isSent = parts.every(({ uploadId }) => uploadId !== null);
-    const words = isSent ? "sent" : isSending ? `${percent(progress.sent_bytes / progress.num_bytes)} sent` : take?.is_upload_wanted ? (problem ? "waits for the service" : "waits") : "the host has not asked for it yet";
+    const words = isSent ? "sent" : isSending ? `${percent(progress.sent_bytes / progress.num_bytes)} sent` : take?.is_upload_wanted ? (problem ? `waits: ${problem.message}` : "waits") : "the host has not asked for it yet";
     const lostS = [...phone.lossesOf(number).values()].flat().reduce((sum, { from_s: from, to_s: to }) => sum + to - from, 0);
     return html`<li><b>${take?.name ?? `Take ${number}`}</b> <span class="quiet">${clock(lasts)} · ${size(bytes)} · ${words}</span>
       ${lostS > 0 ? html`<span class="phone-lost">${lostS.toFixed(1)} s lost</span>` : nothing}

@@ -61,3 +61,11 @@ test("an upload that is complete is told with all of the part's facts", () => {
     ["file", 3, 1, "u", 100.02, 0.004, 30, 1],
   );
 });
+
+test("an upload that the service has no more counts for nothing", () => {
+  const facts = [BEGIN, FIRST, ...PIECES, END, { fact: "upload", url: "/v1/uploads/u" }, { fact: "sent", upload_id: "u" }, { fact: "gone" }];
+  const gone = part(facts);
+  assert.deepEqual([gone.uploadUrl, gone.uploadId, gone.numFrames], [null, null, 30]);
+  const again = part([...facts, { fact: "upload", url: "/v1/uploads/v" }, { fact: "sent", upload_id: "v" }]);
+  assert.deepEqual([again.uploadUrl, again.uploadId], ["/v1/uploads/v", "v"]);
+});

@@ -12,7 +12,7 @@ from tests.api.portal.node import run_by_node
 SQUARE_PX = 160
 
 
-@pytest.mark.parametrize("module", ["clock", "journal", "words"])
+@pytest.mark.parametrize("module", ["clock", "journal", "names", "words"])
 def test_modules_of_recordings(module: str, tmp_path: Path) -> None:
     run_by_node(Path(__file__).with_name(f"{module}.test.mjs"), tmp_path)
 

@@ -85,6 +85,7 @@ test("a clip is here when all of its parts are", () => {
   assert.equal(clipState(clip, null, 4).tone, "warn");
   assert.equal(clipState({ ...clip, files: [{}] }, live, 5).isHere, false);
   assert.equal(clipState({ ...clip, files: [{}, {}] }, null, 4).isHere, true);
+  assert.equal(clipState({ ...clip, started: { part: 3 }, files: [{}, {}] }, null, 4).isHere, false);
   assert.equal(clipState({ started: {}, stopped: null, files: [] }, live, 5).words, "recording");
 });
 
