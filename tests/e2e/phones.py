@@ -10,6 +10,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+from jaxtyping import UInt8
 from playwright.sync_api import BrowserContext, Page, ViewportSize, expect
 
 from tests.e2e.browsing import FLAGS, chromium_path
@@ -67,26 +68,59 @@ def there_and_back(count: int) -> list[int]:
     return [*range(count), *range(count - 2, 0, -1)]
 
 
-def write_camera(video: Path, target: Path, rate_hz: int, every: int = 1) -> int:
-    """Write a video as a file that Chromium takes for a camera, there and back; return the number of its frames.
+def write_camera(
+    video: Path,
+    target: Path,
+    rate_hz: int,
+    *,
+    every: int = 1,
+    hold: int = 1,
+    shift: int = 0,
+    down_px: int = 0,
+    size_px: tuple[int, int] | None = None,
+) -> int:
+    """Write a video as a file that Chromium takes for a camera, there and back; return the number of its places.
 
-    Each frame has its place in the file as a bar of blocks. It is played at a whole rate, which
-    Chromium knows alone; ``every`` leaves frames out.
+    Each frame has its place in the file as a bar of blocks. The file is played at a whole rate, which Chromium knows
+    alone.
+
+    Parameters
+    ----------
+    every
+        Every how many places there is a frame.
+    hold
+        Frames of each place. A file that is written again at the same place shows another moment at once.
+    shift
+        Frames by which the file begins later.
+    down_px
+        Even number of pixels by which the picture is lower, as of a camera that was tilted up; it wraps around.
+    size_px
+        Width and height of the pictures; by default those of the video.
     """
     with av.open(video) as source:
         stream = source.streams.video[0]
-        frames = [frame.to_ndarray(format="yuv420p") for frame in source.decode(stream)]
-        width, height = stream.width, stream.height
+        width, height = size_px or (stream.width, stream.height)
+        frames = [frame.reformat(width, height, "yuv420p").to_ndarray() for frame in source.decode(stream)]
     places = there_and_back(len(frames))
-    with target.open("wb") as file:
+    shown = [place for place in range(0, len(places), every) for _ in range(hold)]
+    with target.open("r+b" if target.exists() else "wb") as file:
         file.write(f"YUV4MPEG2 W{width} H{height} F{rate_hz // every}:1 Ip A1:1 C420jpeg\n".encode())
-        for place in range(0, len(places), every):
-            picture = frames[places[place]].copy()
+        for place in np.roll(shown, shift).tolist():
+            picture = _lowered(frames[places[place]], height, down_px)
             for bit in range(NUM_BITS):
                 left = bit * BLOCK_PX
                 picture[:BLOCK_PX, left : left + BLOCK_PX] = 235 if place >> bit & 1 else 16
             file.write(b"FRAME\n" + picture.tobytes())
     return len(places)
+
+
+def _lowered(
+    picture: UInt8[np.ndarray, "rows columns"], height: int, down_px: int
+) -> UInt8[np.ndarray, "rows columns"]:
+    """Copy of a picture in YUV 4:2:0 that is lower: a plane of brightness, and two of colour of half the size."""
+    light, colors = picture[:height], picture[height:].reshape(2, height // 2, -1)
+    lowered = np.roll(colors, down_px // 2, axis=1).reshape(picture[height:].shape)
+    return np.concatenate([np.roll(light, down_px, axis=0), lowered])
 
 
 def read_places(video: Path) -> list[tuple[float, int]]:

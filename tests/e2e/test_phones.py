@@ -5,26 +5,46 @@ import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Error, Locator, Page, expect
+from playwright.sync_api import Error, Page, expect
 
 from tests.e2e.browsing import DESKTOP, axe_findings, choose_option, opened
 from tests.e2e.datasets import folder_of, needs
+from tests.e2e.phone_takes import (
+    PATIENT_MS,
+    apart,
+    join,
+    joints_of,
+    mean_error_mm,
+    open_recording,
+    phases_of,
+    places_late,
+    reconstruct,
+    record,
+    recording_of,
+    start,
+    take_card,
+    truth_at,
+    uploaded_clips,
+    videos_of,
+)
 from tests.e2e.phones import LANDSCAPE, PORTRAIT, Phone, phones, read_places, room_network, write_camera
 from tests.e2e.serving import Served
+from tests.waiting import wait_for
 
 pytestmark = [pytest.mark.xdist_group("sample"), needs("rendered")]
 
-RATE_HZ = 24  # of the clip's frames, of which one camera takes every second
-PERIOD = 198  # frames after which a camera's file begins again
+RATE_HZ = 12  # of the clip's frames, of which one camera takes every second
+CLIP_HZ = 25  # of the clip itself
 CLOCK_S = 0.012  # a quarter of a frame, and what the phones' clocks are uncertain by
 NUM_CAMERAS = 4
 SLOW = 3  # camera of half the rate
-PATIENT_MS = 300_000
+TRIES = ("First", "Second", "Third", "Fourth")
+MAX_UNEVEN = 1.0  # frames
+MAX_RATIO = 1.3  # of the errors of phones and of files
 
 
 @pytest.fixture(scope="module")
@@ -50,49 +70,6 @@ def host(served: Served) -> Iterator[Page]:
         yield page
 
 
-def open_recording(host: Page, name: str) -> str:
-    """Make a recording, and return the link for phones."""
-    host.get_by_label("Name of the recording").fill(name)
-    host.get_by_role("button", name="New recording").click()
-    expect(host.get_by_role("heading", name=name, level=1)).to_be_visible()
-    link = host.locator(".record-link").get_attribute("href")
-    assert link is not None
-    return link
-
-
-def phone_card(host: Page, name: str) -> Locator:
-    return (
-        host.get_by_role("list", name="Phones")
-        .get_by_role("listitem")
-        .filter(has=host.get_by_role("heading", name=name))
-    )
-
-
-def join(host: Page, joined: list[Phone]) -> None:
-    for phone in joined:
-        phone.allow_camera()
-    for phone in joined:
-        phone.expect_state("Ready")
-        expect(phone_card(host, phone.name).locator(".state")).to_have_text("ready")
-
-
-def start(host: Page, name: str, seconds: int) -> None:
-    """Start a take by the host's button, and wait until it is some seconds long."""
-    host.get_by_label("Name of the next take").fill(name)
-    host.get_by_label(re.compile("^Video")).select_option("own")
-    host.get_by_role("button", name="Record", exact=True).click()
-    reached = "|".join(f"{second:02d}" for second in range(seconds, 60))
-    expect(host.locator(".record-time")).to_have_text(re.compile(f"{name} · 0:({reached})"), timeout=60_000)
-
-
-def take_card(host: Page, name: str) -> Locator:
-    return (
-        host.get_by_role("list", name="Takes")
-        .locator(".record-take")
-        .filter(has=host.get_by_role("heading", name=name))
-    )
-
-
 def look_at_pages(host: Page, phone: Page) -> None:
     """Check that the pages of host and phone are accessible and fit, upright and in landscape."""
     for page, usual in ((host, DESKTOP), (phone, PORTRAIT)):
@@ -101,16 +78,6 @@ def look_at_pages(host: Page, phone: Page) -> None:
             assert page.evaluate("document.scrollingElement.scrollWidth") <= size["width"]
             assert axe_findings(page) == []
         page.set_viewport_size(usual)
-
-
-def videos_of(served: Served, session_id: str, folder: Path) -> dict[str, Path]:
-    """Videos of a session by the names of their cameras."""
-    session = served.client.get(f"/v1/sessions/{session_id}").raise_for_status().json()
-    found = {}
-    for camera in session["preflight"]["cameras"]:
-        found[camera["name"]] = folder / camera["file"]
-        found[camera["name"]].write_bytes(served.client.get(camera["video_link"]).raise_for_status().content)
-    return found
 
 
 def lateness(taken: list[tuple[float, int]], video: Path, first_frame_s: float) -> float:
@@ -128,17 +95,6 @@ def lateness(taken: list[tuple[float, int]], video: Path, first_frame_s: float) 
     return float(np.median(lates))
 
 
-def phases_of(offsets_s: dict[str, float], videos: dict[str, Path]) -> dict[str, float]:
-    """Place in the clip at the session's time 0 of each camera, by its frames and its offset."""
-    phases: dict[str, float] = {}
-    for name, video in videos.items():
-        frames = read_places(video)
-        first_s = frames[0][0]
-        turns = np.array([place - RATE_HZ * (time_s - first_s + offsets_s[name]) for time_s, place in frames])
-        phases[name] = float(np.angle(np.exp(2j * np.pi * turns / PERIOD).sum()) * PERIOD / (2 * np.pi))
-    return phases
-
-
 def store_calibration(served: Served) -> None:
     """Store the calibration of the rendered room."""
     content = (folder_of("rendered") / "calibration.toml").read_bytes()
@@ -147,17 +103,31 @@ def store_calibration(served: Served) -> None:
     served.client.post("/v1/calibrations", files=[spec, calibration]).raise_for_status()
 
 
-def recording_of(served: Served, host: Page) -> dict[str, Any]:
-    """Recording that the host's page shows."""
-    return dict(served.client.get(f"/v1/recordings/{host.url.rsplit('/', 1)[-1]}").raise_for_status().json())
+def is_even(served: Served, host: Page, name: str) -> bool:
+    """Record a take, and return whether the cameras' files went on evenly: on a busy machine they stand still."""
+    record(host, name, 8, NUM_CAMERAS)
+    (take,) = (take for take in recording_of(served, host)["takes"] if take["name"] == name)
+    late = [np.ptp(places_late(clip, RATE_HZ)) for clip in uploaded_clips(served, take)]
+    print({"take": name, "uneven_frames": np.round(late, 2)})  # noqa: T201 - why a take is not used
+    return bool(max(late) <= MAX_UNEVEN)
+
+
+def lose_upload(served: Served, host: Page, phone: Phone) -> None:
+    """Delete the first phone's upload, as its time or a restored backup does; its page sends it when it opens again."""
+
+    def upload_id() -> str:
+        return str(recording_of(served, host)["takes"][0]["clips"][0]["files"][0]["upload_id"])
+
+    lost = upload_id()
+    served.client.delete(f"/v1/uploads/{lost}", headers={"Tus-Resumable": "1.0.0"}).raise_for_status()
+    phone.page.reload()
+    wait_for(lambda: upload_id() != lost, timeout_s=PATIENT_MS / 1000)
+    phone.expect_state("Ready")
 
 
 def calibrate_and_rename(host: Page, phone: Page) -> None:
     """Begin a calibration from another take, and give a phone another name."""
-    start(host, "Walk", 2)
-    host.get_by_role("button", name="Stop").click()
-    take = take_card(host, "Walk")
-    expect(take).to_contain_text("2 of 2 clips here", timeout=PATIENT_MS)
+    take = record(host, "Walk", 2, 2)
     take.get_by_role("button", name="Calibrate from Walk").click()
     form = take.get_by_role("form", name="Calibrate from Walk")
     form.get_by_label(re.compile("^Stature in metres")).fill("1.78, 1.65")
@@ -186,6 +156,7 @@ def test_clips_of_phones_become_a_capture_with_their_times(
         look_at_pages(host, joined[0].page)
         expect(joined[0].page.get_by_role("list", name="On this phone")).to_contain_text("sent")
         taken = {phone.name: phone.taken() for phone in joined}
+        lose_upload(served, host, joined[0])
         choose_option(host.get_by_label("Where the phones stand"), "Rendered room")
         take.get_by_role("button", name="Reconstruct Twice").click()
         take.get_by_role("form", name="Reconstruct Twice").get_by_role("button", name="Reconstruct", exact=True).click()
@@ -213,34 +184,36 @@ def test_from_the_link_to_a_bvh_by_clicks_alone(
 ) -> None:
     store_calibration(served)
     link = open_recording(host, "Four phones")
-    take = take_card(host, "Fight")
     with phones(host, link, cameras, tmp_path) as joined:
         join(host, joined)
-        start(host, "Fight", 8)
-        host.get_by_role("button", name="Stop").click()
-        expect(take).to_contain_text("4 of 4 clips here", timeout=PATIENT_MS)
+        name = next((name for name in TRIES if is_even(served, host, name)), None)
+    if name is None:
+        pytest.skip("this machine is too busy for four browsers: cameras' files stood still in each take")
     choose_option(host.get_by_label("Where the phones stand"), "Rendered room")
-    take.get_by_role("button", name="Reconstruct Fight").click()
-    take.get_by_role("form", name="Reconstruct Fight").get_by_role("button", name="Reconstruct", exact=True).click()
-    expect(take.locator(".record-job .state")).to_contain_text("Done", timeout=2 * PATIENT_MS)
-    (used,) = recording_of(served, host)["takes"]
-    take.get_by_role("link", name="Look at Fight").click()
+    take = take_card(host, name)
+    reconstruct(take, name)
+    (used,) = (found for found in recording_of(served, host)["takes"] if found["name"] == name)
+    take.get_by_role("link", name=f"Look at {name}").click()
     with host.expect_download() as download:
         host.get_by_role("link", name=re.compile(r"\.bvh")).first.click()
     assert download.value.path().read_text().startswith("HIERARCHY\nROOT Hips")
-    metrics = served.client.get(f"/v1/jobs/{used['job_id']}/results/metrics.json").raise_for_status().json()
-    offsets_s, codes = metrics["sync"]["offsets_s"], [warning["code"] for warning in metrics["sync"]["warnings"]]
-    if "sync_as_declared" in codes:
-        # Cameras of files that leave frames out on a busy machine show no motion that is certain.
-        said_s = {joined[clip["phone"] - 1].name: clip["files"][0]["first_frame_s"] for clip in used["clips"]}
-        apart_s = [offsets_s[name] - said_s[name] for name in offsets_s]
-        assert max(apart_s) - min(apart_s) <= 1e-3
-        return
-    # The files began at different moments: what the clocks tell is wrong by that, and motion tells it.
-    phases = phases_of(offsets_s, videos_of(served, used["session_id"], tmp_path))
-    apart = {name: (phase - phases["cam_0"] + PERIOD / 2) % PERIOD - PERIOD / 2 for name, phase in phases.items()}
-    apart[cameras[SLOW][0]] /= 2  # in its own frames
-    assert max(abs(error) for error in apart.values()) <= 0.25, apart
+    # The cameras' files began at different moments: the clocks tell nothing of it, and motion tells it.
+    sync = served.client.get(f"/v1/jobs/{used['job_id']}/results/metrics.json").raise_for_status().json()["sync"]
+    phases = phases_of(sync["offsets_s"], videos_of(served, used["session_id"], tmp_path), RATE_HZ)
+    ahead = apart(phases)
+    ahead[cameras[SLOW][0]] /= 2  # in its own frames
+    assert max(abs(frames) for frames in ahead.values()) <= 0.25, (ahead, sync)
+    # The same clip as files, on their own clocks.
+    videos = sorted((folder_of("rendered") / "videos").iterdir())
+    files = [("videos", (path.name, path.read_bytes())) for path in videos]
+    files += [("calibration", ("calibration.toml", (folder_of("rendered") / "calibration.toml").read_bytes()))]
+    as_files = served.wait_for_end(served.client.post("/v1/jobs", files=files).raise_for_status().json()["id"])
+    errors_mm = []
+    for job_id, first, places_hz in ((as_files["id"], 0.0, CLIP_HZ), (used["job_id"], phases["cam_0"], RATE_HZ)):
+        found_m, times_s = joints_of(served, job_id)
+        errors_mm.append(mean_error_mm(found_m, truth_at(first + places_hz * times_s)))
+    print({"files_and_phones_mm": errors_mm, "ahead_frames": ahead})  # noqa: T201 - a measurement
+    assert errors_mm[1] <= MAX_RATIO * errors_mm[0], errors_mm
 
 
 @pytest.mark.slow
