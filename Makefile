@@ -16,7 +16,7 @@ UFBX := .venv-ufbx
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-containers soak load hostile check benchmark format lock clean blender-extension
+.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-accuracy verify-containers soak load hostile check benchmark format lock clean blender-extension
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -173,13 +173,16 @@ test-data: setup
 # that hangs fails after a quarter of an hour.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -n 4 --dist loadgroup --no-loadscope-reorder \
 	--timeout 900 --durations 40 --durations-min 5
-DESELECTED := not benchmark and not blender and not soak and not hostile and not load
+DESELECTED := not benchmark and not blender and not soak and not hostile and not load and not accuracy
 
 test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (a quarter of an hour)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
 test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests
 	$(PYTEST) -m "$(DESELECTED) and slow"
+
+verify-accuracy: test-data  ## Measure the accuracies that the documentation states again, of which the slow tests have a case or two
+	$(PYTEST) -m accuracy tests/pipeline tests/e2e
 
 test-shapes: test-data ffmpeg readers  ## Run the tests of the pipeline again, with shapes and types of all calls checked
 	MULTICAP_CHECK_SHAPES=1 $(PYTEST) -m "$(DESELECTED) and not slow" tests/pipeline

@@ -92,7 +92,6 @@ COLD = (
     "faults/",
     "hostile/",
     "pipeline/runtime/",
-    "pipeline/video/test_corpus.py",
     "pipeline/video/test_damage.py",
     "pipeline/video/test_decoder_process.py",
     "pipeline/video/test_probe_children.py",

@@ -42,10 +42,10 @@ def results(reconstruction: Reconstruction, tmp_path_factory: pytest.TempPathFac
 
 
 @pytest.fixture(scope="session")
-def beginning(sample: Sample) -> Reconstruction:
+def beginning(sample: Sample, task_cache: Path) -> Reconstruction:
     """Reconstruction of the sample's first frames, from one chunk of each camera."""
     session = open_session(list(sample.videos.values()), sample.calibration)
-    return reconstruct(session, ReconstructionConfig(frame_range=(0, NUM_FIRST)))
+    return reconstruct(session, ReconstructionConfig(frame_range=(0, NUM_FIRST)), cache=task_cache)
 
 
 @pytest.fixture(scope="session")

@@ -24,9 +24,9 @@ def needs(name: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(not folder_of(name).is_dir(), reason=reason)
 
 
-def evaluated(name: str) -> dict[str, Any]:
+def evaluated(name: str, *options: str) -> dict[str, Any]:
     """Scores of `multicap evaluate` on a data set."""
-    result = CliRunner().invoke(app, ["evaluate", name, f"--data={folder_of(name)}", "--json"])
+    result = CliRunner().invoke(app, ["evaluate", name, f"--data={folder_of(name)}", *options, "--json"])
     assert result.exit_code == 0, result.output
     scores: dict[str, Any] = json.loads(result.stdout)
     return scores

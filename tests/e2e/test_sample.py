@@ -95,7 +95,7 @@ def run(arguments: Sequence[str]) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("chunk_frames", "processes"), [(7, 2), (8, 1), (8, 2)])
+@pytest.mark.parametrize(("chunk_frames", "processes"), [(7, 2), (8, 1)])
 def test_result_files_do_not_depend_on_the_cut(
     sample: Sample, first_results: Path, tmp_path: Path, chunk_frames: int, processes: int
 ) -> None:

@@ -52,6 +52,13 @@ def test_shelf_by_clustering() -> None:
 
 
 @NEEDS_SHELF
+def test_shelf_at_one_image_in_five() -> None:
+    whole, thinned = (evaluated("shelf", "--smoothing=none", f"--every={every}") for every in (1, 5))
+    assert whole["pcp"]["average"] - thinned["pcp"]["average"] <= 3.0
+
+
+@NEEDS_SHELF
+@pytest.mark.accuracy
 def test_shelf_at_one_image_in_five_and_what_the_parts_are_worth() -> None:
     # In a child process without checks of shapes, which would take four times as long as the work.
     command = [sys.executable, "-m", "api.cli.main", "evaluate", "shelf", f"--data={FOLDER}", "--every=5", "--ablation"]

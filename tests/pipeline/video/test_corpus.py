@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import av
@@ -16,6 +17,19 @@ from tests.pipeline.video.corpus import CLIPS, CorpusClip, level, write_clip
 # Lossy coding and conversions between colours move a level by less than the step between two pictures.
 MAX_DIFFERENCE = 2.4
 MAX_ROUNDING = 0.5
+# Frames of the ranges from many starts, and starts that are drawn by lot.
+RANGE_FRAMES, NUM_DRAWN = 7, 6
+
+Picture = tuple[int, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodedClip:
+    """A clip of the corpus, as it was probed, with all of its pictures."""
+
+    about: CorpusClip
+    video: VideoInfo
+    whole: list[Picture]
 
 
 def probed(path: Path) -> VideoInfo:
@@ -24,12 +38,14 @@ def probed(path: Path) -> VideoInfo:
     return found
 
 
-@pytest.fixture(params=CLIPS)
-def clip(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[CorpusClip, VideoInfo]:
-    return CLIPS[request.param], probed(write_clip(tmp_path, request.param))
+@pytest.fixture(scope="module", params=CLIPS)
+def clip(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> DecodedClip:
+    video = probed(write_clip(tmp_path_factory.mktemp("clip"), request.param))
+    whole = [(number, image_rgb.copy()) for number, image_rgb in frames(video, 0, video.num_frames)]
+    return DecodedClip(CLIPS[request.param], video, whole)
 
 
-def frames(video: VideoInfo, start: int, stop: int) -> Iterator[tuple[int, np.ndarray]]:
+def frames(video: VideoInfo, start: int, stop: int) -> Iterator[Picture]:
     def damaged(number: int) -> None:
         raise AssertionError(f"frame {number} is said to be damaged")
 
@@ -43,9 +59,8 @@ def straight(video: VideoInfo) -> list[tuple[float, np.ndarray]]:
     return [(time_s - found[0][0], np.rot90(image, video.rotation_deg // 90)) for time_s, image in found]
 
 
-def test_ranges_are_slices_of_the_whole_at_the_right_times(clip: tuple[CorpusClip, VideoInfo]) -> None:
-    about, video = clip
-    whole = [(number, image_rgb.copy()) for number, image_rgb in frames(video, 0, video.num_frames)]
+def test_ranges_are_slices_of_the_whole_at_the_right_times(clip: DecodedClip) -> None:
+    about, video, whole = clip.about, clip.video, clip.whole
     assert [number for number, _ in whole] == list(range(len(about.pictures)))
 
     # Properties as shown.
@@ -73,14 +88,19 @@ def test_ranges_are_slices_of_the_whole_at_the_right_times(clip: tuple[CorpusCli
             assert np.abs(image_rgb.astype(int) - image).mean() < MAX_ROUNDING
 
     # Ranges between times, as stages ask for them.
-    rng = random.Random(about.codec + about.pix_fmt)  # noqa: S311 - the same each time
+    rng = rng_of(about)
     t0, t1 = sorted(rng.uniform(-0.1, video.time_s[-1] + 0.1) for _ in range(2))
     start, stop = (int(np.searchsorted(video.time_s, one)) for one in (t0, t1))
     same(frames(video, start, stop), whole[start:stop])
     same(frames(video, video.num_frames - 1, video.num_frames), whole[-1:])
 
 
-def same(found: Iterator[tuple[int, np.ndarray]], expected: list[tuple[int, np.ndarray]]) -> None:
+def rng_of(about: CorpusClip) -> random.Random:
+    """Random numbers that are the same each time."""
+    return random.Random(about.codec + about.pix_fmt)  # noqa: S311
+
+
+def same(found: Iterator[Picture], expected: list[Picture]) -> None:
     numbers = []
     for (number, image_rgb), (wanted, image) in zip(found, expected, strict=True):
         assert number == wanted
@@ -89,9 +109,23 @@ def same(found: Iterator[tuple[int, np.ndarray]], expected: list[tuple[int, np.n
     assert numbers == [number for number, _ in expected]
 
 
-def test_every_single_frame_and_every_start(clip: tuple[CorpusClip, VideoInfo]) -> None:
-    _, video = clip
-    whole = [(number, image_rgb.copy()) for number, image_rgb in frames(video, 0, video.num_frames)]
-    for start in range(video.num_frames):
-        same(frames(video, start, start + 1), whole[start : start + 1])
-        same(frames(video, start, min(start + 7, video.num_frames)), whole[start : start + 7])
+def starts_of(clip: DecodedClip) -> list[int]:
+    """Starts of ranges around the keyframes and at both ends, and some between them.
+
+    Where each frame is a keyframe, all starts are alike: those at the ends and the drawn ones stand for them.
+    """
+    count, rng = clip.video.num_frames, rng_of(clip.about)
+    keyframes = np.searchsorted(clip.video.pts, clip.video.keyframe_pts)
+    around = (
+        {int(keyframe) + step for keyframe in keyframes for step in (-1, 0, 1)} if len(keyframes) < count else set()
+    )
+    starts = around | {0, 1, count - RANGE_FRAMES, count - 1} | set(rng.sample(range(count), NUM_DRAWN))
+    return sorted(start for start in starts if 0 <= start < count)
+
+
+def test_every_single_frame_and_starts_near_keyframes(clip: DecodedClip) -> None:
+    video, whole = clip.video, clip.whole
+    for number in range(video.num_frames):
+        same(frames(video, number, number + 1), whole[number : number + 1])
+    for start in starts_of(clip):
+        same(frames(video, start, min(start + RANGE_FRAMES, video.num_frames)), whole[start : start + RANGE_FRAMES])

@@ -17,6 +17,7 @@ from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.job_choices import KnownPoint
 from pipeline.stages.codec import decode, encode
+from tests.cases import accuracy_but
 from tests.pipeline.calibration.board.conftest import ring, views_of
 from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses
 
@@ -230,12 +231,15 @@ def rendered(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("spec", "num_cameras", "num_poses", "seed", "blur_px", "noise"),
-    [
-        ("charuco:7x5:0.12:0.09:DICT_4X4_50", 4, 40, 7, 0.7, 3.0),
-        ("charuco:7x5:0.12:0.09:DICT_4X4_50", 4, 40, 103, 0.7, 3.0),
-        ("charuco:7x5:0.12:0.09:DICT_4X4_50", 4, 40, 105, 1.3, 8.0),
-        ("chessboard:8x6:0.1", 8, 48, 7, 0.7, 3.0),
-    ],
+    accuracy_but(
+        [("charuco:7x5:0.12:0.09:DICT_4X4_50", 4, 40, 105, 1.3, 8.0)],
+        [
+            ("charuco:7x5:0.12:0.09:DICT_4X4_50", 4, 40, 7, 0.7, 3.0),
+            ("charuco:7x5:0.12:0.09:DICT_4X4_50", 4, 40, 103, 0.7, 3.0),
+            ("charuco:7x5:0.12:0.09:DICT_4X4_50", 4, 40, 105, 1.3, 8.0),
+            ("chessboard:8x6:0.1", 8, 48, 7, 0.7, 3.0),
+        ],
+    ),
 )
 def test_painted_boards_calibrate_to_millimetres(
     spec: str, num_cameras: int, num_poses: int, seed: int, blur_px: float, noise: float
