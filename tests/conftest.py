@@ -53,7 +53,6 @@ SLOW = (
     "e2e/test_damaged_files.py",
     "e2e/test_distributed.py",
     "e2e/test_fields.py",
-    "e2e/test_first_start.py",
     "e2e/test_foreign_code.py",
     "e2e/test_full_disk.py",
     "e2e/test_generated_clients.py",

@@ -15,7 +15,7 @@ from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.serving import Served
 
 # The service is that of the other tests of the page.
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("page")
 
 MM_PER_INCH, POINTS_PER_INCH = 25.4, 72.0
 

@@ -14,7 +14,7 @@ from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
 
 # The service is that of the other tests of the page.
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("page")
 
 
 def num_bright(png: bytes) -> int:

@@ -15,7 +15,7 @@ from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
 
 # The service is that of the other tests of the page.
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("page")
 
 # What the browser itself writes of requests that can't be made.
 ALLOWED = ("ERR_INTERNET_DISCONNECTED", "ERR_FAILED", "502 (Bad Gateway")

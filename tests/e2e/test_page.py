@@ -27,7 +27,7 @@ from tests.e2e.conftest import NUM_FIRST
 from tests.e2e.serving import Served, digests, serving
 from tests.pipeline.keypoint_programs import freemocap_array
 
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("page")
 
 
 @pytest.fixture

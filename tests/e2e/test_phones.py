@@ -35,7 +35,7 @@ from tests.e2e.phones import LANDSCAPE, PORTRAIT, Phone, phones, read_places, ro
 from tests.e2e.serving import Served
 from tests.waiting import wait_for
 
-pytestmark = [pytest.mark.xdist_group("sample"), needs("rendered")]
+pytestmark = [pytest.mark.xdist_group("page"), needs("rendered")]
 
 RATE_HZ = 12  # of the clip's frames, of which one camera takes every second
 CLIP_HZ = 25  # of the clip itself

@@ -19,7 +19,7 @@ from tests.e2e.test_serve_keypoints import archives
 from tests.pipeline.media import write_video
 
 # The service is that of the other tests of the page.
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("page")
 
 DROP = """([target, files]) => {
   const transfer = new DataTransfer();

@@ -9,7 +9,7 @@ import pytest
 from pipeline.runtime.packages.samples import Sample
 from tests.e2e.serving import Served, digests
 
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("service")
 
 PAGE = Path(__file__).parents[2] / "docs/python.md"
 ADDRESS = "http://127.0.0.1:8000"

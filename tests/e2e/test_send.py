@@ -16,7 +16,7 @@ from tests.e2e.test_serve_keypoints import archives
 from tests.pipeline.media import cut_at_keyframes, write_pictures
 
 # The service is that of the other tests of the page.
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("page")
 
 PHONE: ViewportSize = {"width": 390, "height": 800}
 

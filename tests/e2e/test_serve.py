@@ -16,7 +16,7 @@ from pipeline.runtime.packages.samples import Sample
 from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests
 from tests.waiting import is_alive, wait_for
 
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("service")
 
 
 def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(

@@ -27,7 +27,7 @@ from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests
 from tests.pipeline.simulations import write_simulation
 
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("service")
 
 
 @pytest.fixture(scope="module")

@@ -1,27 +1,47 @@
-"""Wheel, installed without the checkout: its modules do not conflict with other modules."""
+"""Wheel, installed without the checkout: its modules do not conflict with other modules.
+
+Its service starts without compiled kernels, once: it reports its progress, and is ready when a job can start.
+"""
 
 import ast
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import sysconfig
+import time
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import httpx2
 import pytest
 
 from api.cli.served import READY
 from hatch_build import install_page_libraries
-from pipeline.runtime.packages.storage import home
+from pipeline.config import JobChoices, networks_of
+from pipeline.detect import models
+from pipeline.errors import ModelError
+from pipeline.runtime.packages.samples import Sample
+from pipeline.runtime.parent_watch import tied_to_parent
 from pipeline.stages.code import stage_codes
+from pipeline.warm_up import NUM_COMPILED
+from tests.api.uploads.test_upload_clients import free_port
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import archives
+from tests.waiting import wait_for
 
 ROOT = Path(__file__).parents[2]
+COMPILING = re.compile(r"A worker compiles the numeric kernels: (\d+) of (\d+) steps\. A first start takes .*")
+# Time limit on a busy machine; compiling takes minutes.
+LONGEST_S = 600.0
 
 RECONSTRUCT = """
 import sys
@@ -49,11 +69,20 @@ print(seen[-1])
 """
 
 
+def clean_environment() -> dict[str, str]:
+    """Environment without what makes Python find the checkout."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+
+
 def run(*command: str | Path, cwd: Path, **environment: str) -> str:
     """Output of a program in an environment without the checkout."""
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     done = subprocess.run(
-        list(map(str, command)), cwd=cwd, env=clean | environment, capture_output=True, text=True, check=False
+        list(map(str, command)),
+        cwd=cwd,
+        env=clean_environment() | environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -75,23 +104,117 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return python.parent
 
 
-@pytest.fixture
-def foreign(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of modules with the names of our packages; each ends the process that imports it."""
-    folder = tmp_path / "foreign"
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp("foreign")
     for name in ("api", "pipeline", "worker"):
         (folder / f"{name}.py").write_text("raise RuntimeError('foreign code')\n", encoding="utf-8")
     return folder
 
 
+@dataclass(frozen=True, slots=True)
+class FirstStart:
+    """Service that was started without compiled kernels, and what it said until its first job was done.
+
+    Parameters
+    ----------
+    said
+        Sentences of ``/readyz`` while it was not ready, each once.
+    job
+        Job that was sent when it was ready.
+    """
+
+    address: str
+    home: Path
+    said: list[str]
+    job: dict[str, Any]
+    told: str
+    log: list[dict[str, Any]]
+
+
+@contextmanager
+def starting(programs: Path, cwd: Path, folder: Path) -> Iterator[tuple[httpx2.Client, subprocess.Popen[str]]]:
+    """Service that starts, with the installed networks and no kernels in its home folder."""
+    try:
+        networks = [models.path_of(name) for name in networks_of(JobChoices()).names]
+    except ModelError as error:
+        pytest.skip(str(error))
+    (folder / "home" / "models").mkdir(parents=True)
+    for network in networks:
+        (folder / "home" / "models" / network.name).symlink_to(network)
+    port = free_port()
+    serve = [programs / "multicap", "serve", "--port", port, "--workers", "1", "--data", folder / "data"]
+    environment = clean_environment() | {"MULTICAP_HOME": str(folder / "home")}
+    with (folder / "stderr").open("wb") as errors, ExitStack() as stack:
+        process = stack.enter_context(
+            subprocess.Popen(
+                tied_to_parent(list(map(str, serve))),
+                cwd=cwd,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+                env=environment,
+            )
+        )
+        address = f"http://127.0.0.1:{port}"
+        client = stack.enter_context(httpx2.Client(base_url=address, timeout=180, trust_env=False))
+        try:
+            yield client, process
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+
+
+def answers(client: httpx2.Client) -> bool:
+    try:
+        return client.get("/healthz").is_success
+    except httpx2.TransportError:
+        return False
+
+
+def post_session(client: httpx2.Client, sample: Sample) -> str:
+    with ExitStack() as opened:
+        parts = [("videos", path) for path in sample.videos.values()] + [("calibration", sample.calibration)]
+        files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
+        return str(client.post("/v1/sessions", files=files).raise_for_status().json()["links"]["jobs"])
+
+
+def wait_until_ready(client: httpx2.Client) -> list[str]:
+    """Wait until the service is ready; return the sentences of ``/readyz`` meanwhile, each once."""
+    said: list[str] = []
+    deadline_s = time.monotonic() + LONGEST_S
+    while (answer := client.get("/readyz")).status_code == 503:
+        assert time.monotonic() < deadline_s, said
+        said += [item["message"] for item in answer.json()["errors"] if item["message"] not in said]
+        time.sleep(0.1)
+    assert answer.status_code == 200, answer.text
+    return said
+
+
 @pytest.fixture(scope="module")
-def kernels(tmp_path_factory: pytest.TempPathFactory, programs: Path) -> str:
-    """Home folder with the installed networks, and with the wheel's kernels, which are compiled once."""
-    folder = tmp_path_factory.mktemp("home")
-    (folder / "models").symlink_to(home() / "models")
-    run(programs / "python", "-P", "-m", "multicap.pipeline.warm_up", cwd=folder, MULTICAP_HOME=str(folder))
-    return str(folder)
+def first_start(
+    programs: Path, foreign: Path, sample: Sample, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[FirstStart]:
+    """Service of the wheel after its first start, which goes on."""
+    folder = tmp_path_factory.mktemp("first")
+    with starting(programs, foreign, folder) as (client, process):
+        wait_for(lambda: answers(client))
+        jobs = post_session(client, sample)
+        said = wait_until_ready(client)
+        answer = client.post(jobs, json={"frame_range": [0, 4]}).raise_for_status().json()
+        wait_for(lambda: client.get(answer["links"]["self"]).json()["state"] == "succeeded")
+        job = client.get(answer["links"]["self"]).json()
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith(READY)
+        lines = (folder / "data" / "logs" / "worker.log").read_text().splitlines()
+        log = [json.loads(line) for line in lines if line[:1] == "{"]
+        told = (folder / "stderr").read_text()
+        yield FirstStart(str(client.base_url), folder / "home", said, job, told, log)
+
+
+def seconds(stage: dict[str, Any]) -> float:
+    return (datetime.fromisoformat(stage["finished_at"]) - datetime.fromisoformat(stage["started_at"])).total_seconds()
 
 
 def test_the_wheel_holds_one_package(programs: Path, tmp_path: Path) -> None:
@@ -155,44 +278,31 @@ def test_type_checkers_find_the_types(programs: Path, foreign: Path) -> None:
     ] == []
 
 
-def test_processes_of_a_pool(programs: Path, foreign: Path, tmp_path: Path, kernels: str) -> None:
-    if not (home() / "models/movenet-multipose.onnx").exists():
-        pytest.skip("the default detector is not installed")
+def test_ready_is_said_when_a_job_would_start_at_once(first_start: FirstStart) -> None:
+    found = [COMPILING.fullmatch(sentence) for sentence in first_start.said]
+    steps = [(int(one[1]), int(one[2])) for one in found if one]
+    assert len(steps) >= 5, first_start.said
+    assert steps == sorted(steps)
+    assert {total for _, total in steps} == {NUM_COMPILED}
+    job = first_start.job
+    waited_s = datetime.fromisoformat(job["stages"][0]["started_at"]) - datetime.fromisoformat(job["created_at"])
+    assert waited_s.total_seconds() < 2.0
+    # Without compiled kernels these would take minutes.
+    assert sum(seconds(stage) for stage in job["stages"] if stage["name"] in {"associate", "fit"}) < 10.0
+    assert COMPILING.search(first_start.told), first_start.told
+    (compiled,) = [event for event in first_start.log if event["event"] == "kernels_compiled"]
+    assert compiled["done"] == compiled["total"] == NUM_COMPILED
+
+
+def test_processes_of_a_pool(programs: Path, foreign: Path, tmp_path: Path, first_start: FirstStart) -> None:
     options = [*video_capture(tmp_path / "capture"), f"--out={tmp_path / 'out'}", "--chunk-frames=10"]
     command: list[str | Path] = [programs / "multicap", "reconstruct", "--json", *options, "--processes=2"]
-    assert json.loads(run(*command, cwd=foreign, MULTICAP_HOME=kernels))["metrics"]["num_frames"] == 20
-
-
-@pytest.fixture
-def service(programs: Path, foreign: Path, tmp_path: Path, kernels: str) -> Iterator[str]:
-    """Address of a service that runs from the wheel."""
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    command: list[str | Path] = [
-        programs / "multicap",
-        "serve",
-        "--port",
-        "0",
-        "--workers",
-        "1",
-        "--data",
-        tmp_path / "data",
-    ]
-    with subprocess.Popen(
-        command, cwd=foreign, env=clean | {"MULTICAP_HOME": kernels}, stdout=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            if not line and process.wait(10) == 1:
-                pytest.skip("the default detector is not installed")
-            yield line.removeprefix(READY).strip()
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(60)
+    said = run(*command, cwd=foreign, MULTICAP_HOME=str(first_start.home))
+    assert json.loads(said)["metrics"]["num_frames"] == 20
 
 
 def test_a_job_by_the_client_and_the_same_in_the_process(
-    programs: Path, foreign: Path, tmp_path: Path, kernels: str, service: str
+    programs: Path, foreign: Path, tmp_path: Path, first_start: FirstStart
 ) -> None:
     capture = tmp_path / "capture"
     keypoint_capture(capture)
@@ -200,8 +310,9 @@ def test_a_job_by_the_client_and_the_same_in_the_process(
     for _, (name, content) in archives(capture):
         (capture / "archives" / name).write_bytes(content)
     sent, local = tmp_path / "sent", tmp_path / "local"
-    said = run(programs / "python", "-c", SEND, service, capture, sent, cwd=foreign)
+    said = run(programs / "python", "-c", SEND, first_start.address, capture, sent, cwd=foreign)
     assert float(said) == 1.0
-    run(programs / "python", "-c", RECONSTRUCT, capture, local, cwd=foreign, MULTICAP_HOME=kernels)
+    home = str(first_start.home)
+    run(programs / "python", "-c", RECONSTRUCT, capture, local, cwd=foreign, MULTICAP_HOME=home)
     assert len(list(local.glob("*.bvh"))) >= 2
     assert digests(sent) == digests(local)

@@ -20,7 +20,7 @@ from tests.e2e.captures import cameras_of_two_videos, two_videos
 from tests.e2e.serving import Served, serving
 
 # The service is that of the other tests of the page.
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("page")
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ INTAKES = {"/v1/calibrations", "/v1/characters", "/v1/jobs", "/v1/sessions"}
 # Processes among which the operations are shared out.
 PARTS = 3
 SETTINGS = settings(
-    max_examples=75,
+    max_examples=25,
     deadline=None,
     derandomize=True,
     phases=[Phase.explicit, Phase.generate],

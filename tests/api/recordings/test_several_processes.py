@@ -38,19 +38,25 @@ def broker() -> Iterator[str]:
     shutil.rmtree(folder)
 
 
+Both = tuple[httpx2.Client, httpx2.Client, psutil.Process]
+
+
 @contextlib.contextmanager
-def side_by_side(
-    settings: Settings, broker_url: str
-) -> Iterator[tuple[OpenedRecording, OpenedRecording, psutil.Process]]:
-    """A recording as two processes on one database serve it, and the second process."""
+def side_by_side(settings: Settings, broker_url: str) -> Iterator[Both]:
+    """Clients of two processes on one database, and the second process."""
     with (
         serving(settings, BROKER_URL=broker_url) as (first, _),
         serving(settings, BROKER_URL=broker_url) as (second, process),
     ):
-        opened = first.post("/v1/recordings", json={}).json()
-        secret = opened["join"]["secret"]
-        sides = [OpenedRecording(_live(client), opened["id"], secret) for client in (first, second)]
-        yield sides[0], sides[1], process
+        yield first, second, process
+
+
+def recording_at(first: httpx2.Client, second: httpx2.Client) -> tuple[OpenedRecording, OpenedRecording]:
+    """A new recording as two processes serve it."""
+    opened = first.post("/v1/recordings", json={}).json()
+    secret = opened["join"]["secret"]
+    left, right = (OpenedRecording(_live(client), opened["id"], secret) for client in (first, second))
+    return left, right
 
 
 def _live(client: httpx2.Client) -> Live:
@@ -58,9 +64,16 @@ def _live(client: httpx2.Client) -> Live:
     return Live(client, (url.host, url.port or 0), None)  # type: ignore[arg-type]
 
 
-def test_hosts_and_phones_of_two_processes_see_each_other(make_settings: Callable[..., Settings], broker: str) -> None:
+@pytest.fixture(scope="module")
+def both(make_settings: Callable[..., Settings], broker: str) -> Iterator[Both]:
+    """Two processes with a broker; the last test kills the second one."""
+    with side_by_side(make_settings(), broker) as both:
+        yield both
+
+
+def test_hosts_and_phones_of_two_processes_see_each_other(both: Both) -> None:
+    first, second = recording_at(*both[:2])
     with (
-        side_by_side(make_settings(), broker) as (first, second, _),
         first.host() as host,
         first.phone("Here") as here,
         second.phone("There") as there,
@@ -86,12 +99,10 @@ def test_hosts_and_phones_of_two_processes_see_each_other(make_settings: Callabl
         host.state(lambda state: not state["live"][1]["is_connected"])
 
 
-def test_a_phone_that_moves_to_another_process_has_one_connection(
-    make_settings: Callable[..., Settings], broker: str
-) -> None:
+def test_a_phone_that_moves_to_another_process_has_one_connection(both: Both) -> None:
     identity = "a-phone-that-moves-to-another-process"
+    first, second = recording_at(*both[:2])
     with (
-        side_by_side(make_settings(), broker) as (first, second, _),
         first.phone("Left", phone_id=identity) as phone,
         second.phone(phone_id=identity) as again,
     ):
@@ -100,11 +111,10 @@ def test_a_phone_that_moves_to_another_process_has_one_connection(
 
 
 def test_without_a_broker_takes_start_in_time_all_the_same(make_settings: Callable[..., Settings]) -> None:
-    with (
-        side_by_side(make_settings(), NO_BROKER) as (first, second, _),
-        first.host() as host,
-        second.phone("There") as there,
-    ):
+    with contextlib.ExitStack() as stack:
+        left, right, _ = stack.enter_context(side_by_side(make_settings(), NO_BROKER))
+        first, second = recording_at(left, right)
+        host, there = stack.enter_context(first.host()), stack.enter_context(second.phone("There"))
         state = host.state(lambda state: len(state["recording"]["phones"]) == 1)
         assert state["relay"] == "away"
         host.send("start")
@@ -116,34 +126,35 @@ def test_without_a_broker_takes_start_in_time_all_the_same(make_settings: Callab
         host.state(lambda state: any(take["clips"] for take in state["recording"]["takes"]))
 
 
-def test_a_process_that_is_killed_loses_nothing_of_a_take(make_settings: Callable[..., Settings], broker: str) -> None:
+def test_a_process_that_is_killed_loses_nothing_of_a_take(both: Both) -> None:
     identity = "a-phone-whose-process-is-killed"
-    with side_by_side(make_settings(), broker) as (first, second, process):
-        content = bytes(range(256)) * 200
-        with first.host() as host:
-            with second.phone("Left", phone_id=identity) as phone:
-                host.send("start")
-                start = phone.next("start")
-                begun = phone.begin_upload(len(content))
-                assert begun.status_code == 201
-                address = begun.headers["location"]
-                sent = {"Upload-Offset": "0", **TUS, **phone.headers}
-                piece = second.live.client.patch(address, content=content[:20_000], headers=sent)
-                assert piece.headers["upload-offset"] == "20000"
-                process.kill()
-                process.wait(30)
-            host.state(lambda state: state["live"] and not state["live"][0]["is_connected"])
-            with connected_phone(first, phone_id=identity) as phone:
-                (take,) = phone.welcome["takes"]
-                assert (take["state"], take["start_s"]) == ("recording", start["at_server_s"])
-                host.send("stop")
-                phone.next("stop")
-                # Both processes have one folder here: the upload goes on where it was.
-                offset = first.live.client.head(address, headers=TUS | phone.headers).headers["upload-offset"]
-                assert offset == "20000"
-                sent = {"Upload-Offset": offset, **TUS, **phone.headers}
-                rest = first.live.client.patch(address, content=content[20_000:], headers=sent)
-                assert rest.headers["upload-offset"] == str(len(content))
-                fields: dict[str, Any] = file_fields(1, address.rpartition("/")[2], start["at_server_s"], len(content))
-                phone.send("file", **fields)
-                host.state(lambda state: any(take["clips"] for take in state["recording"]["takes"]))
+    *clients, process = both
+    first, second = recording_at(*clients)
+    content = bytes(range(256)) * 200
+    with first.host() as host:
+        with second.phone("Left", phone_id=identity) as phone:
+            host.send("start")
+            start = phone.next("start")
+            begun = phone.begin_upload(len(content))
+            assert begun.status_code == 201
+            address = begun.headers["location"]
+            sent = {"Upload-Offset": "0", **TUS, **phone.headers}
+            piece = second.live.client.patch(address, content=content[:20_000], headers=sent)
+            assert piece.headers["upload-offset"] == "20000"
+            process.kill()
+            process.wait(30)
+        host.state(lambda state: state["live"] and not state["live"][0]["is_connected"])
+        with connected_phone(first, phone_id=identity) as phone:
+            (take,) = phone.welcome["takes"]
+            assert (take["state"], take["start_s"]) == ("recording", start["at_server_s"])
+            host.send("stop")
+            phone.next("stop")
+            # Both processes have one folder here: the upload goes on where it was.
+            offset = first.live.client.head(address, headers=TUS | phone.headers).headers["upload-offset"]
+            assert offset == "20000"
+            sent = {"Upload-Offset": offset, **TUS, **phone.headers}
+            rest = first.live.client.patch(address, content=content[20_000:], headers=sent)
+            assert rest.headers["upload-offset"] == str(len(content))
+            fields: dict[str, Any] = file_fields(1, address.rpartition("/")[2], start["at_server_s"], len(content))
+            phone.send("file", **fields)
+            host.state(lambda state: any(take["clips"] for take in state["recording"]["takes"]))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, func, select, tuple_
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
@@ -62,42 +62,45 @@ def result_of(row: Row[Any]) -> Result:
 # Clients ask for jobs all the time, and building the query takes longer than running it.
 @functools.cache
 def select_jobs() -> Select[Any]:
-    """Query of jobs with the preflight of their sessions and their places in the queue, for ``jobs_of``."""
-    ahead = jobs.alias("ahead")
-    place = (
-        select(func.count() + 1)
-        .select_from(ahead)
-        .where(
-            ahead.c.state == JobState.QUEUED,
-            or_(
-                ahead.c.precedence < jobs.c.precedence,
-                and_(
-                    ahead.c.precedence == jobs.c.precedence,
-                    or_(
-                        ahead.c.queued_at < jobs.c.queued_at,
-                        and_(ahead.c.queued_at == jobs.c.queued_at, ahead.c.id < jobs.c.id),
-                    ),
-                ),
-            ),
-        )
-    )
-    queue_position = case((jobs.c.state == JobState.QUEUED, place.scalar_subquery()))
+    """Query of jobs with the preflight of their sessions, for ``jobs_of``."""
     elapsed_s = now() - jobs.c.started_at
     return select(
         jobs,
         sessions.c.name.label("session_name"),
         sessions.c.preflight,
         sessions.c.videos_deleted_at,
-        queue_position.label("queue_position"),
         elapsed_s.label("elapsed_s"),
     ).join(sessions)
 
 
 def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[JobRecord]:
-    """Jobs with their stages, from rows of ``select_jobs``."""
+    """Jobs with their stages and their places in the queue, from rows of ``select_jobs``."""
     stages = _stages(connection, [row.id for row in rows])
     visuals = _visuals_jobs(connection, [row.id for row in rows if row.revision > 0])
-    return [_job(row, stages[row.id], visuals.get(row.id)) for row in rows]
+    positions = _queue_positions(connection, [row for row in rows if row.state == JobState.QUEUED])
+    return [_job(row, stages[row.id], visuals.get(row.id), positions.get(row.id)) for row in rows]
+
+
+def _queue_positions(connection: Connection, queued: Sequence[Row[Any]]) -> Mapping[str, int]:
+    """Places in the queue of queued jobs, from 1, by id; the queue is read once, up to the last of them."""
+    if not queued:
+        return {}
+    last = max(queued, key=lambda row: (row.precedence, row.queued_at, row.id))
+    rows = connection.execute(_select_positions(), {"job_ids": [row.id for row in queued], "last_id": last.id})
+    return {row.id: row.position for row in rows}
+
+
+@functools.cache
+def _select_positions() -> Select[Any]:
+    last = jobs.alias("last")
+    order, of_last = ((table.c.precedence, table.c.queued_at, table.c.id) for table in (jobs, last))
+    queue = (
+        select(jobs.c.id, func.row_number().over(order_by=order).label("position"))
+        .join(last, last.c.id == bindparam("last_id"))
+        .where(jobs.c.state == JobState.QUEUED, tuple_(*order) <= tuple_(*of_last))
+        .subquery()
+    )
+    return select(queue.c.id, queue.c.position).where(queue.c.id.in_(bindparam("job_ids", expanding=True)))
 
 
 def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, NewestJob]:
@@ -108,7 +111,9 @@ def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str
     return {row.of_job: NewestJob(row.id, JobState(row.state)) for row in connection.execute(query)}
 
 
-def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None) -> JobRecord:
+def _job(
+    row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None, queue_position: int | None
+) -> JobRecord:
     spec = spec_of(row.spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
@@ -125,7 +130,7 @@ def _job(row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJo
         attempt=row.attempt,
         stages=stages,
         progress=sum(stage.done for stage in stages) / sum(stage.total for stage in stages),
-        queue_position=row.queue_position,
+        queue_position=queue_position,
         created_at=row.created_at,
         started_at=row.started_at,
         finished_at=row.finished_at,
