@@ -80,7 +80,7 @@ def test_the_bumped_camera_is_named_with_its_time(tmp_path: Path, seed: int) -> 
 
 @pytest.mark.parametrize(
     ("scene", "seed"),
-    accuracy_but([("room", 1), ("store", 1)], [("room", 1), ("room", 3), ("store", 1), ("comings-and-goings", 2)]),
+    accuracy_but([("room", 1)], [("room", 1), ("room", 3), ("store", 1), ("comings-and-goings", 2)]),
 )
 def test_a_good_take_has_no_bumped_camera(tmp_path: Path, scene: str, seed: int) -> None:
     metrics = reconstructed(take(scene, seed), tmp_path)
