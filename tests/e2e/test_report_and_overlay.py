@@ -15,12 +15,15 @@ from tests.e2e.serving import Served
 
 pytestmark = [pytest.mark.xdist_group("sample"), pytest.mark.slow]
 
+NUM_FRAMES = 25
+SPEC = {"profile": "fast", "frame_range": [0, NUM_FRAMES], "report": True, "overlay": True}
+
 
 def post(served: Served, sample: Sample) -> str:
     with ExitStack() as opened:
         files = [("videos", (path.name, opened.enter_context(path.open("rb")))) for path in sample.videos.values()]
         calibration = ("calibration", (sample.calibration.name, sample.calibration.read_bytes()))
-        spec = ("spec", (None, json.dumps({"profile": "fast", "report": True, "overlay": True}).encode()))
+        spec = ("spec", (None, json.dumps(SPEC).encode()))
         answer = served.client.post("/v1/jobs", files=[*files, calibration, spec], timeout=120)
     assert answer.status_code == 202, answer.text
     return str(answer.json()["id"])
@@ -65,7 +68,7 @@ def test_report_and_overlays_follow_an_edit(served: Served, sample: Sample) -> N
     assert "Anna" in second["report.html"].decode()
     for name in set(first) - {"report.html"}:
         before, after = list(pictures(first[name])), list(pictures(second[name]))
-        assert len(before) == len(after) == 100
+        assert len(before) == len(after) == NUM_FRAMES
         # The label alone changed: some pixels of the pictures, not most.
         shares = [(np.abs(one - other).max(-1) > 60).mean() for one, other in zip(before, after, strict=True)]
         assert 0 < max(shares) < 0.05
