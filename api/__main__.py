@@ -9,9 +9,10 @@ import sys
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
 
-from api.app import ExposedError, create_app, require_keys_if_exposed, unusable_database
+from api.app import create_app
 from api.http.server import server_config
 from api.settings import Settings
+from api.startup import ExposedError, require_keys_if_exposed, unusable_database
 from worker.jobs.errors import NewerDatabase
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.private_files import keep_files_private, make_private

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import shlex
 import shutil
 from collections.abc import AsyncIterator
 
@@ -36,15 +35,15 @@ from api.recordings.rooms import Rooms
 from api.resources import RESOURCES
 from api.sessions.preflight import PreflightProgram
 from api.settings import Settings
+from api.startup import require_keys_if_exposed
 from api.uploads.files import FolderUploads
 from api.uploads.routes import VERSION as TUS_VERSION
 from api.uploads.spool import UploadSpool, sweep_forever
 from pipeline.stages.code import stage_codes
 from worker.jobs.backup.linked import release_abandoned
-from worker.jobs.errors import DamagedDatabase
-from worker.jobs.files.disk import DiskSpace, is_disk_full
+from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.private_files import make_private
-from worker.jobs.files.stores import default_data_dir, open_artifacts
+from worker.jobs.files.stores import open_artifacts
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 
@@ -101,30 +100,6 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(SlowClientGuard, idle_s=settings.client_idle_s, min_bytes_per_s=settings.client_min_bytes_per_s)
     app.add_middleware(RequestContext, metrics=app.state.metrics)
     return app
-
-
-def unusable_database(settings: Settings, error: Exception) -> str:
-    """Message for the operator when the database can't be opened or written."""
-    if isinstance(error, DamagedDatabase):
-        return f"{error}\n{error.instructions()}"
-    if is_disk_full(error):
-        return f"The disk of the folder {settings.data_dir} is full. Free space on it, then try again."
-    where = "MULTICAP_DATABASE_URL" if settings.database_url else f"the folder {settings.data_dir}"
-    return f"The database can't be used. Check that it runs and that {where} is right."
-
-
-class ExposedError(Exception):
-    """The service can be reached from other machines and has no keys; the text states the remedy."""
-
-
-def require_keys_if_exposed(settings: Settings, store: JobStore) -> None:
-    """Raise ``ExposedError`` if other machines can reach the service and it has no keys."""
-    if settings.is_exposed and not store.keys.exist():
-        data = "" if settings.data_dir == default_data_dir() else f" --data {shlex.quote(str(settings.data_dir))}"
-        raise ExposedError(
-            f"{settings.host} can be reached from other machines, and there are no keys: anybody could use the "
-            f"service. Create a key with `multicap keys create NAME{data}`, or listen on 127.0.0.1."
-        )
 
 
 @contextlib.asynccontextmanager

@@ -68,12 +68,26 @@ def test_no_two_classes_have_one_name() -> None:
     assert not {name for name, count in names.items() if count > 1 and not name.startswith("_")}
 
 
-def test_the_web_api_loads_no_science() -> None:
-    program = "import sys; from api.app import create_app; from api.__main__ import main; print(*sys.modules)"
+SCIENCE = {"scipy", "numba", "cv2", "av", "onnxruntime"}
+
+
+@pytest.mark.parametrize(
+    ("modules", "needed", "unneeded"),
+    [
+        ("api.app, api.__main__", "fastapi", SCIENCE | {"numpy", "alembic"}),
+        ("api.cli.commands.serve", "sqlalchemy", SCIENCE | {"fastapi", "alembic"}),
+        ("worker.__main__", "celery", SCIENCE | {"fastapi", "alembic"}),
+        ("worker.reaper", "sqlalchemy", SCIENCE | {"fastapi", "alembic"}),
+    ],
+    ids=["web API", "supervisor", "main process of workers", "reaper"],
+)
+def test_processes_load_what_they_need(modules: str, needed: str, unneeded: set[str]) -> None:
+    """A service starts in seconds: its workers alone load science, and alembic is for an older schema."""
+    program = f"import sys, {modules}; print(*sys.modules)"
     ended = subprocess.run([sys.executable, "-P", "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     loaded = {name.partition(".")[0] for name in ended.stdout.split()}
-    assert "fastapi" in loaded
-    assert not loaded & {"numpy", "scipy", "numba", "cv2", "av", "onnxruntime"}
+    assert needed in loaded
+    assert not loaded & unneeded
 
 
 @pytest.mark.slow

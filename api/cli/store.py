@@ -7,9 +7,9 @@ from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from api.app import unusable_database
 from api.cli.console import refusal
 from api.settings import Settings
+from api.startup import unusable_database
 from worker.jobs.errors import NewerDatabase
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.private_files import keep_files_private, make_private

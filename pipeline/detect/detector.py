@@ -9,7 +9,7 @@ from jaxtyping import Float32, UInt8
 from pipeline.data.arrays import read_only
 from pipeline.data.turns import upright_size_px
 from pipeline.detect.bodies import ImageBodies, boxes_around
-from pipeline.detect.decoders.fields import FieldGrid, ImageFields
+from pipeline.detect.decoders.fields import ImageFields, grid_on_image
 from pipeline.detect.decoders.grouping import group
 from pipeline.detect.decoders.movenet import decode_movenet
 from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
@@ -17,7 +17,7 @@ from pipeline.detect.entries import entry_of
 from pipeline.detect.letterbox import LetterBox, apply_letterbox, fit_letterbox
 from pipeline.detect.models import verify
 from pipeline.detect.providers.find import current_provider
-from pipeline.detect.registry import NetworkEntry, NetworkHead, NetworkInput
+from pipeline.detect.registry import FieldGrid, NetworkEntry, NetworkHead, NetworkInput
 from pipeline.detect.session import Network, open_network
 from pipeline.errors import ModelError
 from pipeline.joints import JointSet
@@ -73,7 +73,7 @@ class Detector:
     def _decode_fields(self, outputs: Mapping[str, np.ndarray], letterbox: LetterBox) -> ImageFields:
         if self.fields is None:
             raise ValueError("The network gives no part affinity fields.")
-        return decode_openpose(outputs, self.fields.on_image(letterbox), letterbox.image_size_px)
+        return decode_openpose(outputs, grid_on_image(self.fields, letterbox), letterbox.image_size_px)
 
 
 def open_detector(name: str = "movenet-multipose") -> Detector:

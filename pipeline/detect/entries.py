@@ -6,9 +6,16 @@ declared in ``pipeline.config`` too: name, label, fields, and where users get th
 
 from collections.abc import Sequence
 
-from pipeline.detect.decoders.fields import FieldGrid
 from pipeline.detect.own.files import OWN_PREFIX, own_entry
-from pipeline.detect.registry import LooseWeights, NetworkEntry, NetworkHead, NetworkInput, PackagedWeights, WeightFile
+from pipeline.detect.registry import (
+    FieldGrid,
+    LooseWeights,
+    NetworkEntry,
+    NetworkHead,
+    NetworkInput,
+    PackagedWeights,
+    WeightFile,
+)
 from pipeline.errors import ModelError
 from pipeline.joints import BODY_FEET, COCO_17, COCO_18, FINGERS, JointOffset, JointOffsets, JointSet
 from pipeline.runtime.packages.index import PinnedFile

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from pipeline.detect.decoders.fields import FieldGrid
 from pipeline.detect.own_network import OwnNetwork
 from pipeline.joints import JointOffsets, JointSet
 from pipeline.runtime.packages.index import PinnedFile
@@ -72,6 +71,16 @@ class NetworkInput:
     def scale(self, image_size_px: tuple[int, int]) -> float:
         """Pixels of the network's input for each image pixel, for an image of this width and height."""
         return self.scaled_px / (max(image_size_px) if self.scaled_side == "long" else image_size_px[1])
+
+
+@dataclass(frozen=True, slots=True)
+class FieldGrid:
+    """Grid of a network's maps on its input, and the threshold of its part affinity fields."""
+
+    stride_px: int  # Size of a cell in pixels of the input
+    shift_px: tuple[float, float]  # Offset of the network's maps to the right and downwards, in pixels of the input
+    # Least connectivity score of connected joints (Chen et al. 2020, eq. 2); depends on the network, 0.3 in the paper
+    tau2: float
 
 
 @dataclass(frozen=True, slots=True)

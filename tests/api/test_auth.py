@@ -14,10 +14,11 @@ from typing import Any
 import httpx2
 import pytest
 
-from api.app import ExposedError, create_app, require_keys_if_exposed
+from api.app import create_app
 from api.contract.openapi import COMMITTED
 from api.motion.examples import ANSWERS
 from api.settings import Settings
+from api.startup import ExposedError, require_keys_if_exposed
 from pipeline.edits import PersonSpan
 from tests.api.conftest import Live, form, problem_of, running
 from tests.small_disk import fill, small_disk

@@ -1,6 +1,7 @@
 """`multicap serve` as a process, with helpers for tests."""
 
 import hashlib
+import json
 import os
 import signal
 import sys
@@ -42,14 +43,16 @@ class Served:
         (found,) = [one for one in children if word in [one.name(), *one.cmdline()]]
         return found
 
-    def post(self, sample: Sample) -> str:
+    def post(self, sample: Sample, **choices: Any) -> str:
+        """Send the sample and reconstruct it with some choices; return the job's id."""
         with ExitStack() as opened:
             files = [("videos", (path.name, opened.enter_context(path.open("rb")))) for path in sample.videos.values()]
             calibration = (
                 "calibration",
                 (sample.calibration.name, opened.enter_context(sample.calibration.open("rb"))),
             )
-            response = self.client.post("/v1/jobs", files=[*files, calibration])
+            spec = ("spec", (None, json.dumps(choices), "application/json"))
+            response = self.client.post("/v1/jobs", files=[*files, calibration, spec])
         assert response.status_code == 202, response.text
         return str(response.json()["id"])
 

@@ -300,8 +300,8 @@ def used(
             run.press()
     if kept is None:
         page.wait_for_timeout(500)
-        run.wait(lambda: page.get_by_text(re.compile("Loading the|Checking the calibration")).count() == 0)
     if not run.is_pressed:
+        run.wait(lambda: run.held or page.get_by_text(re.compile("Loading the|Checking the calibration")).count() == 0)
         run.press()
     run.wait(lambda: run.held or run.is_sent() or run.is_refused())
     if run.held:

@@ -13,6 +13,7 @@ import pytest
 
 from api.cli.served import READY
 from pipeline.runtime.packages.samples import Sample
+from tests.e2e.conftest import NUM_FIRST
 from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests
 from tests.waiting import is_alive, wait_for
 
@@ -20,9 +21,9 @@ pytestmark = pytest.mark.xdist_group("service")
 
 
 def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
-    served: Served, sample: Sample, results: Path
+    served: Served, sample: Sample, first_results: Path
 ) -> None:
-    job_id = served.post(sample)
+    job_id = served.post(sample, frame_range=[0, NUM_FIRST])
     wait_for(lambda: served.job(job_id)["progress"] > 0)
     served.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
     asked_s = time.monotonic()
@@ -38,9 +39,10 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
         time.sleep(0.2)
     assert (job["state"], job["attempt"]) == ("succeeded", 2), job
     assert progress == sorted(progress)
-    assert served.downloads(job_id) == digests(results)
+    assert served.downloads(job_id) == digests(first_results)
 
-    again = served.client.post(f"/v1/sessions/{job['session_id']}/jobs").raise_for_status().json()
+    spec = {"frame_range": [0, NUM_FIRST]}
+    again = served.client.post(f"/v1/sessions/{job['session_id']}/jobs", json=spec).raise_for_status().json()
     stages = served.wait_for_end(again["id"])["stages"]
     assert {stage["name"]: stage["reused"] for stage in stages} == {
         "look": True,
@@ -55,7 +57,7 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
         "fit": True,
         "export": False,
     }
-    assert served.downloads(again["id"]) == digests(results)
+    assert served.downloads(again["id"]) == digests(first_results)
     stored = served.data_dir / "artifacts"
     outputs = stored / "sessions" / job["session_id"] / "stages"
     folders = (outputs, stored / "jobs" / job_id)
@@ -63,14 +65,16 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
     assert 0.7 < job["space"]["store_bytes"] / used_bytes < 1.5
 
 
-def test_a_killed_worker_and_a_killed_broker_change_no_byte(served: Served, sample: Sample, results: Path) -> None:
-    job_id = served.post(sample)
+def test_a_killed_worker_and_a_killed_broker_change_no_byte(
+    served: Served, sample: Sample, first_results: Path
+) -> None:
+    job_id = served.post(sample, frame_range=[0, NUM_FIRST])
     wait_for(lambda: served.job(job_id)["progress"] > 0.1)
     served.part("worker").kill()
     wait_for(lambda: served.job(job_id)["progress"] > 0.3)
     served.part("valkey-server").kill()
     assert served.wait_for_end(job_id)["state"] == "succeeded"
-    assert served.downloads(job_id) == digests(results)
+    assert served.downloads(job_id) == digests(first_results)
 
 
 def test_a_second_service_on_the_folder_is_refused(served: Served) -> None:

@@ -11,13 +11,13 @@ import httpx2
 import typer
 from rich.text import Text
 
-from api.app import ExposedError, require_keys_if_exposed
 from api.cli.certificates import CertificateError, Encryption, given_encryption, own_encryption
 from api.cli.console import console, refusal, reporting
 from api.cli.options import ProviderOption, take_provider
 from api.cli.served import READY
 from api.cli.store import opened_store
 from api.settings import Settings
+from api.startup import ExposedError, require_keys_if_exposed
 from pipeline.config import networks_of
 from pipeline.detect import models
 from pipeline.runtime.child_processes import module_command

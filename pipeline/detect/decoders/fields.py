@@ -12,6 +12,7 @@ from jaxtyping import Float, Float32, Int, UInt8
 
 from pipeline.data.detections import MapGrid
 from pipeline.detect.letterbox import LetterBox
+from pipeline.detect.registry import FieldGrid
 from pipeline.geometry.fields import quantise
 
 MIN_PEAK_SCORE = 0.05
@@ -22,22 +23,6 @@ MIN_PEAK_SCORE = 0.05
 _UPSAMPLING = 4
 _SMOOTHING_CELLS = 0.375
 _NEIGHBOURHOOD = np.ones((7, 7), np.uint8)
-
-
-@dataclass(frozen=True, slots=True)
-class FieldGrid:
-    """Grid of a network's maps on its input, and the threshold of its fields."""
-
-    stride_px: int  # Size of a cell in pixels of the input
-    shift_px: tuple[float, float]  # Offset of the network's maps to the right and downwards, in pixels of the input
-    # Least connectivity score of connected joints (Chen et al. 2020, eq. 2); depends on the network, 0.3 in the paper
-    tau2: float
-
-    def on_image(self, letterbox: LetterBox) -> MapGrid:
-        """Make the grid of the maps' cells on an image."""
-        offset_px = letterbox.image_from_network((self.stride_px - 1) / 2 - np.array(self.shift_px))
-        pitch_px = self.stride_px / letterbox.scale
-        return MapGrid(tuple(offset_px.tolist()), tuple(pitch_px.tolist()), letterbox.turn_deg)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +36,13 @@ class ImageFields:
     # Unit vectors along each limb in x and y of the maps, as bytes; see ``pipeline.data.detections.PafFields``
     fields: UInt8[np.ndarray, "limbs 2 height width"]
     grid: MapGrid  # Positions of the fields' cells on the image
+
+
+def grid_on_image(grid: FieldGrid, letterbox: LetterBox) -> MapGrid:
+    """Grid of a network's maps on an image."""
+    offset_px = letterbox.image_from_network((grid.stride_px - 1) / 2 - np.array(grid.shift_px))
+    pitch_px = grid.stride_px / letterbox.scale
+    return MapGrid(tuple(offset_px.tolist()), tuple(pitch_px.tolist()), letterbox.turn_deg)
 
 
 def read_fields(

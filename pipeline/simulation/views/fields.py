@@ -14,9 +14,10 @@ from jaxtyping import Bool, Float, Int
 from pipeline.data.cameras import Camera, FrameTimes
 from pipeline.data.detections import PafFields
 from pipeline.detect.chunk import stack_fields
-from pipeline.detect.decoders.fields import FieldGrid, ImageFields, find_peaks
+from pipeline.detect.decoders.fields import ImageFields, find_peaks, grid_on_image
 from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.detect.letterbox import fit_letterbox
+from pipeline.detect.registry import FieldGrid
 from pipeline.geometry.fields import quantise
 from pipeline.joints import COCO_17, COCO_18
 from pipeline.simulation.views.detector import BEST_SCORE, DetectorAccuracy, look, see_joints
@@ -128,7 +129,7 @@ def _draw(content: Sketch, frame: int) -> ImageFields:
     rng = np.random.default_rng([content.seed, frame])
     letterbox = fit_letterbox(content.camera.size_px, _HEIGHT_PX / content.camera.size_px[1], GRID.stride_px)
     width, height = (side // GRID.stride_px for side in letterbox.padded_size_px)
-    grid = GRID.on_image(letterbox)
+    grid = grid_on_image(GRID, letterbox)
     heatmaps = np.zeros((len(COCO_18.names), height, width), np.float32)
     fields, count = np.zeros((len(LIMBS), 2, height, width), np.float32), np.zeros((len(LIMBS), height, width))
 

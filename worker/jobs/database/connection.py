@@ -5,18 +5,13 @@ import functools
 import json
 import os
 import sqlite3
-import threading
 import time
 import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
-from alembic import command
-from alembic.config import Config
-from alembic.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Double, Engine, Table, create_engine, event, text
+from sqlalchemy import Connection, Double, Engine, Table, create_engine, event, inspect, text
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import ExceptionContext, make_url
 from sqlalchemy.ext.compiler import compiles
@@ -51,8 +46,7 @@ _PRIMARY_CODE = 0xFF
 # Message of Python's driver for text of a damaged page; the error has no code.
 _NOT_TEXT = "Could not decode to UTF-8"
 
-# Alembic keeps its context in globals of the process: two threads can't migrate two databases at once.
-_ONE_MIGRATION = threading.Lock()
+_REVISION_TABLE = "alembic_version"
 _MIGRATION_LOCK = 0x6D63_6170  # any number, the same in every process
 
 
@@ -98,9 +92,9 @@ def lock(connection: Connection, name: str) -> None:
 
 @functools.cache
 def schema_revisions() -> tuple[str, ...]:
-    """Revisions of the schema, the first one first."""
-    scripts = ScriptDirectory.from_config(_migrations()).walk_revisions()
-    return tuple(script.revision for script in scripts)[::-1]
+    """Revisions of the schema, the first one first; the names of their modules begin with them."""
+    modules = Path(__file__).with_name("migrations").joinpath("versions").glob("v????_*.py")
+    return tuple(sorted(module.stem[1:5] for module in modules))
 
 
 def require_known_schema(revision: str) -> None:
@@ -127,10 +121,12 @@ def require_content(path: Path) -> None:
         raise DamagedDatabase(path, "the file is empty, though there are files of sessions beside it")
 
 
-def _migrations() -> Config:
-    config = Config()
-    config.set_main_option("script_location", "worker.jobs.database:migrations")
-    return config
+def _revision(connection: Connection) -> str | None:
+    """Revision of the schema; ``None`` if there is none."""
+    if not inspect(connection).has_table(_REVISION_TABLE):
+        return None
+    found: str | None = connection.execute(text(f"SELECT version_num FROM {_REVISION_TABLE}")).scalar()  # noqa: S608 - our own name
+    return found
 
 
 class Database:
@@ -183,7 +179,7 @@ class Database:
     def revision(self) -> str | None:
         """Revision of the schema; ``None`` if there is none."""
         with self.reading() as connection:
-            return MigrationContext.configure(connection).get_current_revision()
+            return _revision(connection)
 
     def require_known_schema(self) -> None:
         """Raise ``NewerDatabase`` if this version does not know the schema."""
@@ -213,12 +209,14 @@ class Database:
         with self.writing() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _MIGRATION_LOCK})
-            if (revision := MigrationContext.configure(connection).get_current_revision()) is not None:
+            if (revision := _revision(connection)) == schema_revisions()[-1]:
+                return
+            if revision is not None:
                 require_known_schema(revision)
-            config = _migrations()
-            config.attributes["connection"] = connection
-            with _ONE_MIGRATION:
-                command.upgrade(config, "head")
+            # It takes a third of a second to load, and most processes find the schema up to date.
+            from worker.jobs.database.migrations.upgrade import upgrade  # noqa: PLC0415
+
+            upgrade(connection)
 
     def close(self) -> None:
         """Close the connections that are not in use."""

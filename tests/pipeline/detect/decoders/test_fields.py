@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from pipeline.data.detections import MapGrid
 from pipeline.data.turns import upright_size_px
 from pipeline.detect.chunk import stack_fields
-from pipeline.detect.decoders.fields import FieldGrid, find_peaks
+from pipeline.detect.decoders.fields import find_peaks, grid_on_image
 from pipeline.detect.decoders.grouping import group
 from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detect.detector import Detector
 from pipeline.detect.entries import REGISTRY
 from pipeline.detect.letterbox import fit_letterbox
 from pipeline.detect.profiles.detection import turned
-from pipeline.detect.registry import NetworkHead, NetworkInput
+from pipeline.detect.registry import FieldGrid, NetworkHead, NetworkInput
 from pipeline.geometry.fields import connectivity, quantise
 from pipeline.joints import COCO_18
 
@@ -84,7 +84,7 @@ def draw_limb(begin: np.ndarray, end: np.ndarray, shape: tuple[int, int]) -> np.
 def test_fields_of_a_turned_picture_connect_the_same_points(turn_deg: float, limb_deg: float) -> None:
     """A limb of the picture, as a network draws its field that sees the picture turned."""
     letterbox = fit_letterbox((640, 480), 1.0, 8, turn_deg)
-    grid = FieldGrid(8, (0.0, 0.0), 0.3).on_image(letterbox)
+    grid = grid_on_image(FieldGrid(8, (0.0, 0.0), 0.3), letterbox)
     direction = np.array([np.cos(np.radians(limb_deg)), np.sin(np.radians(limb_deg))])
     begin_px, end_px = np.array([320.0, 240.0]) - 60 * direction, np.array([320.0, 240.0]) + 60 * direction
     begin, end = (grid.map_from_image(point_px) for point_px in (begin_px, end_px))

@@ -13,6 +13,7 @@ from alembic.script import ScriptDirectory
 
 from pipeline.problem_codes.model import Code
 from tests.worker.jobs.conftest import StoreBench, stages
+from worker.jobs.database.connection import schema_revisions
 from worker.jobs.database.tables import metadata
 from worker.jobs.errors import KeyBusy, NewerDatabase
 from worker.jobs.model.jobs import JobProblem
@@ -38,6 +39,10 @@ def migrate(engine: sa.Engine, step: str, revision: str) -> None:
     with engine.begin() as connection:
         CONFIG.attributes["connection"] = connection
         getattr(command, step)(CONFIG, revision)
+
+
+def test_revisions_are_those_of_alembic() -> None:
+    assert schema_revisions() == tuple(reversed(REVISIONS))
 
 
 def add_data(jobs: StoreBench) -> list[str]:
