@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +53,24 @@ def test_a_phone_that_is_refused_goes_on_and_says_why(
 ) -> None:
     link = open_recording(host, "Refused")
     lines: list[tuple[WebSocketRoute, WebSocketRoute]] = []
-    is_away = False
+    is_away, num_refused = False, 0
+
+    def forward(line: WebSocketRoute, server: WebSocketRoute, message: str | bytes) -> None:
+        nonlocal num_refused
+        if num_refused == 0 and isinstance(message, str) and json.loads(message)["type"] == "file":
+            num_refused += 1
+            line.send(json.dumps(OUTAGE | {"close_code": None}))
+        else:
+            server.send(message)
 
     def pass_on(line: WebSocketRoute) -> None:
         if is_away:
             line.send(json.dumps(OUTAGE))
             line.close()
         else:
-            lines.append((line, line.connect_to_server()))
+            server = line.connect_to_server()
+            line.on_message(partial(forward, line, server))
+            lines.append((line, server))
 
     def refuse(route: Route) -> None:
         route.fulfill(status=413, content_type="application/problem+json", body=json.dumps({"detail": REASON}))
@@ -87,6 +98,7 @@ def test_a_phone_that_is_refused_goes_on_and_says_why(
         phone.page.unroute("**/v1/uploads")
         expect(take_card(host, "Refused")).to_contain_text("1 of 1 clip here", timeout=PATIENT_MS)
         expect(phone_card(host, phone.name)).not_to_contain_text(REASON)
+    assert num_refused == 1
     (file,) = files_of(served, host)
     assert (file["part"], file["facts"]["lost"]) == (1, [])
 

@@ -17,6 +17,7 @@ const FIRST_SETTINGS = { width: 1920, height: 1080, frame_rate_hz: 30 };
 const STATUS_MS = 1000;
 const [PING_MS, FIRST_PING_MS, NUM_FIRST_PINGS] = [2000, 120, 12];
 const DRAW_MS = 500;
+const AGAIN_MS = 3000;
 const AHEAD_S = 0.3; // of a part that begins in the middle of a take
 const LINK_CODES = ["link_unknown", "recording_link_ended"];
 const MAX_ERROR = 100; // characters of what the host sees
@@ -93,7 +94,7 @@ export class PhoneCamera extends EventTarget {
       this.room.send({ type: "ping", t0_s: nowS() });
       this.#timers[1] = setTimeout(ping, this.clock.numSamples < NUM_FIRST_PINGS ? FIRST_PING_MS : PING_MS);
     };
-    this.#timers = [setInterval(() => this.#status(), STATUS_MS), setTimeout(ping, FIRST_PING_MS)];
+    this.#timers = [setInterval(() => this.#status(), STATUS_MS), setTimeout(ping, FIRST_PING_MS)]; // and the next try
     document.addEventListener("visibilitychange", () => this.#status());
   }
 
@@ -158,13 +159,16 @@ export class PhoneCamera extends EventTarget {
     else if (type === "upload") this.#wanted(message.take);
     else if (type === "delete") await this.#delete(message.take);
     else if (type === "ended") this.#over(message.reason);
-    else if (type === "problem" && message.close_code !== null) this.#refused(message);
+    else if (type === "problem") this.#refused(message);
     this.#changed();
   }
 
   // A link that has ended is the end. Other refusals may pass, such as an outage: what is recorded goes on meanwhile.
-  #refused({ code, detail, hint }) {
-    if (LINK_CODES.includes(code)) this.#over("link");
+  #refused({ code, detail, hint, close_code: closeCode, retryable }) {
+    if (closeCode === null) {
+      // A message that was not taken, such as that an upload is complete: after the next welcome all is told again.
+      if (retryable) this.#timers[2] ??= setTimeout(() => { this.#timers[2] = undefined; this.room.again(); }, AGAIN_MS);
+    } else if (LINK_CODES.includes(code)) this.#over("link");
     else this.refusal = { message: detail, hint };
   }
 
