@@ -31,10 +31,9 @@ class RelayKind(Enum):
     """Kind of a message."""
 
     CHANGED = b"C"  # rows of the recording have changed
-    PHONE = b"P"  # what is known of a phone, in JSON
+    PHONE = b"P"  # what is known of a phone, in JSON; an earlier connection of it ends
     THUMBNAIL = b"T"  # number of a phone, and a JPEG
     HOST = b"H"  # a host is connected, and wants thumbnails
-    JOINED = b"J"  # a phone has connected: an earlier connection of it ends
 
 
 OnMessage = Callable[[str, RelayKind, bytes], None]

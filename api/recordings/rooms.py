@@ -42,12 +42,13 @@ class LivePhone:
     is_connected: bool = False
     status: dict[str, Any] | None = None
     hello: dict[str, Any] | None = None
+    since_s: float = 0.0  # Time of its connection, in seconds since 1970
     told_s: float = 0.0  # When another process told it, by the monotonic clock
 
     def encode(self, number: int) -> bytes:
         """Form for other processes."""
         content = {"phone": number, "connected": self.is_connected, "status": self.status, "hello": self.hello}
-        return json.dumps(content, separators=(",", ":")).encode()
+        return json.dumps({**content, "since_s": self.since_s}, separators=(",", ":")).encode()
 
 
 @dataclass(slots=True, eq=False)
@@ -116,8 +117,7 @@ class Room:
         """Have a phone connected here during the block; an earlier connection of it ends."""
         self._replace(number)
         side = self.phones[number] = Side()
-        self.live[number] = LivePhone(True, None, hello)
-        self._relay.publish(self.recording.id, RelayKind.JOINED, number, _NUMBER.pack(number))
+        self.live[number] = LivePhone(True, None, hello, time.time())
         self._tell_phone(number)
         try:
             yield side
@@ -144,17 +144,13 @@ class Room:
         match kind:
             case RelayKind.PHONE:
                 told = json.loads(content)
-                if told["phone"] not in self.phones:
-                    self.live[told["phone"]] = LivePhone(
-                        told["connected"], told["status"], told["hello"], time.monotonic()
-                    )
-                    self.wake_hosts()
+                since_s = told.get("since_s", 0.0)  # none from processes of an earlier version
+                phone = LivePhone(told["connected"], told["status"], told["hello"], since_s, time.monotonic())
+                self._take_phone(told["phone"], phone)
             case RelayKind.THUMBNAIL:
                 self._show(_NUMBER.unpack_from(content)[0], content)
             case RelayKind.HOST:
                 self._hosts_elsewhere_s = time.monotonic()
-            case RelayKind.JOINED:
-                self._replace(_NUMBER.unpack(content)[0])
 
     def tell(self) -> None:
         """Tell other processes who is connected here, and forget what they told long ago."""
@@ -167,6 +163,15 @@ class Room:
             if number not in self.phones and phone.is_connected and phone.told_s < old_s:
                 phone.is_connected = False
                 self.wake_hosts()
+
+    def _take_phone(self, number: int, phone: LivePhone) -> None:
+        """Take what another process told of a phone; of two connections of it the later one stays."""
+        if number in self.phones:
+            if not phone.is_connected or phone.since_s <= self.live[number].since_s:
+                return
+            self._replace(number)
+        self.live[number] = phone
+        self.wake_hosts()
 
     def _replace(self, number: int) -> None:
         if (earlier := self.phones.pop(number, None)) is not None:
