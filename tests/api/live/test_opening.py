@@ -16,14 +16,15 @@ from worker.jobs.model.rights import Scope
 @pytest.fixture
 def own(make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]) -> Iterator[Live]:
     """Running service of a test's own, with room for two captures of a tenant and three of all."""
-    settings = make_settings(
-        **live_commands,
-        max_live_captures=3,
-        max_tenant_live_captures=2,
-        live_idle_s=1.0,
-        max_live_messages_per_s=20.0,
-    )
-    with running(settings) as live:
+    places = {"max_live_captures": 3, "max_tenant_live_captures": 2}
+    with running(make_settings(**live_commands, **places, max_live_messages_per_s=20.0)) as live:
+        yield live
+
+
+@pytest.fixture
+def impatient(make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]) -> Iterator[Live]:
+    """Running service that is strict about silence."""
+    with running(make_settings(**live_commands, live_idle_s=1.0)) as live:
         yield live
 
 
@@ -112,10 +113,10 @@ def test_captures_of_a_tenant_and_of_all_are_limited(own: Live) -> None:
             assert refusal(own, **bearer(second)) == (503, "captures_busy")
 
 
-def test_silence_ends_a_capture(own: Live) -> None:
-    with opened(own) as connection:
+def test_silence_ends_a_capture(impatient: Live) -> None:
+    with opened(impatient) as connection:
         assert LiveSocket(connection).problem()["code"] == "live_idle"
-    with opened(own) as connection:
+    with opened(impatient) as connection:
         client = LiveSocket(connection)
         client.start()
         assert client.problem()["code"] == "live_idle"
