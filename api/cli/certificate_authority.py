@@ -76,7 +76,7 @@ def new_authority(machine: str, names: Sequence[str], now: datetime.datetime) ->
 
 
 def is_trusted(certificate: x509.Certificate, authority: x509.Certificate, name: str, now: datetime.datetime) -> bool:
-    """Whether clients that trust an authority accept a certificate of a server for a name or an address at a time."""
+    """Return whether clients that trust an authority accept a server's certificate for a name or an address then."""
     verifier = PolicyBuilder().store(Store([authority])).time(now).build_server_verifier(general_name(name))
     try:
         verifier.verify(certificate, [])
@@ -86,7 +86,7 @@ def is_trusted(certificate: x509.Certificate, authority: x509.Certificate, name:
 
 
 def is_limited(authority: x509.Certificate) -> bool:
-    """Whether an authority has name constraints."""
+    """Return whether an authority has name constraints."""
     try:
         authority.extensions.get_extension_for_class(x509.NameConstraints)
     except x509.ExtensionNotFound:

@@ -279,8 +279,8 @@ def test_type_checkers_find_the_types(programs: Path, foreign: Path) -> None:
 
 
 def test_ready_is_said_when_a_job_would_start_at_once(first_start: FirstStart) -> None:
-    found = [COMPILING.fullmatch(sentence) for sentence in first_start.said]
-    steps = [(int(one[1]), int(one[2])) for one in found if one]
+    matches = [COMPILING.fullmatch(sentence) for sentence in first_start.said]
+    steps = [(int(match[1]), int(match[2])) for match in matches if match]
     assert len(steps) >= 5, first_start.said
     assert steps == sorted(steps)
     assert {total for _, total in steps} == {NUM_COMPILED}

@@ -63,7 +63,7 @@ export async function adjust(track, settings) {
 }
 
 /**
- * What the track is and can, as the service takes it; nothing of a camera that does not tell its size.
+ * Facts and abilities of the track as the service takes them; none of a camera that does not tell its size.
  *
  * Browsers that don't tell a rate record about 30 frames a second.
  */

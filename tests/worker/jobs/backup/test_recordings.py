@@ -87,7 +87,7 @@ def test_recordings_are_as_they_were_and_go_on(data: Data, room: FilmedRoom, tmp
             uploads_of(there.store, room.id, 1).uploads.get(room.half)
         with pytest.raises(NotFound):
             there.store.of("other", Quotas(), Actor()).recordings.get(room.id)
-        # Whatever comes after counts on from there.
+        # Revisions count on from there.
         assert recordings.stop_take(room.id, START_S + 310).revision == before.revision + 1
         recordings.add_file(room.id, 2, 2, ClipFile(1, room.half, 4, START_S + 200.0, 0.02, 10.0, {}))
         recordings.delete(room.id)
