@@ -89,3 +89,4 @@ def test_ten_phones_record_for_minutes(served: Served, camera: Path, tmp_path: P
     assert last[0] - first[0] < MAX_GROWTH_MIB
     assert last[1] - first[1] < MAX_GROWTH_MIB
     assert not any(clip["facts"]["lost"] for clip in clips)
+    assert not any(dropped_frames)
