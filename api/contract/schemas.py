@@ -1,5 +1,6 @@
 """Parts that several bodies have."""
 
+import functools
 import unicodedata
 from typing import Annotated, Any, Self
 
@@ -63,4 +64,9 @@ class SpaceOut(ResponseModel):
 
 def fields_of(record: object, model: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:
     """Values of a model's fields from the attributes of a record with the same names."""
-    return {name: getattr(record, name) for name in model.model_fields if name not in without}
+    return {name: getattr(record, name) for name in _names(model, without)}
+
+
+@functools.cache
+def _names(model: type[BaseModel], without: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name for name in model.model_fields if name not in without)

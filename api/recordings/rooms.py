@@ -5,6 +5,7 @@ import contextlib
 import json
 import struct
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -12,7 +13,9 @@ from typing import Any, Literal
 import structlog
 from starlette.concurrency import run_in_threadpool
 
+from api.http.socket_problems import LATER, SocketProblem
 from api.recordings.relay import RecordingRelay, RelayKind
+from pipeline.problem_codes.recordings import RECORDING_BUSY
 from worker.jobs.errors import NotFound
 from worker.jobs.model.recordings import RecordingSession
 from worker.jobs.store import JobStore
@@ -194,6 +197,7 @@ class Rooms:
     def __init__(self, store: JobStore, relay: RecordingRelay) -> None:
         self._store, self._relay = store, relay
         self._rooms: dict[str, Room] = {}
+        self.num_greeting: Counter[str] = Counter()
         self._nudge = asyncio.Event()
 
     @contextlib.asynccontextmanager
@@ -214,6 +218,21 @@ class Rooms:
             if not room.num_entered and self._rooms.get(recording_id) is room:
                 del self._rooms[recording_id]
                 self._relay.unsubscribe(recording_id)
+
+    @contextlib.contextmanager
+    def greeting(self, recording_id: str, max_greeting: int) -> Iterator[None]:
+        """Have a connection that has yet to say which phone it is during the block.
+
+        Raises ``SocketProblem`` if ``max_greeting`` others are silent at this process.
+        """
+        if self.num_greeting[recording_id] >= max_greeting:
+            raise SocketProblem(RECORDING_BUSY, "Too many connections have not said hello yet.", LATER)
+        self.num_greeting[recording_id] += 1
+        try:
+            yield
+        finally:
+            self.num_greeting[recording_id] -= 1
+            self.num_greeting += Counter()  # without those of nobody
 
     async def run(self) -> None:
         """Keep the rooms up to date until it is canceled."""

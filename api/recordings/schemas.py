@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from api.calibrations.schemas import BOARD_PATTERN
 from api.contract.schemas import Id, NextCursor, ResponseModel, fields_of, printable_name
+from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.problem_codes.fields import WRONG_FORMAT
 from worker.jobs.model.recordings import (
@@ -23,9 +24,9 @@ from worker.jobs.spec import JobSpec
 
 
 def camera_name(text: str) -> str:
-    """Refuse names that calibrations refuse for cameras: with slashes or odd blanks, or of dots alone."""
-    if not text.isprintable() or "/" in text or "\\" in text or not text.strip(" ."):
-        raise PydanticCustomError(WRONG_FORMAT, "A name has no slashes, no blanks but spaces, and more than dots.")
+    """Refuse a name that a calibration refuses for a camera."""
+    if fault := name_problem(text):
+        raise PydanticCustomError(WRONG_FORMAT, "The name {fault}", {"fault": fault})
     return text
 
 
@@ -34,7 +35,9 @@ PhoneName = Annotated[
     AfterValidator(printable_name),
     AfterValidator(camera_name),
     Field(
-        min_length=1, max_length=64, description="Name of the phone, and of its camera in sessions; without slashes."
+        min_length=1,
+        max_length=MAX_NAME_LENGTH,
+        description="Name of the phone, and of its camera in sessions; without slashes.",
     ),
 ]
 TakeName = Annotated[

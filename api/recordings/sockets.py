@@ -75,7 +75,8 @@ async def _phone(websocket: WebSocket, services: Services, recording_id: str, se
     if caller.join is None or caller.join.recording_id != canonical_id(recording_id, "recording"):
         raise ApiError(LINK_UNKNOWN, "The link is that of another recording.", hint="Open the link again.")
     intake = RecordingIntake(websocket, settings, must_send=True)
-    hello = await said_hello(intake)
+    with services.rooms.greeting(caller.join.recording_id, settings.max_recording_phones):
+        hello = await said_hello(intake)
     records = _records(services, websocket, caller)
     try:
         recording, number = await run_in_threadpool(

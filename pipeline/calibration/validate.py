@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.calibration.camera_names import name_problem
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.data.arrays import read_only
 from pipeline.data.cameras import Camera, LensModel
@@ -33,7 +34,6 @@ from pipeline.problem_codes.sessions import (
 )
 
 MAX_CAMERAS = 128
-_MAX_NAME_LENGTH = 64
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 _FISHEYE_LENGTHS = (0, NUM_COEFFICIENTS)
 # The last two of 14 coefficients tilt the sensor.
@@ -134,17 +134,6 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray | str:
         return "is not a rotation: it mirrors (determinant -1)."
     left, _, right = np.linalg.svd(matrix)
     return left @ right
-
-
-def name_problem(name: Any) -> str | None:
-    """End of a sentence about a wrong name of a camera, or ``None``."""
-    if not isinstance(name, str) or not name.strip():
-        return "is missing or not a text."
-    if len(name) > _MAX_NAME_LENGTH or not name.isprintable() or "/" in name or "\\" in name:
-        return f"must be at most {_MAX_NAME_LENGTH} printable characters without slashes."
-    if name in {".", ".."}:  # names of folders that are there already
-        return "must not be . or .."
-    return None
 
 
 def _tilt_problems(distortion: np.ndarray | None, file: str, camera: str) -> list[Problem]:

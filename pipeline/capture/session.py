@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.calibration.camera_names import name_problem
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.calibration.sizes import fit_to_video, guessed_camera
-from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.pairing import MIN_CAMERAS, pair

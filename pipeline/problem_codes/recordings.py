@@ -49,8 +49,8 @@ RECORDING_IDLE = RECORDINGS.code(
 RECORDING_BUSY = RECORDINGS.code(
     "recording_busy",
     _WHERE,
-    "The recording has as many hosts connected as it may have.",
-    "Close pages of the recording that nobody needs.",
+    "The recording has as many hosts connected, or as many connections that have not said hello, as it may have.",
+    "Close pages of the recording that nobody needs; phones connect again after a moment.",
 )
 RECORDING_LINK_ENDED = RECORDINGS.code(
     "recording_link_ended",

@@ -21,6 +21,7 @@ from tests.api.recordings.conftest import (
     socket_of,
     taken,
 )
+from tests.waiting import wait_for
 
 
 @contextlib.contextmanager
@@ -180,6 +181,23 @@ def test_silent_phones_are_disconnected(impatient: Live) -> None:
         assert phone.problem()["code"] == "recording_idle"
         host.send("ping", t0_s=0.0)  # hosts may be silent
         assert host.next("pong")
+
+
+def test_only_so_many_connections_may_be_silent(strict: Live) -> None:
+    recording = opened_recording(strict)
+    silent = strict.services.rooms.num_greeting
+    with joining(recording), recording.phone("Left") as phone:
+        with joining(recording):
+            wait_for(lambda: silent[recording.id] == 2)
+            with joining(recording) as third:
+                problem = third.problem()
+                assert (problem["code"], problem["close_code"], problem["retryable"]) == ("recording_busy", 1013, True)
+        wait_for(lambda: silent[recording.id] == 1)
+        phone.send("ping", t0_s=1.0)
+        assert phone.next("pong")["t0_s"] == 1.0
+        with recording.phone("Right"):
+            pass
+    wait_for(lambda: recording.id not in silent)
 
 
 def test_there_are_only_so_many_phones_and_hosts(recording: OpenedRecording) -> None:

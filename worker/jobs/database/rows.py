@@ -3,7 +3,8 @@
 import functools
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import groupby
+from itertools import compress, groupby
+from operator import itemgetter
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, func, select, tuple_
@@ -24,8 +25,7 @@ from worker.jobs.model.sessions import InputFile, Session
 from worker.jobs.model.states import ChunkState, JobState
 from worker.jobs.spec import JobSpec
 
-# Place of the first count of ``_select_stages``.
-_FIRST_COUNT = 2
+_STATES = tuple(ChunkState)
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 
@@ -115,6 +115,7 @@ def _job(
     row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None, queue_position: int | None
 ) -> JobRecord:
     spec = spec_of(row.spec)
+    config = config_of(spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
     found = tuple(Finding(**warning) for warning in row.warnings)
@@ -140,7 +141,7 @@ def _job(
         waiting_for=None if row.waiting_for is None else JobProblem(**row.waiting_for),
         warnings=(
             *preflight.warnings,
-            *method_warnings(spec.config, has_videos),
+            *method_warnings(config, has_videos),
             *(warning.message for warning in found),
         ),
         result_warnings=found,
@@ -156,7 +157,7 @@ def _job(
         provider=row.provider,
         space=None
         if making is not None
-        else foreseen_space(preflight, config_of(spec), 0 if character is None else character.file.num_bytes),
+        else foreseen_space(preflight, config, 0 if character is None else character.file.num_bytes),
     )
 
 
@@ -233,10 +234,8 @@ def _eta_s(row: Row[Any], stages: Iterable[StageProgress]) -> float | None:
 
 
 def _stages(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, tuple[StageProgress, ...]]:
-    rows = connection.execute(_select_stages(), {"job_ids": job_ids})
-    return {
-        job_id: tuple(_stage(row) for row in of_job) for job_id, of_job in groupby(rows, key=lambda row: row.job_id)
-    }
+    rows = connection.execute(_select_stages(), {"job_ids": job_ids}).all()
+    return {job_id: tuple(map(_stage, of_job)) for job_id, of_job in groupby(rows, key=itemgetter(0))}
 
 
 @functools.cache
@@ -245,13 +244,13 @@ def _select_stages() -> Select[Any]:
         select(
             chunks.c.job_id,
             chunks.c.stage,
-            *(_count(chunks.c.state == state).label(state) for state in ChunkState),
-            _count(chunks.c.reused).label("reused"),
-            func.count().label("num_chunks"),
-            func.sum(chunks.c.done_units).label("done_units"),
-            func.sum(chunks.c.unit_count).label("total_units"),
-            func.min(chunks.c.started_at).label("started_at"),
-            func.max(chunks.c.finished_at).label("finished_at"),
+            func.sum(chunks.c.done_units),
+            func.sum(chunks.c.unit_count),
+            func.min(chunks.c.started_at),
+            func.max(chunks.c.finished_at),
+            _count(chunks.c.reused),
+            func.count(),
+            *(_count(chunks.c.state == state) for state in _STATES),
         )
         .where(chunks.c.job_id.in_(bindparam("job_ids", expanding=True)))
         .group_by(chunks.c.job_id, chunks.c.stage_index, chunks.c.stage)
@@ -263,18 +262,18 @@ def _count(condition: ColumnElement[bool]) -> ColumnElement[int]:
     return func.sum(case((condition, 1), else_=0))
 
 
-def _stage(row: Row[Any]) -> StageProgress:
-    numbers = row[_FIRST_COUNT : _FIRST_COUNT + len(ChunkState)]
-    counts = {state: number for state, number in zip(ChunkState, numbers, strict=True) if number}
-    state = stage_state(counts.keys())
+def _stage(row: Sequence[Any]) -> StageProgress:
+    """Progress of a stage, from a row of ``_select_stages``: a page of jobs has hundreds of them."""
+    _, name, done, total, started_at, finished_at, num_reused, num_chunks, *of_states = row
+    state = stage_state(compress(_STATES, of_states))
     return StageProgress(
-        name=row.stage,
+        name=name,
         state=state,
-        done=row.done_units,
-        total=row.total_units,
-        started_at=row.started_at,
-        finished_at=row.finished_at if state in _ENDED else None,
-        reused=row.reused == row.num_chunks,
+        done=done,
+        total=total,
+        started_at=started_at,
+        finished_at=finished_at if state in _ENDED else None,
+        reused=num_reused == num_chunks,
     )
 
 
