@@ -45,7 +45,7 @@ class LivePhone:
     is_connected: bool = False
     status: dict[str, Any] | None = None
     hello: dict[str, Any] | None = None
-    since_s: float = 0.0  # Time of its connection, in seconds since 1970
+    since_s: float = 0.0  # Time of its connection by the database's clock, which all processes share
     told_s: float = 0.0  # When another process told it, by the monotonic clock
 
     def encode(self, number: int) -> bytes:
@@ -116,11 +116,11 @@ class Room:
             host.wake.set()
 
     @contextlib.contextmanager
-    def phone_connected(self, number: int, hello: dict[str, Any]) -> Iterator[Side]:
+    def phone_connected(self, number: int, since_s: float, hello: dict[str, Any]) -> Iterator[Side]:
         """Have a phone connected here during the block; an earlier connection of it ends."""
         self._replace(number)
         side = self.phones[number] = Side()
-        self.live[number] = LivePhone(True, None, hello, time.time())
+        self.live[number] = LivePhone(True, None, hello, since_s)
         self._tell_phone(number)
         try:
             yield side

@@ -79,7 +79,7 @@ async def _phone(websocket: WebSocket, services: Services, recording_id: str, se
         hello = await said_hello(intake)
     records = _records(services, websocket, caller)
     try:
-        recording, number = await run_in_threadpool(
+        joined = await run_in_threadpool(
             records.recordings.join,
             caller.join.recording_id,
             hello.phone_id,
@@ -90,10 +90,10 @@ async def _phone(websocket: WebSocket, services: Services, recording_id: str, se
     except PhoneRemoved:
         raise RecordingOver("removed") from None
     about = hello.model_dump(mode="json", include={"track", "capabilities", "mime_types"})
-    async with services.rooms.entered(records, recording.id) as room:
-        room.changed(recording)
-        with room.phone_connected(number, about) as side:
-            phone = PhoneConnection(websocket, room, records, settings, number, metrics)
+    async with services.rooms.entered(records, joined.recording.id) as room:
+        room.changed(joined.recording)
+        with room.phone_connected(joined.number, joined.at_s, about) as side:
+            phone = PhoneConnection(websocket, room, records, settings, joined.number, metrics)
             await phone.welcome()
             # Changes while the welcome was on its way.
             side.wake.set()

@@ -23,7 +23,7 @@ class SilentRelay(RecordingRelay):
 def test_of_two_connections_of_a_phone_the_later_one_stays(order: Sequence[int]) -> None:
     recording = RecordingSession("r", "Rehearsal", NOW, NOW, 1)
     rooms = [Room(recording, SilentRelay()) for _ in range(2)]
-    with rooms[0].phone_connected(1, {}) as earlier, rooms[1].phone_connected(1, {}) as later:
+    with rooms[0].phone_connected(1, 8.0, {}) as earlier, rooms[1].phone_connected(1, 8.5, {}) as later:
         told = [room.live[1].encode(1) for room in rooms]
         for number in order:  # what one process told reaches the other one
             rooms[1 - number].received(RelayKind.PHONE, told[number])
@@ -35,6 +35,6 @@ def test_of_two_connections_of_a_phone_the_later_one_stays(order: Sequence[int])
 
 def test_processes_of_an_earlier_version_end_no_connection() -> None:
     room = Room(RecordingSession("r", "Rehearsal", NOW, NOW, 1), SilentRelay())
-    with room.phone_connected(1, {}) as side:
+    with room.phone_connected(1, 8.0, {}) as side:
         room.received(RelayKind.PHONE, b'{"phone": 1, "connected": true, "status": null, "hello": null}')
         assert not side.is_replaced

@@ -117,6 +117,15 @@ class RecordingSession:
 
 
 @dataclass(frozen=True, slots=True)
+class JoinedPhone:
+    """Recording that a phone has just joined, its number, and when, in seconds since 1970 by the database's clock."""
+
+    recording: RecordingSession
+    number: int
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class JoinLink:
     """Link by which phones join a recording, and send their uploads; it opens nothing else."""
 

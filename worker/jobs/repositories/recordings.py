@@ -19,6 +19,7 @@ from worker.jobs.database.tables import clips, phones, recordings, takes, upload
 from worker.jobs.errors import Conflict, NotFound, PhoneRemoved
 from worker.jobs.model.recordings import (
     ClipFile,
+    JoinedPhone,
     RecordingLimits,
     RecordingPhone,
     RecordingSession,
@@ -223,8 +224,8 @@ class Recordings:
 
     def join(
         self, recording_id: str, phone_id: str, name: str | None, device: str, limits: RecordingLimits
-    ) -> tuple[RecordingSession, int]:
-        """Join a recording as a phone, or come back; returns the recording and the number of the phone.
+    ) -> JoinedPhone:
+        """Join a recording as a phone, or come back.
 
         Parameters
         ----------
@@ -245,7 +246,7 @@ class Recordings:
             if (row := connection.execute(known).one_or_none()) is not None:
                 if row.removed_at is not None:
                     raise PhoneRemoved
-                return self._read(connection, recording_id), row.number
+                return _joined(connection, self._read(connection, recording_id), row.number)
             present = self._read(connection, recording_id).phones
             num_there = sum(not phone.is_removed for phone in present)
             if num_there >= limits.phones or len(present) >= limits.phones * (1 + _MAX_REMOVED):
@@ -261,7 +262,7 @@ class Recordings:
                     joined_at=now(),
                 )
             )
-            return self._changed(connection, recording_id), number
+            return _joined(connection, self._changed(connection, recording_id), number)
 
     def phone_number(self, recording_id: str, phone_id: str) -> int:
         """Number of the phone with a secret; ``NotFound`` if there is none, or the host has removed it."""
@@ -366,6 +367,10 @@ class Recordings:
             names = {"recording_id": recording_id, "take": take, "phone": phone}
             connection.execute(insert(clips).values(**{**names, "files": [], **values}))
         return self._changed(connection, recording_id)
+
+
+def _joined(connection: Connection, recording: RecordingSession, number: int) -> JoinedPhone:
+    return JoinedPhone(recording, number, connection.execute(select(now())).scalar_one())
 
 
 def _free_name(name: str, taken: Collection[str]) -> str:
