@@ -27,6 +27,7 @@ from api.recordings.phones import limits_of, refusal_of, send
 from api.recordings.rooms import HostSide, RecordingOver, Room
 from api.recordings.schemas import RecordingOut
 from api.settings import Settings
+from worker.jobs.files.disk import DiskSpace
 from worker.jobs.model.recordings import RecordingSession
 from worker.jobs.tenant_records import TenantRecords
 
@@ -43,10 +44,15 @@ class HostConnection:
     ----------
     records
         Records of the host.
+    disk
+        Disk of the service: no take begins on a full one, and what begins can be ended on it.
     """
 
-    def __init__(self, websocket: WebSocket, room: Room, records: TenantRecords, settings: Settings) -> None:
+    def __init__(
+        self, websocket: WebSocket, room: Room, records: TenantRecords, settings: Settings, disk: DiskSpace
+    ) -> None:
         self._websocket, self._room, self._records, self._settings = websocket, room, records, settings
+        self._disk = disk
         self._shown_revision = -1
 
     async def receive(self, intake: RecordingIntake) -> None:
@@ -85,18 +91,19 @@ class HostConnection:
         match message:
             case HostStart():
                 settings = {} if message.settings is None else message.settings.model_dump()
+                self._disk.require_room()
                 start_s, limits = server_s() + _START_LEAD_S, limits_of(self._settings)
                 return recordings.start_take(recording_id, message.name, settings, start_s, limits)
             case HostStop():
-                return recordings.stop_take(recording_id, server_s() + _STOP_LEAD_S)
+                return self._disk.using_reserve(lambda: recordings.stop_take(recording_id, server_s() + _STOP_LEAD_S))
             case HostRename():
                 return recordings.rename_phone(recording_id, message.phone, message.name)
             case HostRemove():
-                return recordings.remove_phone(recording_id, message.phone)
+                return self._disk.using_reserve(lambda: recordings.remove_phone(recording_id, message.phone))
             case HostUpload():
                 return recordings.want_upload(recording_id, message.take)
             case HostDiscard():
-                return recordings.discard_take(recording_id, message.take)
+                return self._disk.using_reserve(lambda: recordings.discard_take(recording_id, message.take))
             case ClientPing():
                 raise ValueError("a ping changes nothing")
 

@@ -107,7 +107,8 @@ async def _host(
         if len(room.hosts) >= services.settings.max_recording_hosts:
             detail = f"At most {services.settings.max_recording_hosts} hosts may be connected to a recording."
             raise SocketProblem(RECORDING_BUSY, detail, LATER)
-        host, side = HostConnection(websocket, room, records, services.settings), HostSide()
+        host = HostConnection(websocket, room, records, services.settings, services.disk)
+        side = HostSide()
         side.wake.set()
         room.hosts.add(side)
         try:

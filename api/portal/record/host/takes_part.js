@@ -26,7 +26,7 @@ export function recordPart(view, recording) {
     const settings = view.video();
     const name = cleanName(view.takeName, 200);
     recording.send({ type: "start", ...(name && { name }), ...(settings && { settings }) });
-    view.takeName = "";
+    view.askedName = name;
   };
   const passedS = running ? recording.serverS - running.start_s : 0;
   const videos = view.videos();

@@ -30,6 +30,7 @@ export class RecordingView {
   options = null;
   spec = {}; // choices of the next jobs
   takeName = "";
+  askedName = ""; // name of the take that was asked for, until it has begun: the service may refuse it
   videoChoice = "best";
   calibratedBy = "people";
   board = shownBoard(); // that this browser showed last
@@ -103,6 +104,7 @@ export class RecordingView {
 
   #followed = () => {
     this.#chooseNewest();
+    if (this.askedName && this.recording.running?.name === this.askedName) this.takeName = this.askedName = "";
     this.draw();
   };
 
