@@ -2,8 +2,8 @@
 
 Hundreds of tests open a file in a child process, ``python -m pipeline.video.probe`` for instance, which loads NumPy and
 FFmpeg for a third of a second or more. In a process of tests ``WarmPrograms.python_command`` replaces
-``python_command``: the command of such a program is a small client of a server, which has loaded all of them and forks.
-The fork gets the client's arguments, environment, folder and open files, and the client ends as the fork does. A fork
+``python_command``: the command of such a program is a small client of a server, which loads it once and forks. The fork
+gets the client's arguments, environment, folder and open files, and the client ends as the fork does. A fork
 whose client is killed is killed too. Only the limits that a parent sets for its child do not reach the fork. On other
 systems than Linux nothing is replaced.
 
@@ -34,6 +34,10 @@ PROGRAMS = (
     "pipeline.capture.keypoint_files.hdf5.read",
     "pipeline.capture.preflight",
     "pipeline.character.check",
+    "pipeline.detect.own.check",
+    "pipeline.live.cameras.stream_program",
+    "pipeline.live.keeping",
+    "pipeline.live.program",
     "pipeline.video.decoder",
     "pipeline.video.playback.proxy",
     "pipeline.video.probe",
@@ -73,6 +77,9 @@ class WarmPrograms:
     def __init__(self, folder: Path) -> None:
         self._client, self._socket = folder / "client.py", folder / "socket"
         self._client.write_text(_CLIENT, encoding="utf-8")
+        # A test that changes the environment may start the first program: modules would be loaded with its settings.
+        changes = {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
+        self._environment = os.environ | changes
         self._server: subprocess.Popen[bytes] | None = None
         self._lock = threading.Lock()
 
@@ -100,9 +107,8 @@ class WarmPrograms:
 
     def _started(self) -> "subprocess.Popen[bytes]":
         command = PYTHON_COMMAND("-m", "tests.warm_programs", str(self._socket))
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
         server = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, start_new_session=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=self._environment, start_new_session=True
         )
         assert server.stdout is not None
         assert server.stdout.readline() == b"ready\n"
@@ -116,9 +122,6 @@ def client_command(client: Path, server: Path, *arguments: str) -> list[str]:
 
 def _serve(path: Path) -> None:
     """Fork for each client until stdin is closed."""
-    for program in PROGRAMS:
-        importlib.import_module(program)
-    gc.freeze()
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(str(path))
     listener.listen(64)
@@ -161,9 +164,13 @@ def _forked(client: socket.socket, path: Path) -> int:
     """Fork for a client; return the process, which is the first of a group of its own."""
     head, files, _, _ = socket.recv_fds(client, 4, _MAX_FILES)
     content = client.recv(int.from_bytes(head, "big"), socket.MSG_WAITALL)
+    words, *surroundings = marshal.loads(content)  # noqa: S302 - from the client above
+    if words[0] not in sys.modules:
+        importlib.import_module(words[0])
+        gc.freeze()
     process = os.fork()
     if process == 0:
-        _become(path, files, content)
+        _become(path, files, words, *surroundings)
     with contextlib.suppress(OSError):  # it has ended
         os.setpgid(process, process)
     for file in files:
@@ -171,12 +178,13 @@ def _forked(client: socket.socket, path: Path) -> int:
     return process
 
 
-def _become(path: Path, files: list[int], content: bytes) -> NoReturn:
+def _become(
+    path: Path, files: list[int], words: list[str], environment: dict[str, str], folder: str, numbers: list[int]
+) -> NoReturn:
     """Run a client's program in the forked process, and end it."""
     exit_code = 1
     try:
         os.setpgid(0, 0)
-        words, environment, folder, numbers = marshal.loads(content)  # noqa: S302 - from the client above
         moved = [os.dup2(file, _FIRST_MOVED + k) for k, file in enumerate(files)]
         os.closerange(3, _FIRST_MOVED)
         for file, number in zip(moved, numbers, strict=True):

@@ -41,12 +41,14 @@ PAGE = (Path(__file__).parents[3] / "docs/live_service.md").read_text(encoding="
 @pytest.fixture(scope="module")
 def computing(make_settings: Callable[..., Settings], warm_programs: WarmPrograms) -> Iterator[Live]:
     """Running service with the real check of files and the real computation."""
-    command = warm_programs.command("pipeline.capture.preflight")
+    commands = {
+        "preflight_command": warm_programs.command("pipeline.capture.preflight"),
+        "live_command": warm_programs.command("pipeline.live.program"),
+        "live_keeping_command": warm_programs.command("pipeline.live.keeping"),
+    }
     limits = {"max_keypoints_bytes": 20_000_000, "max_session_bytes": 60_000_000, "max_calibration_bytes": 1_000_000}
-    settings = make_settings(
-        preflight_command=command, preflight_timeout_s=120.0, live_idle_s=120.0, live_answer_s=120.0, **limits
-    )
-    with running(settings) as live:
+    times = {"preflight_timeout_s": 120.0, "live_idle_s": 120.0, "live_answer_s": 120.0}
+    with running(make_settings(**commands, **limits, **times)) as live:
         yield live
 
 

