@@ -1,18 +1,22 @@
 """Settings and fixtures of all tests, and the list of the slow ones."""
 
+import contextlib
 import gc
 import importlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
 from pipeline.runtime import child_processes
+from tests.s3 import S3, running_s3
 from tests.warm_programs import WarmPrograms
 
 # The machines are shared: how long an example takes says nothing. Laws of the pipeline have the usual 100 examples in
@@ -119,15 +123,44 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items[:] = of_groups + of_modules
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no module of slow tests where none of them runs."""
+    if "not slow" not in config.option.markexpr or collection_path.is_dir():
+        return None
+    tests = Path(__file__).parent
+    return True if collection_path.relative_to(tests).as_posix().startswith(SLOW) else None
+
+
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, object, object]:
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
     """Search for no garbage among modules and tests, which stay: it takes a fifth of the time of their collection."""
     gc.disable()
+    _import_from_own_place(session.config)
     try:
         return (yield)
     finally:
         gc.freeze()
         gc.enable()
+
+
+def _import_from_own_place(config: pytest.Config) -> None:
+    """Import the modules of tests from another place on in each process of a run of pytest-xdist.
+
+    In a fresh clone each process compiles a part of all modules, and loads the parts that others have compiled.
+    Otherwise each compiles all of them, at the same time, which takes three times as long as their collection later.
+    """
+    process: dict[str, Any] | None = getattr(config, "workerinput", None)
+    if process is None:
+        return
+    tests = Path(__file__).parent
+    given = [config.invocation_params.dir / argument.partition("::")[0] for argument in config.args]
+    paths = [path for folder in given for path in (sorted(folder.rglob("test_*.py")) if folder.is_dir() else [folder])]
+    first = len(paths) * int(process["workerid"].removeprefix("gw")) // process["workercount"]
+    for path in paths[first:]:
+        # An error is raised again where pytest imports the module.
+        with contextlib.suppress(Exception, pytest.skip.Exception), warnings.catch_warnings(action="error"):
+            if pytest_ignore_collect(path, config) is None:
+                importlib.import_module(".".join(path.relative_to(tests.parent).with_suffix("").parts))
 
 
 def pytest_make_parametrize_id(val: object) -> str | None:
@@ -137,12 +170,29 @@ def pytest_make_parametrize_id(val: object) -> str | None:
     return None
 
 
-@pytest.fixture(scope="module", autouse=True)
-def browser_of_a_module() -> Iterator[None]:
-    """Close the browser that tests of a module have started."""
-    yield
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """End what tests of a group have started: no event loop runs beside a browser, and idle services take time."""
+    if nextitem is not None and _group(nextitem) == _group(item):
+        return
     if (browsing := sys.modules.get("tests.e2e.browsing")) is not None:
         browsing.close_browser()
+    for fixture in item.session._fixturemanager.getfixturedefs("served", item) or ():
+        fixture.finish(item._request)  # type: ignore[attr-defined]
+
+
+def _group(item: pytest.Item) -> str:
+    """Group of tests that one process runs, one after the other."""
+    mark = item.get_closest_marker("xdist_group")
+    assert mark is not None
+    return str(mark.args[0])
+
+
+@pytest.fixture(scope="session")
+def s3() -> Iterator[S3]:
+    """S3 server for tests that use a prefix of their own in its bucket, and change nothing else."""
+    with running_s3() as server:
+        yield server
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,4 +1,4 @@
-"""A real browser for tests of the page: one for all tests of a module, and a context of its own for each test."""
+"""A real browser for tests of the page: one for all tests of a group, and a context of its own for each test."""
 
 import contextlib
 import shutil
@@ -14,7 +14,7 @@ AXE = READERS / "node_modules/axe-core/axe.min.js"
 VENDOR = Path(__file__).parents[2] / "api" / "portal" / "vendor"
 # The browser makes no requests of its own, root may start it, and it draws 3D in software.
 FLAGS = [
-    *("--no-sandbox", "--no-zygote", "--disable-background-networking", "--disable-component-update"),
+    *("--no-sandbox", "--disable-background-networking", "--disable-component-update"),
     *("--disable-gpu", "--enable-unsafe-swiftshader"),
 ]
 # What Chromium tells about its own drawing in software.
@@ -59,7 +59,7 @@ def chromium_path() -> str:
 
 
 def _browser() -> Browser:
-    """Browser of the module's tests, started by the first of them."""
+    """Browser of the group's tests, started by the first of them."""
     global _shared  # noqa: PLW0603 - it lives from one test to the next
     chromium = chromium_path()
     if not VENDOR.is_dir():

@@ -27,7 +27,8 @@ from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests
 from tests.pipeline.simulations import write_simulation
 
-pytestmark = pytest.mark.xdist_group("service")
+# Everyday tests need no service but that of the tests of the page.
+OF_PAGE, OF_SERVICE = pytest.mark.xdist_group("page"), pytest.mark.xdist_group("service")
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +57,7 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
     return [*archives(capture), *((part, (name, (capture / name).read_bytes())) for part, name in one_each)]
 
 
+@OF_PAGE
 @pytest.mark.parametrize(
     ("method", "smoothing", "exports", "preset"),
     [
@@ -88,6 +90,7 @@ def test_the_same_files_as_without_the_service(
     assert served.downloads(job["id"]) == digests(tmp_path)
 
 
+@OF_SERVICE
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
 def test_some_frames_and_some_people_at_another_rate(
@@ -109,6 +112,7 @@ def test_some_frames_and_some_people_at_another_rate(
     assert skeletons["start_time_s"] == pytest.approx(session.timebase.time_s(20))
 
 
+@OF_SERVICE
 @pytest.mark.slow
 def test_a_session_with_measured_clocks_has_the_same_files(served: Served, tmp_path: Path) -> None:
     """Cameras that started apart are synchronised by the manifest's choice; a job may state another."""
@@ -139,6 +143,7 @@ def test_a_session_with_measured_clocks_has_the_same_files(served: Served, tmp_p
     assert found["camera"] == late
 
 
+@OF_SERVICE
 @pytest.mark.slow
 def test_a_disturbed_calibration_is_refined_with_the_same_files(served: Served, tmp_path: Path) -> None:
     simulation = disturb_calibration(record(replace(find_scene("room"), duration_s=5.0), seed=2), 1.0, 0.0, seed=1)
@@ -177,6 +182,7 @@ def generated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module(package)
 
 
+@OF_SERVICE
 @pytest.mark.slow
 def test_a_generated_client_gets_from_files_to_animations(served: Served, capture: Path, generated: ModuleType) -> None:
     def part(name: str) -> Any:
@@ -219,6 +225,7 @@ def test_a_generated_client_gets_from_files_to_animations(served: Served, captur
             }
 
 
+@OF_PAGE
 def test_everything_that_is_wrong_with_archives_at_once(served: Served, capture: Path) -> None:
     parts = files(capture)
     name, content = parts[0][1]

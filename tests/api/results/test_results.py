@@ -21,7 +21,7 @@ from pipeline.problem_codes.requests import INTERNAL_ERROR
 from pipeline.problem_codes.sessions import VIDEO_TRUNCATED
 from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.cases import slow_but
-from tests.s3 import running_s3
+from tests.s3 import S3
 from worker.jobs.files.artifacts import result_key
 from worker.jobs.model.jobs import JobProblem
 from worker.reaper import Reaper
@@ -257,25 +257,24 @@ def test_expired_results_are_gone(make_settings: Callable[..., Settings]) -> Non
         assert live.client.delete(f"/v1/jobs/{job_id}").status_code == 204
 
 
-def test_signed_downloads(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch) -> None:
-    with running_s3() as s3:
-        for name, value in s3.environment.items():
-            monkeypatch.setenv(name, value)
-        with running(make_settings(artifacts_url=s3.new_url(), signed_downloads_s=60)) as live:
-            job_id = live.job_id()
-            live.finish(job_id)
-            path = f"/v1/jobs/{job_id}/results/person-1.bvh"
-            sent = live.client.get(path)
-            assert (sent.status_code, httpx2.get(sent.headers["location"], trust_env=False).content) == (307, RESULT)
-            # A page may ask the service alone.
-            own = live.client.get(path, params={"redirect": "false"}, headers={"Range": "bytes=3-5"})
-            assert (own.status_code, own.content) == (206, RESULT[3:6])
-            # The signature is valid for GET only: the store would refuse HEAD.
-            headed = live.client.head(path)
-            assert (headed.status_code, headed.headers["etag"]) == (200, ETAG)
-            assert headed.headers["content-length"] == str(len(RESULT))
-            live.services.artifacts.delete_prefix(f"jobs/{job_id}/")
-            assert (live.client.get(path).status_code, live.client.head(path).status_code) == (410, 410)
+def test_signed_downloads(make_settings: Callable[..., Settings], s3: S3, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in s3.environment.items():
+        monkeypatch.setenv(name, value)
+    with running(make_settings(artifacts_url=s3.new_url(), signed_downloads_s=60)) as live:
+        job_id = live.job_id()
+        live.finish(job_id)
+        path = f"/v1/jobs/{job_id}/results/person-1.bvh"
+        sent = live.client.get(path)
+        assert (sent.status_code, httpx2.get(sent.headers["location"], trust_env=False).content) == (307, RESULT)
+        # A page may ask the service alone.
+        own = live.client.get(path, params={"redirect": "false"}, headers={"Range": "bytes=3-5"})
+        assert (own.status_code, own.content) == (206, RESULT[3:6])
+        # The signature is valid for GET only: the store would refuse HEAD.
+        headed = live.client.head(path)
+        assert (headed.status_code, headed.headers["etag"]) == (200, ETAG)
+        assert headed.headers["content-length"] == str(len(RESULT))
+        live.services.artifacts.delete_prefix(f"jobs/{job_id}/")
+        assert (live.client.get(path).status_code, live.client.head(path).status_code) == (410, 410)
 
 
 def flip(path: Path) -> None:
@@ -373,31 +372,30 @@ def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: st
 
 @pytest.mark.slow
 def test_results_of_a_damaged_bucket(
-    make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    make_settings: Callable[..., Settings], s3: S3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    with running_s3() as s3:
-        for name, value in s3.environment.items():
-            monkeypatch.setenv(name, value)
-        url = s3.new_url()
-        with running(make_settings(artifacts_url=url)) as live:
-            job_id = live.job_id()
-            live.finish(job_id)
-            path = f"/v1/jobs/{job_id}/results/person-1.bvh"
-            assert live.client.get(path).content == RESULT
-            live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[::-1])
-            for address in (path, f"/v1/jobs/{job_id}/results.zip"):
-                problem_of(live.client.get(address), 500, "result_damaged")
-        with running(make_settings(artifacts_url=url, signed_downloads_s=60)) as live:
-            job_id = live.job_id()
-            live.finish(job_id)
-            live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[:-1])
-            path = f"/v1/jobs/{job_id}/results/person-1.bvh"
-            problem_of(live.client.get(path), 500, "result_damaged")
-            # The client has to compare content of the same size.
-            live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[::-1])
-            with pytest.raises(ServiceError, match=r"person-1\.bvh is damaged"):
-                Client(live.client).download(live.client.get(f"/v1/jobs/{job_id}").json(), tmp_path)
-            assert list(tmp_path.iterdir()) == []
+    for name, value in s3.environment.items():
+        monkeypatch.setenv(name, value)
+    url = s3.new_url()
+    with running(make_settings(artifacts_url=url)) as live:
+        job_id = live.job_id()
+        live.finish(job_id)
+        path = f"/v1/jobs/{job_id}/results/person-1.bvh"
+        assert live.client.get(path).content == RESULT
+        live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[::-1])
+        for address in (path, f"/v1/jobs/{job_id}/results.zip"):
+            problem_of(live.client.get(address), 500, "result_damaged")
+    with running(make_settings(artifacts_url=url, signed_downloads_s=60)) as live:
+        job_id = live.job_id()
+        live.finish(job_id)
+        live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[:-1])
+        path = f"/v1/jobs/{job_id}/results/person-1.bvh"
+        problem_of(live.client.get(path), 500, "result_damaged")
+        # The client has to compare content of the same size.
+        live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[::-1])
+        with pytest.raises(ServiceError, match=r"person-1\.bvh is damaged"):
+            Client(live.client).download(live.client.get(f"/v1/jobs/{job_id}").json(), tmp_path)
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_our_own_client_takes_paths_as_texts(live: Live, tmp_path: Path) -> None:

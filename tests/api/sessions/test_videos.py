@@ -9,7 +9,7 @@ import pytest
 from api.settings import Settings
 from pipeline.job_choices import PROXY_KIND
 from tests.api.conftest import Live, problem_of, running
-from tests.s3 import running_s3
+from tests.s3 import S3
 from worker.jobs.files.artifacts import result_key
 from worker.jobs.model.jobs import Result
 
@@ -96,12 +96,11 @@ def test_a_video_that_browsers_do_not_play_gets_a_proxy(live: Live) -> None:
 
 
 def test_videos_in_a_bucket_come_through_the_service(
-    make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
+    make_settings: Callable[..., Settings], s3: S3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with running_s3() as server:
-        for name, value in server.environment.items():
-            monkeypatch.setenv(name, value)
-        with running(make_settings(artifacts_url=server.new_url(), signed_downloads_s=60.0)) as live:
-            _, links = send(live, "cam_0.mp4")
-            answer = live.client.get(str(links["cam_0"]), headers={"Range": "bytes=10-19"})
-            assert (answer.status_code, answer.content) == (206, VIDEO[10:20])
+    for name, value in s3.environment.items():
+        monkeypatch.setenv(name, value)
+    with running(make_settings(artifacts_url=s3.new_url(), signed_downloads_s=60.0)) as live:
+        _, links = send(live, "cam_0.mp4")
+        answer = live.client.get(str(links["cam_0"]), headers={"Range": "bytes=10-19"})
+        assert (answer.status_code, answer.content) == (206, VIDEO[10:20])

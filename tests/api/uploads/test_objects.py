@@ -22,7 +22,7 @@ from api.uploads.objects import SharedUploads
 from api.uploads.receiving import Checksum
 from tests.api.conftest import Live, problem_of, running
 from tests.api.uploads.test_files import TUS, Uploader, checksum
-from tests.s3 import S3, running_s3
+from tests.s3 import S3
 from tests.waiting import wait_for
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.s3 import open_bucket
@@ -32,16 +32,17 @@ CONTENT = os.urandom(50_000)
 
 
 @pytest.fixture(scope="module")
-def s3() -> Iterator[S3]:
-    with running_s3() as server, pytest.MonkeyPatch.context() as patch:
-        for name, value in server.environment.items():
+def bucket(s3: S3) -> Iterator[S3]:
+    """S3 server, with the environment that says where it is."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in s3.environment.items():
             patch.setenv(name, value)
-        yield server
+        yield s3
 
 
 @pytest.fixture
-def url(s3: S3) -> str:
-    return s3.new_url()
+def url(bucket: S3) -> str:
+    return bucket.new_url()
 
 
 @pytest.fixture
@@ -50,9 +51,9 @@ def uploads(url: str, tmp_path: Path) -> SharedUploads:
 
 
 @pytest.fixture(scope="module")
-def two(make_settings: Callable[..., Settings], s3: S3) -> Iterator[tuple[Live, Live]]:
+def two(make_settings: Callable[..., Settings], bucket: S3) -> Iterator[tuple[Live, Live]]:
     """Two API processes with one database and one bucket, and folders of their own."""
-    first = make_settings(artifacts_url=s3.new_url(), shared_uploads=True)
+    first = make_settings(artifacts_url=bucket.new_url(), shared_uploads=True)
     second = make_settings(
         artifacts_url=first.artifacts_url, shared_uploads=True, database_url=first.resolved_database_url
     )

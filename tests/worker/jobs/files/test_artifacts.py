@@ -5,7 +5,7 @@ import hashlib
 import os
 import stat
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -21,12 +21,6 @@ from worker.jobs.files.s3_artifacts import S3Artifacts
 from worker.jobs.files.stores import open_artifacts
 
 KEY = "sessions/0190/stages/detect-0.npz"
-
-
-@pytest.fixture(scope="session")
-def s3() -> Iterator[S3]:
-    with running_s3() as server:
-        yield server
 
 
 @pytest.fixture

@@ -5,14 +5,14 @@ import mmap
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
 import pytest
 
 from tests.cases import slow_but
-from tests.s3 import S3, running_s3
+from tests.s3 import S3
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, LocalArtifacts, read_artifact
 from worker.jobs.files.checksums import Verified, require_file, sha256_of, version_of
@@ -38,12 +38,6 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
     "longer": lambda content: content + b"\0",
     "zeros": lambda content: bytes(len(content)),
 }
-
-
-@pytest.fixture(scope="session")
-def s3() -> Iterator[S3]:
-    with running_s3() as server:
-        yield server
 
 
 @pytest.fixture
