@@ -29,6 +29,7 @@ from api.http.middleware import (
 from api.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.http.websockets import WebSocketGuard
 from api.jobs.webhooks import declare_webhooks
+from api.live.forks import ForkServer
 from api.live.places import LivePlaces
 from api.recordings.relay import RecordingRelay
 from api.recordings.rooms import Rooms
@@ -115,6 +116,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     yield
     for task in tasks:
         task.cancel()
+    services.live_forks.close()
     services.queue.close()
     services.store.close()
 
@@ -164,6 +166,9 @@ def _start(settings: Settings) -> Services:
         rates=Rates(settings.max_requests_per_minute),
         wrong_keys=WrongKeys(settings.max_wrong_keys_per_minute),
         readiness=LimitedChecks(_READINESS_LIMIT_S),
-        live_places=LivePlaces(settings.max_live_captures, settings.max_tenant_live_captures),
+        live_places=LivePlaces(
+            settings.max_live_captures, settings.max_tenant_live_captures, settings.max_bad_live_captures_per_minute
+        ),
+        live_forks=ForkServer(settings.live_command),
         rooms=Rooms(store, RecordingRelay(settings.broker_url)),
     )

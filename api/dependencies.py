@@ -12,6 +12,7 @@ from api.http.bodies.form import FormLimits
 from api.http.fair_share import FairShare, FairThreads
 from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
+from api.live.forks import ForkServer
 from api.live.places import LivePlaces
 from api.recordings.rooms import Rooms
 from api.sessions.preflight import PreflightProgram
@@ -50,6 +51,7 @@ class Services:
     wrong_keys: WrongKeys
     readiness: LimitedChecks
     live_places: LivePlaces
+    live_forks: ForkServer
     rooms: Rooms
 
     @property

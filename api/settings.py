@@ -222,8 +222,8 @@ class Settings(StorageSettings):
     )
 
     live_command: tuple[str, ...] = Field(
-        default=tuple(module_command("pipeline.live.program")),
-        description="Program that computes a live capture, one process a connection.",
+        default=tuple(module_command("pipeline.live.server")),
+        description="Program from which the processes of live captures are forked, one a connection.",
     )
     live_keeping_command: tuple[str, ...] = Field(
         default=tuple(module_command("pipeline.live.keeping")),
@@ -253,6 +253,12 @@ class Settings(StorageSettings):
         ge=0,
         description="Largest number of a tenant's live captures, or without keys of a client's address, at each API "
         "process.",
+    )
+    max_bad_live_captures_per_minute: int = Field(
+        default=20,
+        gt=0,
+        description="Largest number of a tenant's live captures, or without keys of a client's address, that end by "
+        "problems of the client within a minute; then further captures are refused for a while.",
     )
     max_live_message_bytes: int = Field(
         default=MIB, gt=0, description="Largest size of a message of a live capture, the calibration included."

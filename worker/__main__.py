@@ -7,6 +7,7 @@ import sys
 import structlog
 
 from pipeline.detect.providers.find import current_provider
+from pipeline.runtime.priorities import raise_descriptor_limit
 from pipeline.stages.code import stage_codes
 from worker import tasks
 from worker.app import create_celery
@@ -14,7 +15,6 @@ from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.queue import Queue
 from worker.jobs.store import JobStore
 from worker.process.compilation import compile_kernels
-from worker.process.priorities import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
 from worker.telemetry.logs import configure_logs
 

@@ -20,10 +20,10 @@ from celery.signals import (
 )
 
 from pipeline.runtime.memory import limit_memory
+from pipeline.runtime.priorities import lower_priority
 from worker import tasks
 from worker.jobs.queue import TASK_NAME, Queue, transport_options
 from worker.process.presence import Presence
-from worker.process.priorities import lower_priority
 from worker.process.scratch import remove_abandoned
 from worker.settings import WorkerSettings
 from worker.telemetry import tracing

@@ -19,6 +19,7 @@ from functools import partial
 
 import structlog
 
+from pipeline.runtime.priorities import raise_descriptor_limit
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.errors import Conflict, DamagedDatabase, NotFound
@@ -31,7 +32,6 @@ from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 from worker.planning import plan_again, plan_visuals
 from worker.problems import waiting_for
-from worker.process.priorities import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
 from worker.telemetry.logs import configure_logs
 from worker.webhooks.sender import Sender, deliver_forever

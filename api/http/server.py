@@ -14,7 +14,7 @@ from api.live.schemas import LiveProblemOut
 from api.recordings import intake as recording_intake
 from api.recordings.messages import RecordingProblemOut
 from api.settings import Settings
-from worker.process.priorities import raise_descriptor_limit
+from pipeline.runtime.priorities import raise_descriptor_limit
 
 # Time that open requests have to end after SIGTERM.
 _GRACE_S = 5

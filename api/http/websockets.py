@@ -15,6 +15,8 @@ from api.http.connections import Connections
 from api.http.middleware import SAFE_HEADERS, ForeignPageGuard
 
 _PROTOCOL_ERROR = 1002
+# Bytes that are parsed at once. A loop reads 256 KiB, and a thousand small messages would hold up other connections.
+_PIECE_BYTES = 4096
 # Longest time, and time without a byte, until the connection of a client with wrong frames is closed.
 _DISCARDING_S, _QUIET_S = 5.0, 0.3
 
@@ -47,14 +49,19 @@ def bounded_websocket(
 ) -> type[WebSocketsSansIOProtocol]:
     """Protocol of WebSockets that count among the open connections.
 
-    A client whose frames are wrong gets a last message before the connection is closed: ``message_of`` the path and the
-    close code, ``None`` for no message.
+    Of what a client sends at once, a piece is parsed at a time, and no more than is received. A client whose frames are
+    wrong gets a last message before the connection is closed: ``message_of`` the path and the close code, ``None`` for
+    no message.
     """
 
     class BoundedWebSocket(WebSocketsSansIOProtocol):
         _admitted: Any = None
         _is_discarding = False
         _discarding_until_s = 0.0
+
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            self._unread = bytearray()
 
         def connection_made(self, transport: Any) -> None:
             # The connection was admitted with the protocol that has read the request.
@@ -66,13 +73,40 @@ def bounded_websocket(
             super().connection_lost(exc)
 
         def data_received(self, data: bytes) -> None:
-            if not self._is_discarding:
-                super().data_received(data)
-            else:
+            if self._is_discarding:
                 self._close_when_quiet()
+                return
+            self._unread += data
+            self._parse()
+
+        def _parse(self) -> None:
+            """Parse a piece of what has come, and soon the next one, unless messages wait for being received."""
+            if self.read_paused or self.transport.is_closing():
+                return
+            if self._unread:
+                piece = bytes(self._unread[:_PIECE_BYTES])
+                del self._unread[:_PIECE_BYTES]
+                super().data_received(piece)
+            if self._is_discarding:
+                self._unread.clear()
+            if self.read_paused or self.transport.is_closing():
+                return
+            if self._unread:
+                self.transport.pause_reading()
+                self.loop.call_soon(self._parse)
+            else:
+                self.transport.resume_reading()
+
+        async def receive(self) -> Any:
+            message = await self.queue.get()
+            if self.read_paused and self.queue.empty():
+                self.read_paused = False
+                self._parse()
+            return message
 
         async def send(self, message: Any) -> None:
             await super().send(message)
+            self._parse()  # behind a close the answer to it may be there
             if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
                 # The answer in place of the WebSocket is complete, and nothing has failed.
                 self.handshake_complete = True

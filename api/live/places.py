@@ -1,29 +1,61 @@
-"""Places of live captures of this process: limits on their number, in total and by owner."""
+"""Places of live captures of this process: limits on their number, in total and by owner, and on bad ones."""
 
 import asyncio
 import contextlib
+import math
 import os
+import time
 from collections import Counter
 from collections.abc import Iterator
 
+from limits import RateLimitItemPerMinute
+from limits.storage import MemoryStorage
+from limits.strategies import MovingWindowRateLimiter
+
 from api.errors import ApiError, service_unavailable
-from pipeline.problem_codes.requests import CAPTURES_BUSY, TOO_MANY_CAPTURES
+from pipeline.problem_codes.requests import CAPTURES_BUSY, TOO_MANY_BAD_CAPTURES, TOO_MANY_CAPTURES
 
 _RETRY_AFTER_S = 10
 
 
 class LivePlaces:
-    """Counts of open live captures."""
+    """Counts of open live captures, and of those of the last minute that ended by a client's fault.
 
-    def __init__(self, max_captures: int, max_of_owner: int) -> None:
+    Parameters
+    ----------
+    max_captures, max_of_owner
+        Largest number of open captures, of all owners and of one.
+    max_bad_per_minute
+        Captures of an owner that may end by a fault within a minute, until the owner waits.
+    """
+
+    def __init__(self, max_captures: int, max_of_owner: int, max_bad_per_minute: int) -> None:
         # A start takes a processor for seconds; the others are left to captures that run.
         self.starting = asyncio.Semaphore(max(1, len(os.sched_getaffinity(0)) // 2))
         self._max_captures, self._max_of_owner = max_captures, max_of_owner
         self._open: Counter[str] = Counter()
+        self._bad = RateLimitItemPerMinute(max_bad_per_minute)
+        self._limiter = MovingWindowRateLimiter(MemoryStorage())
+
+    def note_bad(self, owner: str) -> None:
+        """Count a capture that ended by a fault of the client."""
+        self._limiter.hit(self._bad, owner)
 
     @contextlib.contextmanager
     def taken(self, owner: str) -> Iterator[None]:
-        """Take a place during the block; raises 429 if the owner has all of its places, 503 if all are taken."""
+        """Take a place during the block.
+
+        Raises 429 if the owner has all of its places, or had too many bad captures, 503 if all places are taken.
+        """
+        if not self._limiter.test(self._bad, owner):
+            reset_s = self._limiter.get_window_stats(self._bad, owner).reset_time - time.time()
+            raise ApiError(
+                TOO_MANY_BAD_CAPTURES,
+                f"{self._bad.amount} live captures ended by problems of the client within a minute.",
+                hint="Correct the client as the problems say, and begin the next capture later.",
+                retryable=True,
+                headers={"Retry-After": str(max(1, math.ceil(reset_s)))},
+            )
         if self._open[owner] >= self._max_of_owner:
             raise ApiError(
                 TOO_MANY_CAPTURES,

@@ -2,24 +2,26 @@
 
 import asyncio
 import contextlib
-import os
-import resource
 import signal
-from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator, Sequence
+import socket
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import structlog
 
+from api.http.socket_problems import SocketProblem
+from api.live.forks import ForkServer
 from api.live.problems import failed
 from pipeline.live.pipes import LENGTH, CaptureAnswer, framed
-from worker.process.priorities import lower_priority
+from pipeline.runtime.forks import NUMBER, ForkRequest
+from pipeline.runtime.priorities import lower_priority
 
 _log = structlog.get_logger(__name__)
 
 # As a check of files: below the answers of the service.
 _NICE = 5
+_NICE_OF_FLOODS = 19
 _MAX_LOG_BYTES = 2**20
 _LOGGED_BYTES = 4000
 _ENDED_S = 10.0
@@ -29,32 +31,35 @@ _ENDED_S = 10.0
 class CaptureProcess:
     """Running process of a live capture."""
 
-    process: Process
+    pid: int
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
 
     async def send(self, message: bytes) -> None:
         """Send a message as soon as the process takes it; raises ``SocketProblem`` if the process has ended."""
-        if self.process.stdin is None:
-            raise failed()
         try:
-            self.process.stdin.write(framed(message))
-            await self.process.stdin.drain()
-        except (BrokenPipeError, ConnectionResetError):
+            self.writer.write(framed(message))
+            await self.writer.drain()
+        except ConnectionError:
             raise failed() from None
 
     async def answer(self) -> tuple[CaptureAnswer, bytes]:
         """Next answer of the process; raises ``SocketProblem`` if the process has ended without it."""
-        if self.process.stdout is None:
-            raise failed()
         try:
-            length = LENGTH.unpack(await self.process.stdout.readexactly(LENGTH.size))[0]
-            content = await self.process.stdout.readexactly(length)
+            length = LENGTH.unpack(await self.reader.readexactly(LENGTH.size))[0]
+            content = await self.reader.readexactly(length)
             return CaptureAnswer(content[:1]), content[1:]
-        except (asyncio.IncompleteReadError, ValueError):
+        except (asyncio.IncompleteReadError, ConnectionError, ValueError):
             raise failed() from None
+
+    def stand_behind(self) -> None:
+        """Let other captures go first, until the end of this one."""
+        with contextlib.suppress(OSError):  # it may have ended
+            lower_priority(_NICE_OF_FLOODS, self.pid)
 
 
 @contextlib.asynccontextmanager
-async def capture_process(command: Sequence[str], folder: Path, memory_bytes: int) -> AsyncIterator[CaptureProcess]:
+async def capture_process(server: ForkServer, folder: Path, memory_bytes: int) -> AsyncIterator[CaptureProcess]:
     """Run the process during the block; at its end it is killed, and why it had ended by itself is logged.
 
     Parameters
@@ -63,37 +68,39 @@ async def capture_process(command: Sequence[str], folder: Path, memory_bytes: in
         Folder for its log and temporary files, which the caller removes.
     """
     log_path = folder / "capture.log"
-    with log_path.open("wb") as log:
-        process = await asyncio.create_subprocess_exec(
-            *command,
-            stdin=PIPE,
-            stdout=PIPE,
-            stderr=log,
-            env=os.environ | {"TMPDIR": str(folder)},
-            start_new_session=True,
-        )
+    request = ForkRequest("capture", (), str(folder), memory_bytes, _MAX_LOG_BYTES, None, _NICE)
+    ours, theirs = socket.socketpair()
+    with theirs, log_path.open("wb") as log:
+        owner = server.fork(request, (theirs.fileno(), theirs.fileno(), log.fileno()))
+    reader, writer = await asyncio.open_unix_connection(sock=ours)
+    numbers, ending = await asyncio.open_unix_connection(sock=owner)
     try:
-        with contextlib.suppress(ProcessLookupError):  # it may have ended
-            resource.prlimit(process.pid, resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
-            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (_MAX_LOG_BYTES, _MAX_LOG_BYTES))
-            lower_priority(_NICE, process.pid)
-        yield CaptureProcess(process)
+        pid = await _number(numbers)
+        try:
+            yield CaptureProcess(pid, reader, writer)
+        finally:
+            await _end(numbers, ending, log_path)
     finally:
-        await _end(process, log_path)
+        for socket_writer in (writer, ending):
+            socket_writer.transport.abort()
 
 
-async def _end(process: Process, log_path: Path) -> None:
-    with contextlib.suppress(TimeoutError, ProcessLookupError):
-        if process.stdin is not None:
-            process.stdin.close()
-        if process.returncode is None:
-            # A child that was not waited for keeps its process id, so the group is its own.
-            os.killpg(process.pid, signal.SIGKILL)
+async def _number(numbers: asyncio.StreamReader) -> int:
+    """Next number from the server; raises ``SocketProblem`` if the server has ended."""
+    try:
+        number: int = NUMBER.unpack(await numbers.readexactly(NUMBER.size))[0]
+    except (asyncio.IncompleteReadError, ConnectionError):
+        raise failed() from None
+    return number
+
+
+async def _end(numbers: asyncio.StreamReader, ending: asyncio.StreamWriter, log_path: Path) -> None:
+    """Kill the process, unless it has ended, and wait for its end."""
+    exit_code = None
+    with contextlib.suppress(TimeoutError, OSError, SocketProblem):
+        ending.write_eof()
         async with asyncio.timeout(_ENDED_S):
-            if process.stdout is not None:
-                # Unread answers would keep the pipe open.
-                await process.stdout.read()
-            await process.wait()
-    if process.returncode not in {0, 2, -signal.SIGKILL}:
+            exit_code = await _number(numbers)
+    if exit_code not in {0, 2, -signal.SIGKILL}:
         text = log_path.read_bytes()[-_LOGGED_BYTES:].decode(errors="replace")
-        _log.error("live_process_ended", exit_code=process.returncode, log=text)
+        _log.error("live_process_ended", exit_code=exit_code, log=text)

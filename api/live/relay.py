@@ -31,6 +31,8 @@ _MAX_FRAMES, _MAX_INSTANTS = 1024, 256
 _MAX_BACKLOG_BYTES = 8 * 2**20
 # Frames that the process has and has not answered yet: the next one waits in its pipe.
 _MAX_AT_PROCESS = 2
+# Of the rate of the cameras: faster clients wait, in pauses of this length. Files that are played faster are welcome.
+_MAX_SPEED, _PAUSE_S = 8.0, 0.05
 _WATCH_S = 0.25
 
 
@@ -43,6 +45,8 @@ class Relay:
         Where packets are kept; ``None``: they are not.
     metrics
         Where messages are counted.
+    rate_hz
+        Rate of the frames of all cameras together.
     """
 
     def __init__(
@@ -53,11 +57,13 @@ class Relay:
         settings: Settings,
         kept: KeptPackets | None,
         metrics: LiveMetrics,
+        rate_hz: float,
     ) -> None:
         self._websocket, self._process, self._intake = websocket, process, intake
         self._settings, self._kept, self._metrics = settings, kept, metrics
         self._frames = Backlog(_MAX_FRAMES, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "frame"))
         self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "instant"))
+        self._pace = Pace(_MAX_SPEED * rate_hz)
         self._room = asyncio.Semaphore(_MAX_AT_PROCESS)
         # Times at which the frames came that the process has and has not answered.
         self._at_process: deque[float] = deque()
@@ -109,6 +115,7 @@ class Relay:
                     self._frames.close()
                     return
                 packet = self._intake.from_text(content)
+            await self._keep_pace()
             self._num_received += 1
             self._metrics.frames.inc()
             if self._kept is not None:
@@ -116,6 +123,12 @@ class Relay:
             self._frames.put(packet, since_s)
             # Messages that have come already are received without a pause: a flood would hold up all other captures.
             await asyncio.sleep(0)
+
+    async def _keep_pace(self) -> None:
+        """Wait if the client is much faster than its cameras; what it sends meanwhile waits at its side."""
+        while not self._pace.has_room():
+            self._process.stand_behind()
+            await asyncio.sleep(_PAUSE_S)
 
     async def _feed(self) -> None:
         """Pass frames on to the process as it takes them."""

@@ -20,22 +20,20 @@ from api.dependencies import Services
 from api.errors import ApiError, ErrorItem, as_api_error
 from api.http.socket_problems import SocketProblem, message_of
 from api.http.websockets import deny
+from api.live.calibrations import calibration_file
+from api.live.forks import start_limit_s
 from api.live.intake import Intake, read_start
 from api.live.keeping import KeptPackets, keep_session
 from api.live.metrics import LiveMetrics
-from api.live.problems import failed
+from api.live.problems import failed, is_fault
 from api.live.process import CaptureProcess, capture_process
 from api.live.relay import Relay, receive
 from api.live.schemas import DroppedOut, LiveEnded, LiveProblemOut, LiveReady, LiveStart
-from api.sessions.preflight import InvalidFilesError
 from api.sessions.receiving import spool_folder
 from api.settings import Settings
 from pipeline.live.pipes import CaptureAnswer
 from pipeline.problem_codes.live import LIVE_FIELDS, LIVE_MESSAGE
-from pipeline.problem_codes.requests import CALIBRATION_UNKNOWN, CALIBRATION_UNMADE
-from worker.jobs.errors import NotFound
 from worker.jobs.model.rights import Actor
-from worker.jobs.tenant_records import TenantRecords
 
 _log = structlog.get_logger(__name__)
 
@@ -44,8 +42,6 @@ router = APIRouter(prefix="/v1")
 SUBPROTOCOL = "multicap.live"
 """Subprotocol of live captures, for clients that offer one."""
 
-# Times that an answer may take, in which a process starts: it imports everything, and compiles what is not yet.
-_ANSWERS_TO_START = 6
 _CLOSE_S = 5.0
 _CLIENT_GONE = 1005
 
@@ -93,6 +89,8 @@ async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_e
         key = caller.key
         seconds = round(time.monotonic() - started_s, 4)
         tenant = {"tenant": key.tenant, "key": key.id} if key else {}
+        if is_fault(code, close_code):
+            services.live_places.note_bad(caller.owner)
         _log.info("live_capture", code=code, close_code=close_code, seconds=seconds, **tenant)
     return code
 
@@ -109,12 +107,13 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
         services.disk.require_room()
         if start.keep:
             await run_in_threadpool(records.require_room, 0)
-        calibration = await _calibration(services, caller, records, start, folder)
+        calibration = await calibration_file(services, caller, records, start, folder)
         async with _ready(services, start, calibration) as (process, ready):
             cameras: Sequence[str] = ready["cameras"]
             kept = KeptPackets(services, folder, start) if start.keep else None
             intake = Intake(cameras, start.layout, settings.max_live_people)
-            relay = Relay(websocket, process, intake, settings, kept, websocket.app.state.metrics.live)
+            rate_hz = start.frame_rate_hz * len(cameras)
+            relay = Relay(websocket, process, intake, settings, kept, websocket.app.state.metrics.live, rate_hz)
             request_id = websocket.state.request_id
             await _send(
                 websocket, LiveReady(**ready, layout=start.layout, limits=_limits(settings), request_id=request_id)
@@ -134,52 +133,6 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
         )
 
 
-async def _calibration(
-    services: Services, caller: Caller, records: TenantRecords, start: LiveStart, folder: Path
-) -> Path:
-    """File of the calibration in metres, Z up; raises ``SocketProblem`` with all that is wrong."""
-    if start.calibration_id is not None:
-        content = await run_in_threadpool(_stored_calibration, records, str(start.calibration_id))
-    else:
-        content = await _sent_calibration(services, caller, start, folder)
-    num_cameras, max_cameras = len(json.loads(content)["cameras"]), services.settings.max_cameras
-    if num_cameras > max_cameras:
-        message = f"The calibration has {num_cameras} cameras; at most {max_cameras} are allowed."
-        raise SocketProblem(LIVE_FIELDS, message)
-    path = folder / "calibration.json"
-    await run_in_threadpool(path.write_text, content, "utf-8")
-    return path
-
-
-async def _sent_calibration(services: Services, caller: Caller, start: LiveStart, folder: Path) -> str:
-    path = folder / "sent.json"
-    await run_in_threadpool(path.write_text, json.dumps(start.calibration), "utf-8")
-    arguments = ["--calibration", str(path), f"--up={start.up}"]
-    if start.units is not None:
-        arguments.append(f"--units={start.units}")
-    try:
-        contents = await services.checks.run(caller.owner, services.preflight.read_calibration, arguments, folder)
-    except InvalidFilesError as invalid:
-        errors = [item.model_copy(update={"pointer": "/calibration", "file": None}) for item in invalid.errors]
-        raise SocketProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None
-    return contents.files["multicap"]
-
-
-def _stored_calibration(records: TenantRecords, calibration_id: str) -> str:
-    pointer = "/calibration_id"
-    try:
-        files = records.calibrations.get(calibration_id).files
-    except NotFound:
-        message = "There is no such calibration."
-        item = ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint="List them.")
-        raise SocketProblem(LIVE_FIELDS, message, errors=[item]) from None
-    if files is None:
-        message = "The calibration is not made yet."
-        item = ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint="Wait for its job.")
-        raise SocketProblem(LIVE_FIELDS, message, errors=[item])
-    return files["multicap"]
-
-
 @contextlib.asynccontextmanager
 async def _ready(
     services: Services, start: LiveStart, calibration: Path
@@ -195,11 +148,11 @@ async def _ready(
     }
     async with contextlib.AsyncExitStack() as held:
         async with services.live_places.starting:
-            process = await held.enter_async_context(
-                capture_process(settings.live_command, calibration.parent, settings.live_memory_bytes)
-            )
             try:
-                async with asyncio.timeout(_ANSWERS_TO_START * settings.live_answer_s):
+                async with asyncio.timeout(start_limit_s(settings)):
+                    process = await held.enter_async_context(
+                        capture_process(services.live_forks, calibration.parent, settings.live_memory_bytes)
+                    )
                     await process.send(json.dumps(content).encode())
                     kind, answer = await process.answer()
             except TimeoutError:

@@ -12,7 +12,7 @@ import resource
 import signal
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Literal
@@ -24,7 +24,7 @@ from api.errors import ApiError, ErrorItem
 from api.http.bodies.form import Form
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from pipeline.problem_codes.requests import PREFLIGHT_FAILED, PREFLIGHT_TIMEOUT
-from worker.process.priorities import lower_priority
+from pipeline.runtime.priorities import lower_priority
 
 _log = structlog.get_logger(__name__)
 
@@ -33,8 +33,8 @@ _EXIT_DISK_FULL = 4
 _LOGGED_BYTES = 4000
 # More than a JPEG of 320 x 320 pixels of noise.
 _MAX_THUMBNAIL_BYTES = 2**18
-# Between the API's responses and the workers: a client waits for the check.
-_NICE = 5
+NICE = 5
+"""Niceness of the programs, between the API's responses and the workers: a client waits for the check."""
 # Several times the time of a check on two cores, measured with good files that have few bytes a frame.
 _S_PER_FILE = 0.2
 _S_PER_VIDEO_BYTE = 60 / 2**30
@@ -142,6 +142,51 @@ class CalibrationContents(BaseModel):
     files: dict[str, str]
 
 
+def run_program(
+    program: "PreflightProgram",
+    command: Sequence[str],
+    timeout_s: float,
+    temporary: Path,
+    output: IO[bytes],
+    log: IO[bytes],
+) -> int:
+    """Run a command with the limits of a program; return its exit code.
+
+    ``temporary`` is the folder of its temporary files; ``output`` and ``log`` take what it prints. Raises
+    ``TimeoutError`` behind ``timeout_s``; the command is killed with all its children.
+    """
+    with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=log,
+        env=os.environ | {"TMPDIR": str(temporary)},
+        start_new_session=True,
+    ) as child:
+        resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (program.max_record_bytes, program.max_record_bytes))
+        # Limit for the child of a killed API process: then no process waits for it and applies the timeout.
+        resource.prlimit(child.pid, resource.RLIMIT_CPU, (cpu_limit_s(timeout_s), resource.RLIM_INFINITY))
+        resource.prlimit(child.pid, resource.RLIMIT_DATA, (program.max_memory_bytes, program.max_memory_bytes))
+        lower_priority(NICE, child.pid)
+        try:
+            return child.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            raise TimeoutError from None
+        finally:
+            # A child that was not waited for keeps its process id, so the group is its own.
+            if child.returncode is None:
+                os.killpg(child.pid, signal.SIGKILL)
+
+
+def cpu_limit_s(timeout_s: float) -> int:
+    """Limit on the computing time of a program that may take so long."""
+    return math.ceil(4 * timeout_s)
+
+
+RunProgram = Callable[["PreflightProgram", Sequence[str], float, Path, IO[bytes], IO[bytes]], int]
+"""Function that runs a program as ``run_program`` does."""
+
+
 @dataclass(frozen=True, slots=True)
 class PreflightProgram:
     """Programs that check files, with their limits.
@@ -160,6 +205,8 @@ class PreflightProgram:
         Largest memory of the process.
     character_command
         Program of characters, with its first arguments.
+    run
+        Function that runs a program, see ``run_program``.
     """
 
     command: tuple[str, ...]
@@ -168,6 +215,7 @@ class PreflightProgram:
     max_record_bytes: int
     max_memory_bytes: int
     character_command: tuple[str, ...] = ()
+    run: RunProgram = run_program
 
     def check(
         self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0, thumbnails: Path | None = None
@@ -264,7 +312,11 @@ class PreflightProgram:
     def _answer(self, command: Sequence[str], folder: Path, allowance_s: float) -> bytes:
         """Run a program, and return what it prints about usable files."""
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
-            exit_code = self._run(command, self.timeout_s + allowance_s, folder, output, log)
+            timeout_s = self.timeout_s + allowance_s
+            try:
+                exit_code = self.run(self, command, timeout_s, folder, output, log)
+            except TimeoutError:
+                raise _too_slow(timeout_s) from None
             printed = _read(output, self.max_bytes)
             if exit_code == 0 and printed:
                 return printed
@@ -274,32 +326,6 @@ class PreflightProgram:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             _log.error("preflight_failed", exit_code=exit_code, output_bytes=len(printed), log=_tail(log))
         raise _failed()
-
-    def _run(self, command: Sequence[str], timeout_s: float, temporary: Path, output: IO[bytes], log: IO[bytes]) -> int:
-        with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=log,
-            env=os.environ | {"TMPDIR": str(temporary)},
-            start_new_session=True,
-        ) as child:
-            resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_record_bytes, self.max_record_bytes))
-            # Limit for the child of a killed API process: then no process waits for it and applies the timeout.
-            resource.prlimit(child.pid, resource.RLIMIT_CPU, (math.ceil(4 * timeout_s), resource.RLIM_INFINITY))
-            resource.prlimit(child.pid, resource.RLIMIT_DATA, (self.max_memory_bytes, self.max_memory_bytes))
-            lower_priority(_NICE, child.pid)
-            try:
-                return child.wait(timeout_s)
-            except subprocess.TimeoutExpired:
-                _log.warning("preflight_timeout", timeout_s=timeout_s)
-                message = f"The check of the files took longer than {timeout_s:.3g} s."
-                hint = "Send fewer or smaller files, or send the same files again when the service is less busy."
-                raise InvalidFilesError([ErrorItem(code=PREFLIGHT_TIMEOUT, message=message, hint=hint)]) from None
-            finally:
-                # A child that was not waited for keeps its process id, so the group is its own.
-                if child.returncode is None:
-                    os.killpg(child.pid, signal.SIGKILL)
 
 
 class InvalidFilesError(Exception):
@@ -314,6 +340,13 @@ class _Problems(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     problems: tuple[ErrorItem, ...]
+
+
+def _too_slow(timeout_s: float) -> InvalidFilesError:
+    _log.warning("preflight_timeout", timeout_s=timeout_s)
+    message = f"The check of the files took longer than {timeout_s:.3g} s."
+    hint = "Send fewer or smaller files, or send the same files again when the service is less busy."
+    return InvalidFilesError([ErrorItem(code=PREFLIGHT_TIMEOUT, message=message, hint=hint)])
 
 
 def _failed() -> ApiError:

@@ -1,4 +1,4 @@
-"""``python -m pipeline.live.program``: a live capture in a process of its own, between two pipes.
+"""Program that computes a live capture in a process of its own, between two pipes; ``server`` forks it.
 
 The service checks what clients send and forwards it. ``pipes`` describes the messages.
 """
@@ -25,7 +25,6 @@ from pipeline.live.packing import described_camera, instant_json, pack_instant, 
 from pipeline.live.pipes import CaptureAnswer, framed, read_message
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
-from pipeline.runtime.parent_watch import die_with_parent
 from pipeline.skeleton.model import SKELETON
 
 # Lowest score of a point that was found, as of keypoint files.
@@ -123,9 +122,9 @@ def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
     return 0
 
 
-if __name__ == "__main__":
-    die_with_parent(os.getppid())
+def main(_: Sequence[str] = ()) -> int:
+    """Compute a live capture from stdin to stdout; return the exit code."""
     # Output that a library prints must not come between the answers.
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    sys.exit(run(sys.stdin.buffer, answers))
+    with os.fdopen(os.dup(1), "wb") as answers:
+        os.dup2(2, 1)
+        return run(sys.stdin.buffer, answers)

@@ -217,6 +217,12 @@ TOO_MANY_CAPTURES = ANSWERS.code(
     "The tenant has too many live captures open.",
     "End live captures that are over.",
 )
+TOO_MANY_BAD_CAPTURES = ANSWERS.code(
+    "too_many_bad_captures",
+    ("429",),
+    "Too many live captures of the tenant, or without keys of the client's address, ended by problems within a minute.",
+    "Correct the client as the problems say, and begin the next capture after the seconds of `Retry-After`.",
+)
 CAPTURES_BUSY = ANSWERS.code(
     "captures_busy",
     ("503",),

@@ -21,12 +21,12 @@ from api.startup import ExposedError, require_keys_if_exposed
 from pipeline.config import networks_of
 from pipeline.detect import models
 from pipeline.runtime.child_processes import module_command
+from pipeline.runtime.priorities import raise_descriptor_limit
 from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.repositories.rights.keys import Keys
 from worker.jobs.spec import JobSpec
 from worker.process import embedded
 from worker.process.presence import remove_killed
-from worker.process.priorities import raise_descriptor_limit
 from worker.process.supervisor import Program, Supervisor
 
 _POLL_S = 0.2

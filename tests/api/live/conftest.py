@@ -16,73 +16,74 @@ from tests.api.conftest import Live, running
 CAMERAS = ("left", "right")
 CALIBRATION = {"cameras": [{"name": name} for name in CAMERAS]}
 
-# Reads a calibration and finds its cameras.
-PREFLIGHT = """
-import json, sys
-path = sys.argv[sys.argv.index("--calibration") + 1]
-cameras = json.load(open(path))["cameras"]
-if not cameras:
-    problem = {"code": "calibration_empty", "message": "No cameras.", "file": "sent.json", "camera": None,
-               "field": "cameras", "hint": None}
-    print(json.dumps({"problems": [problem]}))
-    sys.exit(2)
-print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "notes": [],
-                  "files": {"multicap": json.dumps({"cameras": cameras})}}))
-"""
-
-# Answers each packet by an instant with nobody; times choose the behaviour.
-CAPTURE = """
+# Programs of a server of forks: ``calibration`` finds the cameras of a calibration, ``capture`` answers each packet
+# by an instant with nobody; times choose the behaviour.
+SERVER = """
 import json, struct, sys, time
-cameras = None
+from pipeline.runtime.forks import serve
+
+def calibration(arguments):
+    cameras = json.load(open(arguments[arguments.index("--calibration") + 1]))["cameras"]
+    if not cameras:
+        problem = {"code": "calibration_empty", "message": "No cameras.", "file": "sent.json", "camera": None,
+                   "field": "cameras", "hint": None}
+        print(json.dumps({"problems": [problem]}))
+        return 2
+    print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "notes": [],
+                      "files": {"multicap": json.dumps({"cameras": cameras})}}))
+    return 0
+
 def answer(kind, content):
     sys.stdout.buffer.write(struct.pack("<I", len(content) + 1) + kind + content)
     sys.stdout.buffer.flush()
-taken, sequence = 0, 0
-while (length := sys.stdin.buffer.read(4)):
-    packet = sys.stdin.buffer.read(struct.unpack("<I", length)[0])
-    if cameras is None:
-        start = json.loads(packet)
-        cameras = [camera["name"] for camera in json.load(open(start["calibration"]))["cameras"]]
-        if start["settings"]["learn_s"] == 59.0:
-            problem = {"code": "parameter_range", "message": "No.", "field": "learn_s", "camera": None}
-            answer(b"P", json.dumps([problem]).encode())
-            sys.exit(2)
-        ready = {"cameras": cameras, "joints": ["nose"], "bones": ["Hips"], "parents": [None], "rig": []}
-        answer(b"R", json.dumps(ready).encode())
-        continue
-    counts = lambda: json.dumps({"taken": taken, "late": 0, "dropped": 0}).encode()
-    if not packet:
-        answer(b"E", counts())
-        break
-    time_s = struct.unpack_from("<d", packet, 12)[0]
-    if time_s == 666.0:
-        raise RuntimeError("a secret")
-    if time_s == 999.0:
-        time.sleep(3600)
-    if time_s >= 100.0 and time_s < 200.0:
-        time.sleep(0.05)
-    taken += 1
-    if start["format"] == "packed":
-        answer(b"I", struct.pack("<4sHHHHdfIII", b"MCI1", 0, 1, 1, 0, time_s, 0.5, sequence, 0, 0))
-    else:
-        filling = "x" * 200_000 if 200.0 <= time_s < 300.0 else ""
-        instant = {"sequence": sequence, "time_s": time_s, "lag_s": 0.5, "people": [], "filling": filling}
-        answer(b"I", json.dumps(instant).encode())
-    sequence += 1
-    answer(b"T", counts())
+
+def capture(arguments):
+    cameras = None
+    taken, sequence = 0, 0
+    while (length := sys.stdin.buffer.read(4)):
+        packet = sys.stdin.buffer.read(struct.unpack("<I", length)[0])
+        if cameras is None:
+            start = json.loads(packet)
+            cameras = [camera["name"] for camera in json.load(open(start["calibration"]))["cameras"]]
+            if start["settings"]["learn_s"] == 59.0:
+                problem = {"code": "parameter_range", "message": "No.", "field": "learn_s", "camera": None}
+                answer(b"P", json.dumps([problem]).encode())
+                return 2
+            ready = {"cameras": cameras, "joints": ["nose"], "bones": ["Hips"], "parents": [None], "rig": []}
+            answer(b"R", json.dumps(ready).encode())
+            continue
+        counts = lambda: json.dumps({"taken": taken, "late": 0, "dropped": 0}).encode()
+        if not packet:
+            answer(b"E", counts())
+            break
+        time_s = struct.unpack_from("<d", packet, 12)[0]
+        if time_s == 666.0:
+            raise RuntimeError("a secret")
+        if time_s == 999.0:
+            time.sleep(3600)
+        if time_s >= 100.0 and time_s < 200.0:
+            time.sleep(0.05)
+        taken += 1
+        if start["format"] == "packed":
+            answer(b"I", struct.pack("<4sHHHHdfIII", b"MCI1", 0, 1, 1, 0, time_s, 0.5, sequence, 0, 0))
+        else:
+            filling = "x" * 200_000 if 200.0 <= time_s < 300.0 else ""
+            instant = {"sequence": sequence, "time_s": time_s, "lag_s": 0.5, "people": [], "filling": filling}
+            answer(b"I", json.dumps(instant).encode())
+        sequence += 1
+        answer(b"T", counts())
+    return 0
+
+serve({"calibration": calibration, "capture": capture})
 """
 
 
 @pytest.fixture(scope="session")
 def live_commands(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, ...]]:
-    """Programs in place of those that check calibrations and compute captures, as settings."""
-    folder: Path = tmp_path_factory.mktemp("live")
-    commands: dict[str, tuple[str, ...]] = {}
-    for name, source in (("preflight_command", PREFLIGHT), ("live_command", CAPTURE)):
-        path = folder / f"{name}.py"
-        path.write_text(source, encoding="utf-8")
-        commands[name] = (sys.executable, "-I", "-S", str(path))
-    return commands
+    """Settings with a program in place of the server from which captures are forked."""
+    path: Path = tmp_path_factory.mktemp("live") / "server.py"
+    path.write_text(SERVER, encoding="utf-8")
+    return {"live_command": (sys.executable, "-P", str(path))}
 
 
 @pytest.fixture(scope="session")
@@ -94,6 +95,7 @@ def live_service(make_settings: Callable[..., Settings], live_commands: dict[str
         max_tenant_live_captures=12,
         max_live_message_bytes=100_000,
         max_live_people=8,
+        max_bad_live_captures_per_minute=1000,
         live_answer_s=3.0,
         live_idle_s=20.0,
     )

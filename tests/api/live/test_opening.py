@@ -10,6 +10,7 @@ from api.settings import Settings
 from tests.api.conftest import Live, running
 from tests.api.live.conftest import LiveSocket, opened, start_message
 from tests.api.live.test_live import packet
+from tests.waiting import wait_for
 from worker.jobs.model.rights import Scope
 
 
@@ -134,6 +135,38 @@ def test_floods_end_a_capture(own: Live) -> None:
                 client.receive()
         assert connection.close_code == 1008
         assert connection.close_reason == "live_too_fast"
+
+
+def test_an_owner_of_bad_captures_waits_and_others_do_not(
+    make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
+) -> None:
+    with running(make_settings(**live_commands, max_bad_live_captures_per_minute=2)) as service:
+        keys = service.services.store.keys
+        bad, good = (keys.add(name, name, frozenset({Scope.WRITE}))[1] for name in ("studio-a", "studio-b"))
+        with opened(service, **bearer(bad)) as running_on:
+            client = LiveSocket(running_on)
+            client.start()
+            for message in ("{", "[]"):
+                with opened(service, **bearer(bad)) as connection:
+                    broken = LiveSocket(connection)
+                    broken.send(message)
+                    assert broken.problem()["code"] == "live_message"
+            wait_for(lambda: is_refused(service, bad))
+            assert refusal(service, **bearer(bad)) == (429, "too_many_bad_captures")
+            # What runs goes on, and other tenants begin.
+            client.send(packet())
+            assert len(client.ended()[0]) == 1
+        with opened(service, **bearer(good)) as connection:
+            assert LiveSocket(connection).start()["type"] == "ready"
+
+
+def is_refused(service: Live, secret: str) -> bool:
+    """Return whether a capture is refused; the end of the one before is counted a little later than the client sees."""
+    try:
+        with opened(service, **bearer(secret)):
+            return False
+    except websockets.InvalidStatus as refused:
+        return 1 <= int(refused.response.headers["Retry-After"]) <= 60
 
 
 def test_other_addresses_have_no_websocket(own: Live) -> None:

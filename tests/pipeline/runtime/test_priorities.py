@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-RAISE = "from worker.process.priorities import raise_descriptor_limit\nprint(raise_descriptor_limit())\n"
+RAISE = "from pipeline.runtime.priorities import raise_descriptor_limit\nprint(raise_descriptor_limit())\n"
 OF_CHILD = "import subprocess, sys; subprocess.run(['sh', '-c', 'ulimit -Sn'])\n"
 
 
