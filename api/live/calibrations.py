@@ -50,7 +50,8 @@ async def _sent_calibration(services: Services, caller: Caller, start: LiveStart
     if start.units is not None:
         arguments.append(f"--units={start.units}")
     try:
-        contents = await services.checks.run(caller.owner, _program(services).read_calibration, arguments, folder)
+        async with services.live_places.starting():
+            contents = await services.checks.run(caller.owner, _program(services).read_calibration, arguments, folder)
     except InvalidFilesError as invalid:
         errors = [item.model_copy(update={"pointer": "/calibration", "file": None}) for item in invalid.errors]
         raise SocketProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None

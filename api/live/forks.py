@@ -12,8 +12,10 @@ from typing import IO
 
 import structlog
 
+from api.sessions.preflight import NICE
 from api.settings import Settings
 from pipeline.runtime.forks import ForkRequest, send_request
+from pipeline.runtime.priorities import lower_priority
 
 _log = structlog.get_logger(__name__)
 
@@ -98,4 +100,5 @@ def _started(command: Sequence[str]) -> _Running:
         process = subprocess.Popen(  # noqa: S603 - the command is the operator's
             command, stdin=theirs.fileno(), stdout=log, stderr=log, env=inherited | _ONE_THREAD, start_new_session=True
         )
+    lower_priority(NICE, process.pid)
     return _Running(process, ours, log)

@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 
 from limits import RateLimitItemPerMinute
 from limits.storage import MemoryStorage
@@ -16,6 +16,8 @@ from api.errors import ApiError, service_unavailable
 from pipeline.problem_codes.requests import CAPTURES_BUSY, TOO_MANY_BAD_CAPTURES, TOO_MANY_CAPTURES
 
 _RETRY_AFTER_S = 10
+# Pause behind a start: this many times as long, and at most so many seconds.
+_PAUSE, _MAX_PAUSE_S = 2.0, 0.5
 
 
 class LivePlaces:
@@ -30,12 +32,23 @@ class LivePlaces:
     """
 
     def __init__(self, max_captures: int, max_of_owner: int, max_bad_per_minute: int) -> None:
-        # A start takes a processor for seconds; the others are left to captures that run.
-        self.starting = asyncio.Semaphore(max(1, len(os.sched_getaffinity(0)) // 2))
+        # A start takes a processor; the others are left to captures that run.
+        self._starts = asyncio.Semaphore(max(1, len(os.sched_getaffinity(0)) // 2))
         self._max_captures, self._max_of_owner = max_captures, max_of_owner
         self._open: Counter[str] = Counter()
         self._bad = RateLimitItemPerMinute(max_bad_per_minute)
         self._limiter = MovingWindowRateLimiter(MemoryStorage())
+
+    @contextlib.asynccontextmanager
+    async def starting(self) -> AsyncIterator[None]:
+        """Take a turn to start something; behind it comes a pause, in which captures that run make up for it."""
+        await self._starts.acquire()
+        began_s = time.monotonic()
+        try:
+            yield
+        finally:
+            pause_s = min(_MAX_PAUSE_S, _PAUSE * (time.monotonic() - began_s))
+            asyncio.get_running_loop().call_later(pause_s, self._starts.release)
 
     def note_bad(self, owner: str) -> None:
         """Count a capture that ended by a fault of the client."""

@@ -32,7 +32,7 @@ _MAX_BACKLOG_BYTES = 8 * 2**20
 # Frames that the process has and has not answered yet: the next one waits in its pipe.
 _MAX_AT_PROCESS = 2
 # Of the rate of the cameras: faster clients wait, in pauses of this length. Files that are played faster are welcome.
-_MAX_SPEED, _PAUSE_S = 8.0, 0.05
+_MAX_SPEED, _PAUSE_S = 4.0, 0.05
 _WATCH_S = 0.25
 
 

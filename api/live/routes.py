@@ -147,7 +147,7 @@ async def _ready(
         "joint_centers": start.joint_centers,
     }
     async with contextlib.AsyncExitStack() as held:
-        async with services.live_places.starting:
+        async with services.live_places.starting():
             try:
                 async with asyncio.timeout(start_limit_s(settings)):
                     process = await held.enter_async_context(

@@ -12,9 +12,7 @@ import websockets.sync.client
 
 from api.settings import Settings
 from tests.api.conftest import Live, running
-
-CAMERAS = ("left", "right")
-CALIBRATION = {"cameras": [{"name": name} for name in CAMERAS]}
+from tests.api.live.messages import start_message
 
 # Programs of a server of forks: ``calibration`` finds the cameras of a calibration, ``capture`` answers each packet
 # by an instant with nobody; times choose the behaviour.
@@ -142,17 +140,6 @@ class LiveSocket:
         with pytest.raises(websockets.ConnectionClosedOK):
             self.socket.recv(60.0)
         return instants, message
-
-
-def start_message(**changes: Any) -> dict[str, Any]:
-    return {"type": "start", "calibration": CALIBRATION, "layout": "coco-17", "frame_rate_hz": 25.0} | changes
-
-
-def keypoints_message(
-    camera: str | int = "left", time_s: float = 0.0, people: int = 1, **changes: Any
-) -> dict[str, Any]:
-    points = [[[100.0, 200.0, 0.9]] * 17] * people
-    return {"type": "keypoints", "camera": camera, "time_s": time_s, "people": points} | changes
 
 
 def opened(service: Live, **options: Any) -> AbstractContextManager[websockets.sync.client.ClientConnection]:

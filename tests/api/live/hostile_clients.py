@@ -13,11 +13,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import websockets
+import websockets.sync.client
 from websockets.sync.client import ClientConnection
 
-from tests.api.live.conftest import keypoints_message
-from tests.api.live.test_live import packet
+from tests.api.live.messages import keypoints_message, packet
 
 Way = Callable[[ClientConnection, str], None]
 """Behaviour of a client with a connection; the text is a right first message."""

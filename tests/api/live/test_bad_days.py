@@ -20,8 +20,8 @@ from api.settings import Settings
 from multicap.live import LiveError, LiveOptions, connect_sync
 from pipeline.live.keeping import write_session
 from tests.api.conftest import Live, running
-from tests.api.live.conftest import CALIBRATION, LiveSocket, opened, start_message
-from tests.api.live.test_live import packet
+from tests.api.live.conftest import LiveSocket, opened
+from tests.api.live.messages import CALIBRATION, packet, start_message
 from tests.waiting import wait_for
 from worker.jobs.files.disk import DiskSpace
 

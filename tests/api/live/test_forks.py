@@ -15,7 +15,7 @@ from api.settings import Settings
 from pipeline.runtime.forks import NUMBER, ForkRequest
 from tests.api.conftest import Live, running
 from tests.api.live.conftest import LiveSocket, opened
-from tests.api.live.test_live import packet
+from tests.api.live.messages import packet
 
 ENVIRONMENT = """
 import json, os

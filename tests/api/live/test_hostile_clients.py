@@ -9,9 +9,9 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import Live, running
-from tests.api.live.conftest import LiveSocket, opened, start_message
+from tests.api.live.conftest import LiveSocket, opened
 from tests.api.live.hostile_clients import attack_by
-from tests.api.live.test_live import packet
+from tests.api.live.messages import packet, start_message
 
 NUM_FRAMES = 200
 NUM_GOOD = 2

@@ -21,13 +21,16 @@ import pytest
 
 from multicap.live import LiveOptions, connect_sync
 from pipeline.live.recorded import recorded_frames
+from pipeline.runtime.priorities import lower_priority
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
-from tests.api.live.conftest import start_message
+from tests.api.live.messages import start_message
 from tests.e2e.serving import Served, serving
 
 pytestmark = pytest.mark.benchmark
 
+# Hostile clients compute on machines of their own: here they get what others leave.
+_NICE = 10
 NUM_HOSTILE, NUM_ROUNDS, DURATION_S = 100, 2, 20.0
 MAX_DELAY_MS, MAX_GROWTH_BYTES = 5.0, 2**30
 
@@ -80,12 +83,20 @@ def attackers(command: list[str]) -> Iterator[Callable[[], None]]:
 
     def again() -> None:
         if all(process.poll() is not None for process in running):
-            running.append(subprocess.Popen(command, cwd=Path(__file__).parents[3]))
+            running.append(subprocess.Popen(command, cwd=Path(__file__).parents[3], start_new_session=True))
+            lower_priority(_NICE, running[-1].pid)
 
     yield again
     for process in running:
         process.kill()
         process.wait()
+
+
+def num_captures(service: Served) -> int:
+    """Number of captures that ended or were refused so far."""
+    lines = service.client.get("/metrics").raise_for_status().text.splitlines()
+    names = ("multicap_live_captures_refused_total{", "multicap_live_captures_ended_total{")
+    return sum(round(float(line.rpartition(" ")[2])) for line in lines if line.startswith(names))
 
 
 def test_a_good_capture_beside_a_hundred_hostile_clients(service: Served) -> None:
@@ -94,7 +105,8 @@ def test_a_good_capture_beside_a_hundred_hostile_clients(service: Served) -> Non
     address = str(service.client.base_url).replace("http", "ws").rstrip("/") + "/v1/live"
     program = [sys.executable, "-P", "-m", "tests.api.live.hostile_clients", address]
     start = json.dumps(start_message(calibration=calibration))
-    api = max(service.tree(), key=lambda process: len(process.net_connections("tcp")))
+    api = service.part("api")
+    num_before = num_captures(service)
     before, peak, lines = api.memory_info().rss, 0, list[str]()
     taken_ms: dict[int, list[np.ndarray]] = {0: [], NUM_HOSTILE: []}
     for _ in range(NUM_ROUNDS):
@@ -114,7 +126,10 @@ def test_a_good_capture_beside_a_hundred_hostile_clients(service: Served) -> Non
     p99_ms = {number: np.percentile(np.concatenate(each), 99) for number, each in taken_ms.items()}
     lines.append(f"memory of the API process {before / 2**20:.0f} MiB before, {peak / 2**20:.0f} MiB at most")
     lines.append(f"p99 {p99_ms[0]:.1f} ms without, {p99_ms[NUM_HOSTILE]:.1f} ms with {NUM_HOSTILE} hostile clients")
+    num_attacks = num_captures(service) - num_before - 2 * NUM_ROUNDS
+    lines.append(f"{num_attacks} hostile captures ended or were refused")
     print("\n".join(["", *lines]))  # noqa: T201
+    assert num_attacks >= NUM_HOSTILE
     assert all(psutil.pid_exists(process.pid) for process in service.tree())
     assert peak - before < MAX_GROWTH_BYTES
     assert p99_ms[NUM_HOSTILE] <= p99_ms[0] + MAX_DELAY_MS

@@ -7,15 +7,11 @@ from typing import Any
 
 import pytest
 
-from pipeline.live.packets import encode_keypoints
 from tests.api.conftest import Live
-from tests.api.live.conftest import CAMERAS, LiveSocket, keypoints_message, opened, start_message
+from tests.api.live.conftest import LiveSocket, opened
+from tests.api.live.messages import CAMERAS, keypoints_message, packet, start_message
 
 NAN = float("nan")
-
-
-def packet(camera: int = 0, people: int = 1, points: int = 17, time_s: float = 0.0, number: float = 0.5) -> bytes:
-    return encode_keypoints(camera, points, time_s, [number] * people * points * 3, people)
 
 
 def test_capture_from_start_to_end(live_socket: LiveSocket) -> None:

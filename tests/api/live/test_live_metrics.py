@@ -9,7 +9,7 @@ from api.live.backlog import Backlog, Waiting
 from tests.api.conftest import Live
 from tests.api.health.test_metrics import samples
 from tests.api.live.conftest import LiveSocket, opened
-from tests.api.live.test_live import packet
+from tests.api.live.messages import packet
 from tests.waiting import wait_for
 
 

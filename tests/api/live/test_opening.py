@@ -1,15 +1,21 @@
 """Opening of live captures: keys and scopes, pages of other origins, the number of captures, silence."""
 
+import asyncio
 import json
+import socket
 from collections.abc import Callable, Iterator
 
+import psutil
 import pytest
 import websockets
+from websockets.frames import Frame, Opcode
 
+from api.live import places
+from api.live.places import LivePlaces
 from api.settings import Settings
 from tests.api.conftest import Live, running
-from tests.api.live.conftest import LiveSocket, opened, start_message
-from tests.api.live.test_live import packet
+from tests.api.live.conftest import LiveSocket, opened
+from tests.api.live.messages import packet, start_message
 from tests.waiting import wait_for
 from worker.jobs.model.rights import Scope
 
@@ -135,6 +141,70 @@ def test_floods_end_a_capture(own: Live) -> None:
                 client.receive()
         assert connection.close_code == 1008
         assert connection.close_reason == "live_too_fast"
+
+
+def test_a_client_that_is_much_faster_than_its_cameras_stands_behind_others_and_loses_nothing(
+    make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
+) -> None:
+    num_frames = 500  # Two cameras of 25 Hz, four times as fast: 200 frames are taken at once.
+    with running(make_settings(**live_commands)) as service, opened(service) as first, opened(service) as second:
+        slow, fast = LiveSocket(first), LiveSocket(second)
+        slow.start()
+        fast.start(format="packed")
+        for number in range(num_frames):
+            fast.send(packet(time_s=number * 0.04))
+        slow.send(packet())
+        assert slow.receive()["type"] == "instant"
+        for _ in range(num_frames):
+            assert isinstance(fast.receive(), bytes)
+        captures = psutil.Process(service.services.live_forks.pid).children()
+        assert sorted(capture.nice() for capture in captures) == [5, 19]
+        end = fast.ended()[1]
+        assert (end["counts"]["received"], end["dropped"]) == (num_frames, {"input": 0, "output": 0})
+
+
+def test_a_pause_follows_a_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(places, "_PAUSE", 1e9)  # the longest pause
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1})
+
+    async def run() -> None:
+        turns = LivePlaces(8, 8, 8)
+        begun = asyncio.Event()
+
+        async def second() -> None:
+            async with turns.starting():
+                begun.set()
+
+        async with turns.starting():
+            waiting = asyncio.create_task(second())
+            await asyncio.sleep(0.001)
+        for _ in range(3):
+            await asyncio.sleep(0)
+            assert not begun.is_set()
+        await asyncio.wait_for(waiting, 60)
+
+    asyncio.run(run())
+
+
+def test_many_messages_at_once_are_all_read(own: Live) -> None:
+    """The server parses pieces of what has come: messages, a ping between them, and one that is longer than a piece."""
+    frames = [Frame(Opcode.TEXT, json.dumps(start_message()).encode())]
+    frames += [Frame(Opcode.BINARY, packet(time_s=number * 0.04)) for number in range(15)]
+    frames += [Frame(Opcode.PING, b"here"), Frame(Opcode.TEXT, b'{"type": "end"}' + b" " * 20_000)]
+    request = (
+        "GET /v1/live HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    )
+    with socket.create_connection(own.address, timeout=60) as connection:
+        connection.sendall(request.encode())
+        assert connection.recv(10_000).startswith(b"HTTP/1.1 101")
+        connection.sendall(b"".join(frame.serialize(mask=True) for frame in frames))
+        answer = b""
+        while b'"type":"ended"' not in answer and (content := connection.recv(2**16)):
+            answer += content
+    assert answer.count(b'"type":"instant"') == 15
+    assert b'"type":"ended"' in answer
+    assert b"\x8a\x04here" in answer  # the pong
 
 
 def test_an_owner_of_bad_captures_waits_and_others_do_not(

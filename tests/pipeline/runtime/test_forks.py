@@ -47,7 +47,7 @@ serve({"show": show, "fail": fail, "take": take, "wait": wait})
 """
 
 
-class Served:
+class ServedForks:
     """Running server."""
 
     def __init__(self, path: Path) -> None:
@@ -61,10 +61,10 @@ class Served:
 
 
 @pytest.fixture
-def server(tmp_path: Path) -> Iterator[Served]:
+def server(tmp_path: Path) -> Iterator[ServedForks]:
     path = tmp_path / "server.py"
     path.write_text(SERVER, encoding="utf-8")
-    served = Served(path)
+    served = ServedForks(path)
     yield served
     served.close()
 
@@ -79,7 +79,7 @@ def request_of(tmp_path: Path) -> ForkRequest:
     return ForkRequest("show", ("a", "b"), str(tmp_path), 2**29, 2**20, 30, 11)
 
 
-def forked(server: Served, request: ForkRequest, folder: Path) -> socket.socket:
+def forked(server: ServedForks, request: ForkRequest, folder: Path) -> socket.socket:
     """Socket of a fork that reads ``input`` and writes to the files ``output`` and ``log``."""
     (folder / "input").write_text("all of it", encoding="utf-8")
     with (
@@ -91,7 +91,7 @@ def forked(server: Served, request: ForkRequest, folder: Path) -> socket.socket:
 
 
 def test_a_fork_gets_its_files_and_limits_and_nothing_else(
-    server: Served, request_of: ForkRequest, tmp_path: Path
+    server: ServedForks, request_of: ForkRequest, tmp_path: Path
 ) -> None:
     with forked(server, request_of, tmp_path) as owner:
         pid = number(owner)
@@ -107,7 +107,7 @@ def test_a_fork_gets_its_files_and_limits_and_nothing_else(
     assert pid != server.process.pid
 
 
-def test_a_failure_is_that_of_the_fork(server: Served, request_of: ForkRequest, tmp_path: Path) -> None:
+def test_a_failure_is_that_of_the_fork(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
     for changes, exit_code, log in (
         ({"program": "fail"}, 1, "ValueError: wrong"),
         ({"program": "unknown"}, 1, "KeyError"),
@@ -120,7 +120,7 @@ def test_a_failure_is_that_of_the_fork(server: Served, request_of: ForkRequest, 
         assert log in (tmp_path / "log").read_text()
 
 
-def waiting(server: Served, request: ForkRequest, folder: Path) -> tuple[socket.socket, list[psutil.Process]]:
+def waiting(server: ServedForks, request: ForkRequest, folder: Path) -> tuple[socket.socket, list[psutil.Process]]:
     """Fork that has started a process, and both processes."""
     owner = forked(server, replace(request, program="wait"), folder)
     pid = number(owner)
@@ -133,7 +133,7 @@ def have_ended(processes: list[psutil.Process]) -> bool:
 
 
 def test_a_fork_is_killed_with_its_children_when_its_owner_goes(
-    server: Served, request_of: ForkRequest, tmp_path: Path
+    server: ServedForks, request_of: ForkRequest, tmp_path: Path
 ) -> None:
     owner, processes = waiting(server, request_of, tmp_path)
     owner.shutdown(socket.SHUT_WR)
@@ -148,7 +148,7 @@ def test_a_fork_is_killed_with_its_children_when_its_owner_goes(
     wait_for(lambda: not psutil.pid_exists(pid))
 
 
-def test_forks_end_with_a_killed_server(server: Served, request_of: ForkRequest, tmp_path: Path) -> None:
+def test_forks_end_with_a_killed_server(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
     owner, processes = waiting(server, request_of, tmp_path)
     server.process.kill()
     wait_for(lambda: have_ended(processes[:1]))
@@ -157,7 +157,7 @@ def test_forks_end_with_a_killed_server(server: Served, request_of: ForkRequest,
     owner.close()
 
 
-def test_the_server_ends_when_nobody_can_ask(server: Served, request_of: ForkRequest, tmp_path: Path) -> None:
+def test_the_server_ends_when_nobody_can_ask(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
     owner, processes = waiting(server, request_of, tmp_path)
     server.requests.close()
     assert server.process.wait(60) == 0
