@@ -143,7 +143,7 @@ def test_text_that_is_not_utf8(live_socket: LiveSocket) -> None:
 
 
 def test_oldest_frames_are_dropped_and_counted(live_socket: LiveSocket) -> None:
-    live_socket.start()
+    live_socket.start(frame_rate_hz=250.0)  # slower cameras would wait
     for number in range(1100):
         live_socket.send(packet(time_s=100.0 + number * 1e-4))
     live_socket.send(packet(time_s=101.0))
