@@ -90,6 +90,7 @@ SLOW = (
 
 # Tests whose programs start as those of users do: they try how programs start, what limits them, and how they end.
 COLD = (
+    "api/cli/commands/test_own_models.py",
     "api/sessions/test_preflight.py",
     "e2e/",
     "faults/",
