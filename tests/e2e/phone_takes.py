@@ -42,7 +42,7 @@ def phone_card(host: Page, name: str) -> Locator:
     return (
         host.get_by_role("list", name="Phones")
         .get_by_role("listitem")
-        .filter(has=host.get_by_role("heading", name=name))
+        .filter(has=host.get_by_role("heading", name=name, exact=True))
     )
 
 
@@ -59,7 +59,7 @@ def take_card(host: Page, name: str) -> Locator:
     return (
         host.get_by_role("list", name="Takes")
         .locator(".record-take")
-        .filter(has=host.get_by_role("heading", name=name))
+        .filter(has=host.get_by_role("heading", name=name, exact=True))
     )
 
 

@@ -11,12 +11,13 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from worker.jobs.repositories.work.workers import Workers
-from worker.jobs.worker_status import WorkerStatus
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.scratch import is_running
 
 log = structlog.get_logger()
 
-_LOOK_S = 0.2
+# What a ready process has installed seldom changes, and looking for it takes milliseconds.
+_LOOK_S, _LOOK_READY_S = 0.2, 1.0
 _REPORT_S = 4.0
 _STOP_S = 1.0
 
@@ -73,7 +74,7 @@ class Presence:
             if status != reported or now_s - reported_s >= _REPORT_S:
                 self._try(partial(self._workers.report, status))
                 reported, reported_s = status, now_s
-            self._ended.wait(_LOOK_S)
+            self._ended.wait(_LOOK_READY_S if status.state is WorkerState.READY else _LOOK_S)
         self._try(partial(self._workers.remove, [self._name]))
 
     def _try(self, report: Callable[[], None]) -> None:
