@@ -37,7 +37,6 @@ PROGRAMS = (
     "pipeline.detect.own.check",
     "pipeline.live.cameras.stream_program",
     "pipeline.live.keeping",
-    "pipeline.live.program",
     "pipeline.video.decoder",
     "pipeline.video.playback.proxy",
     "pipeline.video.probe",

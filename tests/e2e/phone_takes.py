@@ -59,7 +59,7 @@ def take_card(host: Page, name: str) -> Locator:
     return (
         host.get_by_role("list", name="Takes")
         .locator(".record-take")
-        .filter(has=host.get_by_role("heading", name=name, exact=True))
+        .filter(has=host.get_by_role("heading", name=name))
     )
 
 

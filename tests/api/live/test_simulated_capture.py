@@ -43,7 +43,6 @@ def computing(make_settings: Callable[..., Settings], warm_programs: WarmProgram
     """Running service with the real check of files and the real computation."""
     commands = {
         "preflight_command": warm_programs.command("pipeline.capture.preflight"),
-        "live_command": warm_programs.command("pipeline.live.program"),
         "live_keeping_command": warm_programs.command("pipeline.live.keeping"),
     }
     limits = {"max_keypoints_bytes": 20_000_000, "max_session_bytes": 60_000_000, "max_calibration_bytes": 1_000_000}

@@ -14,9 +14,15 @@ from pipeline.detect.providers.find import current_provider, find_provider
 from pipeline.detect.session import open_network
 from pipeline.providers import CPU, choose_provider
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("onnxruntime_ep_openvino") is None, reason="OpenVINO has no package for this machine."
-)
+pytestmark = [
+    pytest.mark.skipif(
+        importlib.util.find_spec("onnxruntime_ep_openvino") is None, reason="OpenVINO has no package for this machine."
+    ),
+    pytest.mark.skipif(
+        "GenuineIntel" not in Path("/proc/cpuinfo").read_text(encoding="utf-8"),
+        reason="OpenVINO's plugin takes Intel's processors alone.",
+    ),
+]
 
 
 @pytest.fixture
