@@ -48,7 +48,7 @@ def main() -> None:
 
         # An upload arrives in thousands of pieces: a span for each piece would tell nothing.
         FastAPIInstrumentor.instrument_app(app, excluded_urls=_NOT_TRACED, exclude_spans=["receive", "send"])
-    # What is loaded now stays: without it, full collections of garbage hold up answers for a tenth of the time.
+    # Loaded modules stay: full collections of garbage, which hold up all answers, need not look through them.
     gc.freeze()
     uvicorn.Server(server_config(app, settings)).run(sockets=None if fd is None else [socket.socket(fileno=fd)])
     tracing.stop()

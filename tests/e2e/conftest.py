@@ -64,7 +64,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield running
         tree = running.tree()
         # Tests with live captures leave the server from which they are forked.
-        num_servers = sum("pipeline.live.server" in one.cmdline() for one in tree)
+        num_servers = sum("pipeline.live.server" in process.cmdline() for process in tree)
     assert running.process.returncode == 0
     assert len(tree) == NUM_PROCESSES + num_servers
     assert not any(is_alive(one) for one in tree)

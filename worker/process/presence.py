@@ -16,7 +16,7 @@ from worker.process.scratch import is_running
 
 log = structlog.get_logger()
 
-# What a ready process has installed seldom changes, and looking for it takes milliseconds.
+# Installed packages of a ready process seldom change, and looking for them takes milliseconds.
 _LOOK_S, _LOOK_READY_S = 0.2, 1.0
 _REPORT_S = 4.0
 _STOP_S = 1.0

@@ -223,7 +223,7 @@ def test_an_owner_of_bad_captures_waits_and_others_do_not(
                     assert broken.problem()["code"] == "live_message"
             wait_for(lambda: is_refused(service, bad))
             assert refusal(service, **bearer(bad)) == (429, "too_many_bad_captures")
-            # What runs goes on, and other tenants begin.
+            # Running captures go on, and other tenants begin.
             client.send(packet())
             assert len(client.ended()[0]) == 1
         with opened(service, **bearer(good)) as connection:
