@@ -140,9 +140,7 @@ class _Server:
             owner.close()
         else:
             if pid == 0:
-                content = json.loads(message)
-                request = ForkRequest(**content | {"arguments": tuple(content["arguments"])})
-                _become(self._programs, request, files, server)
+                _become(self._programs, message, files, server)
             self._add(_Forked(pid, os.pidfd_open(pid), owner))
         for file in files[1:]:
             os.close(file)
@@ -181,8 +179,11 @@ def _kill(pid: int) -> None:
             kill(pid, signal.SIGKILL)
 
 
-def _become(programs: Mapping[str, Program], request: ForkRequest, files: Sequence[int], server: int) -> NoReturn:
-    """Run a program in the forked process, and end it without what the server does at its own end."""
+def _become(programs: Mapping[str, Program], message: bytes, files: Sequence[int], server: int) -> NoReturn:
+    """Run a program in the forked process, and end it without what the server does at its own end.
+
+    A message that is no ``ForkRequest`` ends the process as an error of the program does.
+    """
     exit_code = 1
     try:
         os.setsid()
@@ -190,6 +191,8 @@ def _become(programs: Mapping[str, Program], request: ForkRequest, files: Sequen
         for number, file in enumerate(files[1:]):
             os.dup2(file, number)
         os.closerange(len(files) - 1, _MAX_DESCRIPTORS)
+        content = json.loads(message)
+        request = ForkRequest(**content | {"arguments": tuple(content["arguments"])})
         _confine(request)
         exit_code = programs[request.program](request.arguments)
     except SystemExit as end:

@@ -17,10 +17,15 @@ from pipeline.runtime.forks import NUMBER, ForkRequest, send_request
 from tests.waiting import wait_for
 
 SERVER = """
-import json, os, resource, subprocess, sys, tempfile, time
+import atexit, json, os, resource, subprocess, sys, tempfile, time
 from pipeline.runtime.forks import serve
 
 LOADED = object()
+
+@atexit.register
+def end():
+    with open(f"{sys.argv[0]}.ends", "a") as ends:
+        print(os.getpid(), file=ends)
 
 def show(arguments):
     names = ("RLIMIT_DATA", "RLIMIT_FSIZE", "RLIMIT_CPU")
@@ -118,6 +123,36 @@ def test_a_failure_is_that_of_the_fork(server: ServedForks, request_of: ForkRequ
             number(owner)
             assert number(owner) == exit_code
         assert log in (tmp_path / "log").read_text()
+
+
+@pytest.mark.parametrize(
+    ("message", "error"),
+    [
+        (b"{", "JSONDecodeError"),
+        (b"[]", "TypeError"),
+        (b"{}", "KeyError"),
+        (b'{"arguments": [], "unknown": 1}', "TypeError"),
+        (b"\xff", "UnicodeDecodeError"),
+    ],
+)
+def test_a_malformed_request_ends_its_fork_alone(
+    server: ServedForks, request_of: ForkRequest, tmp_path: Path, message: bytes, error: str
+) -> None:
+    log = tmp_path / "malformed.log"
+    owner, theirs = socket.socketpair()
+    with owner:
+        with theirs, log.open("wb") as file:
+            socket.send_fds(server.requests, [message], [theirs.fileno(), *[file.fileno()] * 3])
+        number(owner)
+        assert number(owner) == 1
+    assert error in log.read_text()
+    # The server serves, and is the only one: the fork did nothing that a server does at its end.
+    with forked(server, request_of, tmp_path) as other:
+        number(other)
+        assert number(other) == 7
+    wait_for(lambda: psutil.Process(server.process.pid).children() == [])
+    server.close()
+    assert (tmp_path / "server.py.ends").read_text().split() == [str(server.process.pid)]
 
 
 def waiting(server: ServedForks, request: ForkRequest, folder: Path) -> tuple[socket.socket, list[psutil.Process]]:
