@@ -42,6 +42,12 @@ class Clothes(NamedTuple):
         """Whether there are enough detections."""
         return np.asarray(self.num_detections >= _MIN_DETECTIONS)
 
+    def joined(self, other: "Clothes") -> "Clothes":
+        """Mean colours of both pieces together."""
+        num_detections = self.num_detections + other.num_detections
+        total = self.share * self.num_detections[..., None] + other.share * other.num_detections[..., None]
+        return Clothes(total / np.maximum(num_detections, 1)[..., None], num_detections)
+
 
 @dataclass(frozen=True, slots=True)
 class ColourDistances:
@@ -81,10 +87,9 @@ def mean_clothes(
 
     Colours and cameras are those of the piece's rows in ``observations.Detections2D``.
     """
-    total = np.zeros((num_cameras, *colour.shape[1:]))
-    np.add.at(total, camera, colour)
-    num_detections = np.zeros((num_cameras, colour.shape[1]), np.int64)
-    np.add.at(num_detections, camera, colour.any(-1))
+    of_cameras = [colour[camera == number] for number in range(num_cameras)]
+    total = np.array([of_camera.sum(0, np.float64) for of_camera in of_cameras])
+    num_detections = np.array([of_camera.any(-1).sum(0, np.int64) for of_camera in of_cameras])
     sums = total.sum(-1, keepdims=True)
     return Clothes(total / np.where(sums > 0, sums, 1.0), num_detections)
 
@@ -110,13 +115,36 @@ def log_likelihood_ratios(pieces: Sequence[Clothes], contrast: Contrast) -> Floa
     roots, is_known = _stacked(pieces)
     for row in range(len(pieces) - 1):
         later = slice(row + 1, None)
-        within = _within_cameras(roots[row], is_known[row], roots[later], is_known[later])
-        of_row = contrast.within_camera.log_ratio(within)
-        apart = np.flatnonzero(np.isnan(within)) + row + 1
-        across = _across_cameras(roots[row], is_known[row], roots[apart], is_known[apart])
-        of_row[apart - row - 1] = contrast.across_cameras.log_ratio(across)
-        ratios[row, later] = ratios[later, row] = np.nan_to_num(of_row)
+        of_row = _ratios(roots[row], is_known[row], roots[later], is_known[later], contrast)
+        ratios[row, later] = ratios[later, row] = of_row
     return ratios
+
+
+def log_likelihood_ratios_of(
+    piece: Clothes, others: Sequence[Clothes], contrast: Contrast
+) -> Float[np.ndarray, " others"]:
+    """Logarithm of the likelihoods' ratio of a piece's colours and those of each other one.
+
+    See ``log_likelihood_ratios``.
+    """
+    roots, is_known = _stacked([piece, *others])
+    return _ratios(roots[0], is_known[0], roots[1:], is_known[1:], contrast)
+
+
+def _ratios(
+    root: Float[np.ndarray, "cameras parts bins"],
+    is_known: Bool[np.ndarray, "cameras parts"],
+    roots: Float[np.ndarray, "others cameras parts bins"],
+    are_known: Bool[np.ndarray, "others cameras parts"],
+    contrast: Contrast,
+) -> Float[np.ndarray, " others"]:
+    """Ratios of a piece and other ones, across cameras only where no camera saw both."""
+    within = _within_cameras(root, is_known, roots, are_known)
+    ratios = contrast.within_camera.log_ratio(within)
+    apart = np.flatnonzero(np.isnan(within))
+    across = _across_cameras(root, is_known, roots[apart], are_known[apart])
+    ratios[apart] = contrast.across_cameras.log_ratio(across)
+    return np.nan_to_num(ratios)
 
 
 def learn_contrast(

@@ -5,10 +5,11 @@ from collections.abc import Iterator, Sequence
 from operator import attrgetter
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy.typing import ArrayLike
 
 from pipeline.data.cameras import Camera
+from pipeline.detect.appearance import NUM_BINS, PARTS
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
@@ -71,7 +72,8 @@ class LiveCapture:
         self._center_m = np.array([center_in_world(camera) for camera in cameras])
         self._ray_from_image = np.linalg.inv(projection_matrices(cameras)[:, :, :3])
         self._bodies: dict[int, LiveBody] = {}
-        self._identities = Identities(joints, [np.array(length_m) for length_m in settings.bodies], offsets)
+        bodies = [np.array(length_m) for length_m in settings.bodies]
+        self._identities = Identities(joints, len(cameras), bodies, offsets)
         # True until somebody's bones are learnt at the current instant: those of several people would delay it.
         self._may_learn = True
         self._start_s: float | None = None
@@ -83,6 +85,7 @@ class LiveCapture:
         time_s: float,
         points_px: Float[np.ndarray, "people joints 2"],
         score: Float[np.ndarray, "people joints"],
+        colour: UInt8[np.ndarray, "people parts bins"] | None = None,
     ) -> list[LiveInstant]:
         """Take a frame of a camera; return the instants that became final by it, in time order.
 
@@ -97,6 +100,9 @@ class LiveCapture:
             body: the frame is empty.
         score
             The detector's confidence in each joint, 0 to 1.
+        colour
+            Colours of the clothes of each body, as ``detect.appearance`` measures them in the picture; ``None``: they
+            were not measured.
 
         Raises
         ------
@@ -105,9 +111,9 @@ class LiveCapture:
         """
         number = self._names.get(camera, -1) if isinstance(camera, str) else camera
         points_px, score = _as_numbers(points_px), _as_numbers(score)
-        if problems := tuple(self._problems(number, time_s, points_px, score)):
+        if problems := tuple(self._problems(number, time_s, points_px, score, colour)):
             raise InputError(problems)
-        self._queue.add(make_frame(self._cameras[number], number, float(time_s), points_px, score))
+        self._queue.add(make_frame(self._cameras[number], number, float(time_s), points_px, score, colour))
         return self._process(self._queue.release())
 
     def flush(self) -> list[LiveInstant]:
@@ -166,7 +172,7 @@ class LiveCapture:
         rays = homogeneous @ self._ray_from_image.swapaxes(-1, -2)
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         body = self._bodies[seen.number]
-        known = self._identities.see(seen.number, time_s, seen.xyz_m)
+        known = self._identities.see(seen.number, time_s, seen.xyz_m, seen.colours)
         if known is not None and body.bones is None:
             body.recall(known.length_m, known.bones)
         had_bones = body.bones is not None
@@ -180,7 +186,9 @@ class LiveCapture:
         skeleton, xyz_m = followed
         return LivePerson(number, np.where(np.isfinite(xyz_m), xyz_m, seen.xyz_m), skeleton)
 
-    def _problems(self, number: int, time_s: float, points_px: np.ndarray, score: np.ndarray) -> Iterator[Problem]:
+    def _problems(
+        self, number: int, time_s: float, points_px: np.ndarray, score: np.ndarray, colour: np.ndarray | None
+    ) -> Iterator[Problem]:
         """Find everything that is wrong with a frame."""
         if not (isinstance(number, int | np.integer) and 0 <= number < len(self._cameras)):
             message = f"camera must be one of {', '.join(self._names)}, or its position."
@@ -203,6 +211,10 @@ class LiveCapture:
         if num_people > _MOST_BODIES:
             message = f"points_px must have at most {_MOST_BODIES} bodies."
             yield Problem(WRONG_LENGTH, message, field="points_px")
+        form = (num_people, len(PARTS), NUM_BINS), np.dtype(np.uint8)
+        if colour is not None and not (isinstance(colour, np.ndarray) and (colour.shape, colour.dtype) == form):
+            message = f"colour must be bytes of shape (people, {len(PARTS)}, {NUM_BINS})."
+            yield Problem(WRONG_LENGTH, message, field="colour")
 
 
 def _as_numbers(values: ArrayLike) -> np.ndarray:

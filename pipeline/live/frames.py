@@ -1,10 +1,11 @@
 """Frames of all cameras in time order: those that wait for earlier ones, and those that came too late."""
 
 import bisect
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from pipeline.data.cameras import Camera
 from pipeline.geometry.undistortion import undistort_px
@@ -25,6 +26,13 @@ class LiveFrame:
     camera: int  # Position of the camera
     ideal_px: Float[np.ndarray, "people joints 2"]  # Undistorted joints, NaN where a joint was not found
     score: Float[np.ndarray, "people joints"]  # The detector's confidence, 0 where a joint was not found
+    # Colours of the people's clothes, as of ``detect.appearance``; ``None``: not measured
+    colour: UInt8[np.ndarray, "people parts bins"] | None = None
+
+    @property
+    def colours(self) -> Sequence[UInt8[np.ndarray, "parts bins"] | None]:
+        """Colours of each person."""
+        return [None] * len(self.score) if self.colour is None else list(self.colour)
 
 
 def make_frame(
@@ -33,12 +41,13 @@ def make_frame(
     time_s: float,
     points_px: Float[np.ndarray, "people joints 2"],
     score: Float[np.ndarray, "people joints"],
+    colour: UInt8[np.ndarray, "people parts bins"] | None = None,
 ) -> LiveFrame:
     """Frame of a camera from joints in pixels of the full image, as ``tracking.observations`` prepares them."""
     seen_px, score = np.array(within_view(camera, points_px), order="C"), np.array(score, order="C")
     clear_unfound(seen_px, score)
     ideal_px = seen_px if camera.is_ideal else np.ascontiguousarray(undistort_px(camera, seen_px))
-    return LiveFrame(time_s, number, ideal_px, score)
+    return LiveFrame(time_s, number, ideal_px, score, colour)
 
 
 class FrameQueue:

@@ -1,20 +1,21 @@
-"""Numbers of people who come back: by their proportions, against those of everybody who was there before.
+"""Numbers of people who come back: by proportions and clothes, against those of everybody who was there before.
 
 The tracker gives a new number to whoever was hidden for longer than it waits. Until the bones of a new person are
-learnt, all full seconds of sight are compared with the people who are not there: the log-likelihood ratio that the
-lengths of the limbs are those of one person is that of ``identity.proportions``. The number goes back only where it is
-clear.
+learnt, all full seconds of sight are compared with the people who are not there: by the log-likelihood ratio that the
+lengths of the limbs are those of one person, as of ``identity.proportions``, plus that of the clothes' colours where
+there are pictures, as of ``identity.clothes``. The number goes back only where it is clear.
 """
 
-from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from pipeline.data.people import Source, Track3D
 from pipeline.identity.proportions import NUM_LIMBS, LimbProportions, Measured, limb_lengths_m, measure
 from pipeline.joints import MARKED_AT_CENTERS, JointOffset, JointOffsets, JointSet
+from pipeline.live.clothing import ColourOfCamera, LiveClothes
 from pipeline.live.skeleton import LearntBones
 from pipeline.skeleton.marks import trunk_length_m
 from pipeline.skeleton.model import INDEX
@@ -31,6 +32,9 @@ _CLEAR, _CLEAR_IF_ANNOUNCED = 4.0, 2.0
 _FEWEST_KEPT = 5
 # Seconds for which a body of an earlier take was measured, as far as its lengths are those of this detector's marks.
 _EARLIER_S = 5.0
+# Time in sight together from which on two people are certainly different ones. Their seconds may begin at different
+# times: when one of them is over, the other person's is at least half over, or the other way round.
+_TOGETHER_S = 0.4
 # People who are remembered.
 _MOST_KNOWN = 64
 
@@ -51,10 +55,12 @@ class _Seconds:
 
 @dataclass(slots=True, eq=False)
 class _Sight:
-    """Positions of the second that is not over."""
+    """Positions and colours of the second that is not over."""
 
     start_s: float
-    located_m: list[Float[np.ndarray, "joints 3"]]
+    seen_s: float  # Time of the latest instant
+    located_m: list[Float[np.ndarray, "joints 3"]] = field(default_factory=list)
+    colours: list[ColourOfCamera] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +78,8 @@ class Identities:
     ----------
     joints
         Joint set of the detector.
+    num_cameras
+        Number of cameras.
     bodies
         Lengths of the skeleton's bones of people of earlier takes, in metres; they have the first numbers.
     offsets
@@ -81,6 +89,7 @@ class Identities:
     def __init__(
         self,
         joints: JointSet,
+        num_cameras: int,
         bodies: Sequence[Float[np.ndarray, " bones"]],
         offsets: JointOffsets = MARKED_AT_CENTERS,
     ) -> None:
@@ -89,6 +98,7 @@ class Identities:
         self._number: dict[int, int] = {}  # of the people whom the tracker follows, by its number
         self._known: dict[int, KnownBody] = {}
         self._seconds: dict[int, _Seconds] = {}
+        self._clothes = LiveClothes(num_cameras)
         self._sight: dict[int, _Sight] = {}
         # Squares of the differences of seconds, and their number, as identity.proportions estimates the spread.
         self._count = np.full(NUM_LIMBS, _USUAL_SECONDS)
@@ -99,7 +109,8 @@ class Identities:
             self._seconds[number] = _Seconds(_EARLIER_S * limbs_m, np.full(NUM_LIMBS, _EARLIER_S))
 
     def __len__(self) -> int:
-        return len(self._seconds) + len(self._number) + sum(len(sight.located_m) for sight in self._sight.values())
+        of_sights = sum(len(sight.located_m) + len(sight.colours) for sight in self._sight.values())
+        return len(self._seconds) + len(self._clothes) + len(self._number) + of_sights
 
     def number_of(self, tracked: int) -> int:
         """Number of a person by the tracker's number."""
@@ -118,26 +129,50 @@ class Identities:
         absent = [number for number in self._known if number > self._first and number not in present]
         for number in absent[: max(0, len(self._known) - _MOST_KNOWN)]:
             del self._known[number], self._seconds[number]
+        self._clothes.keep(self._seconds.keys())
 
-    def see(self, tracked: int, time_s: float, xyz_m: Float[np.ndarray, "joints 3"]) -> KnownBody | None:
-        """Take a person's located joints at an instant (metres, NaN where unknown).
+    def see(
+        self,
+        tracked: int,
+        time_s: float,
+        xyz_m: Float[np.ndarray, "joints 3"],
+        colours: Mapping[int, UInt8[np.ndarray, "parts bins"]],
+    ) -> KnownBody | None:
+        """Take a person's located joints at an instant, and the colours of the clothes.
 
-        Returns the body of the person who was there before, if this is clear now; from then on ``number_of`` gives that
-        person's number. Only people without bones are compared.
+        Parameters
+        ----------
+        tracked
+            The tracker's number of the person.
+        xyz_m
+            World positions in metres, NaN where unknown.
+        colours
+            Colours of the person's detections by the positions of their cameras, as of ``detect.appearance``; none
+            where they were not measured.
+
+        Returns
+        -------
+            Body of the person who was there before, if this is clear now; from then on ``number_of`` gives that
+            person's number. Only people without bones are compared.
         """
         number = self.number_of(tracked)
-        sight = self._sight.setdefault(number, _Sight(time_s, []))
+        sight = self._sight.setdefault(number, _Sight(time_s, time_s))
         if time_s - sight.start_s >= 2 * _STRETCH_S:  # hidden meanwhile
-            sight = self._sight[number] = _Sight(time_s, [])
+            sight = self._sight[number] = _Sight(time_s, time_s)
+        sight.seen_s = time_s
         step_s = _STRETCH_S / _MOST_KEPT
         if time_s - sight.start_s >= len(sight.located_m) * step_s:
             sight.located_m.append(xyz_m)
+        sight.colours += colours.items()
         if time_s - sight.start_s < _STRETCH_S - step_s / 2:
             return None
-        self._sight[number] = _Sight(sight.start_s + _STRETCH_S, [])
+        self._sight[number] = _Sight(sight.start_s + _STRETCH_S, time_s)
         if len(sight.located_m) < _FEWEST_KEPT:
             return None
         self._add_second(number, np.array(sight.located_m))
+        if sight.colours:
+            self._clothes.add(number, sight.colours)
+            self._clothes.meet(number, self._together(number, sight))
         if number in self._known:
             return None
         former = self._former(number)
@@ -146,6 +181,7 @@ class Identities:
         self._number[tracked] = former
         self._sight[former] = self._sight.pop(number)
         self._merge(self._seconds.pop(number), self._seconds[former])
+        self._clothes.merge(number, former)
         return self._known[former]
 
     def learn(self, tracked: int, bones: LearntBones) -> None:
@@ -170,6 +206,13 @@ class Identities:
         self._count += known
         seconds.before = None
 
+    def _together(self, number: int, second: _Sight) -> Iterator[int]:
+        """Numbers of the people who were in sight together with a person in a second that is over."""
+        for other, sight in self._sight.items():
+            both_s = min(second.seen_s, sight.seen_s) - max(second.start_s, sight.start_s)
+            if other != number and both_s >= _TOGETHER_S:
+                yield other
+
     def _former(self, number: int) -> int | None:
         """Number of the absent person who is this one; ``None`` if it is nobody, or not clear."""
         present = set(self._number.values())
@@ -182,7 +225,7 @@ class Identities:
         is_clear = odds[best] > threshold and all(odds[best] > odds[other] + _CLEAR for other in others)
         return best if is_clear else None
 
-    def log_odds(self, number: int, others: Iterable[int]) -> Mapping[int, float]:
+    def log_odds(self, number: int, others: Sequence[int]) -> Mapping[int, float]:
         """Log-likelihood ratios that a person is each of others, against being somebody else."""
         numbers = [number, *others]
         # Everybody's proportions tell what an unknown person is like.
@@ -191,7 +234,9 @@ class Identities:
         information, pull = proportions.information, proportions.pull
         alone = proportions.log_likelihood(information, pull)
         together = proportions.log_likelihood(information[1:] + information[0], pull[1:] + pull[0])
-        return dict(zip(numbers[1:], (together - alone[1:] - alone[0]).tolist(), strict=True))
+        odds = zip(others, (together - alone[1:] - alone[0]).tolist(), strict=True)
+        clothes = self._clothes.log_ratios(number, others)
+        return {other: of_other + clothes[other] for other, of_other in odds}
 
     @staticmethod
     def _merge(seconds: _Seconds, into: _Seconds) -> None:

@@ -1,10 +1,10 @@
 """People in the frames of all cameras, by the tracker of whole sessions, one frame after the other."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import projection_matrices
@@ -31,6 +31,8 @@ class _Target:
     score: Float[np.ndarray, "cameras joints"]
     located_m: Float[np.ndarray, "joints 3"]  # Positions at the last instant, NaN where unknown
     number: int = 0  # Number of the person from 1; 0 until the target is confirmed
+    # Colours of each camera's latest detection since the last instant
+    colours: dict[int, UInt8[np.ndarray, "parts bins"]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +43,8 @@ class Sighting:
     xyz_m: Float[np.ndarray, "joints 3"]  # World positions, NaN where fewer than two cameras see the joint
     flat_px: Float[np.ndarray, "cameras coordinates"]  # Undistorted joints, x and y in turn; NaN without an observation
     score: Float[np.ndarray, "cameras joints"]  # 0 without an observation
+    # Colours of the clothes by the cameras' positions, of detections that no earlier instant had
+    colours: Mapping[int, UInt8[np.ndarray, "parts bins"]]
 
 
 class LiveTracker:
@@ -62,6 +66,7 @@ class LiveTracker:
         # Detections that may start a target with those of later frames.
         self._carried_px, self._carried_score = np.empty((0, num_joints, 2)), np.empty((0, num_joints))
         self._carried_camera, self._carried_s = np.empty(0, np.int64), np.empty(0)
+        self._carried_colours: list[UInt8[np.ndarray, "parts bins"] | None] = []
 
     @property
     def numbers(self) -> frozenset[int]:
@@ -88,6 +93,7 @@ class LiveTracker:
         time_s, camera = np.array([frame.time_s for frame in frames]), np.array([frame.camera for frame in frames])
         row_camera = np.concatenate([self._carried_camera, np.repeat(camera, counts)])
         row_s = np.concatenate([self._carried_s, np.repeat(time_s, counts)])
+        colours = [*self._carried_colours, *(colour for frame in frames for colour in frame.colours)]
         identity = np.full(len(score), NOBODY)
         used = np.where(score >= self._parameters.min_score, score, 0.0)
         flat_px = points_px.reshape(len(points_px), 2 * points_px.shape[1])
@@ -96,7 +102,9 @@ class LiveTracker:
         )
         self._frame_s[camera] = time_s
         for row in np.flatnonzero(identity != NOBODY).tolist():
-            self._see(int(identity[row]), int(row_camera[row]), float(row_s[row]), flat_px[row], score[row])
+            self._see(
+                int(identity[row]), int(row_camera[row]), float(row_s[row]), flat_px[row], score[row], colours[row]
+            )
         self._follow_targets()
         number = [self._targets[target].number if target in self._targets else 0 for target in identity.tolist()]
         if self._state.num_born > _MOST_NUMBERED:
@@ -105,6 +113,7 @@ class LiveTracker:
         carried = self._state.carry()
         self._carried_px, self._carried_score = points_px[carried], score[carried]
         self._carried_camera, self._carried_s = row_camera[carried], row_s[carried]
+        self._carried_colours = [colours[row] for row in carried.tolist()]
         return np.array([person or NOBODY for person in number[num_carried:]], np.int64)
 
     def _see(
@@ -114,6 +123,7 @@ class LiveTracker:
         time_s: float,
         flat_px: Float[np.ndarray, " coordinates"],
         score: Float[np.ndarray, " joints"],
+        colour: UInt8[np.ndarray, "parts bins"] | None,
     ) -> None:
         """Keep a detection as the latest of its target and camera."""
         if target not in self._targets:
@@ -125,6 +135,8 @@ class LiveTracker:
         seen = self._targets[target]
         if time_s >= seen.seen_s[camera]:
             seen.seen_s[camera], seen.flat_px[camera], seen.score[camera] = time_s, flat_px, score
+            if colour is not None:
+                seen.colours[camera] = colour
 
     def _follow_targets(self) -> None:
         """Drop targets that ended, and number those that were confirmed."""
@@ -153,7 +165,8 @@ class LiveTracker:
                 score = np.where(is_shown[:, None], seen.score * decay[:, None], 0.0)
                 for camera in np.flatnonzero(is_shown & (age_s > SAME_INSTANT / self._rate_hz)).tolist():
                     flat_px[camera] += self._moved_px(camera, states[target], time_s, float(age_s[camera]))
-                yield Sighting(number, self._locate(seen, flat_px, score), flat_px, score)
+                colours, seen.colours = seen.colours, {}
+                yield Sighting(number, self._locate(seen, flat_px, score), flat_px, score, colours)
             else:
                 seen.located_m[:] = np.nan
 

@@ -202,15 +202,18 @@ def _report_memory(minutes: Sequence[int], as_json: bool) -> None:
 def _report_people(as_json: bool) -> None:
     with reporting(as_json):
         warm_up()
-        feet, returns = measure_all_feet(), measure_returns()
+        feet = measure_all_feet()
+        returns = {kind: measure_returns(have_clothes=kind == "clothes") for kind in ("keypoints", "clothes")}
     if as_json:
         emit({"feet": feet, "returns": returns})
         return
     columns = [name.replace("_", " ") for name in feet[0]]
     rows = ([value if isinstance(value, str) else f"{value:.1f}" for value in row.values()] for row in feet)
     print_table(columns, rows, "Joints of feet that stand, live and of the finished fit")
-    typer.echo(
-        f"{returns['back']} of {returns['people']} people who came back got their numbers again, half of them within "
-        f"{returns['back_after_s']:.1f} s; {returns['mistaken']} got those of others. "
-        f"{returns['strangers_mistaken']} of {returns['strangers']} strangers got the number of somebody who had left."
-    )
+    for kind, figures in returns.items():
+        typer.echo(
+            f"With {kind}, {figures['back']} of {figures['people']} people who came back got their numbers again, half "
+            f"of them within {figures['back_after_s']:.1f} s; {figures['mistaken']} got those of others. "
+            f"{figures['strangers_mistaken']} of {figures['strangers']} strangers got the number of somebody who had "
+            "left."
+        )

@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float
 from pipeline.config import ReconstructionConfig
 from pipeline.data.detections import Detections
 from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import RecordedFrame, recorded_frames
+from pipeline.live.recorded import DetectedFrame, detected_frames
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
+from pipeline.simulation.clothes import dress
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.scenes import SCENES, Simulation, record
 from pipeline.skeleton.animate import animate
@@ -73,7 +74,7 @@ def measure_feet(scene: str, duration_s: float = _FEET_S, seed: int = 1) -> Iter
     """Slide and error of each joint of a foot while it stands: of live skeletons and of the finished fit."""
     simulation = record(replace(SCENES[scene], duration_s=duration_s), seed, joints="feet")
     timebase, cameras, joints = simulation.timebase, simulation.cameras, simulation.joints
-    frames = recorded_frames(cameras, simulation.times, simulation.detections)
+    frames = detected_frames(cameras, simulation.times, simulation.detections)
     live = list(enumerate(map(_bodies_of, _played(simulation, frames))))
     parameters = derive_parameters(cameras, timebase.frame_rate_hz)
     people = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
@@ -96,22 +97,24 @@ def _bodies_of(instant: LiveInstant) -> Bodies:
     return {person.id: person.xyz_m for person in instant.people if person.skeleton is not None}
 
 
-def _played(simulation: Simulation, frames: Iterable[RecordedFrame]) -> list[LiveInstant]:
+def _played(simulation: Simulation, frames: Iterable[DetectedFrame]) -> list[LiveInstant]:
     capture = LiveCapture(simulation.cameras, simulation.joints, LiveSettings(simulation.timebase.frame_rate_hz))
     return [instant for frame in frames for instant in capture.push(*frame)] + capture.flush()
 
 
-def measure_returns(num_seeds: int = _NUM_SEEDS) -> dict[str, Any]:
+def measure_returns(num_seeds: int = _NUM_SEEDS, *, have_clothes: bool) -> dict[str, Any]:
     """Numbers of people who come back after seconds, and of strangers who come in their place.
 
     Each seed has a room with six people. Three of them are there for 16 s; then, in one capture, they come back after
-    5 s, and in another one the three others come.
+    5 s, and in another one the three others come. With clothes each of the six wears others.
     """
     figures: dict[str, Any] = {"people": 0, "back": 0, "mistaken": 0, "strangers": 0, "strangers_mistaken": 0}
     after_s: list[float] = []
     for seed in range(num_seeds):
         cast = Cast(2 * _NUM_PEOPLE, (4.0, 4.0), gestures=ROOM.cast.gestures if isinstance(ROOM.cast, Cast) else ())
         simulation = record(replace(ROOM, cast=cast, duration_s=_STAY_S + _AGAIN_S), seed)
+        if have_clothes:
+            simulation = dress(simulation, lambda person, time_s: person)
         first, others = np.arange(2 * _NUM_PEOPLE) < _NUM_PEOPLE, np.arange(2 * _NUM_PEOPLE) >= _NUM_PEOPLE
         for comers in (first, others):
             known, instants = _numbers_of(simulation, first, comers)
@@ -139,7 +142,7 @@ def _numbers_of(
     detections = {name: _seen(simulation, name, shown) for name in simulation.detections}
     frames = [
         frame if frame.time_s < _STAY_S else frame._replace(time_s=frame.time_s + _AWAY_S)
-        for frame in recorded_frames(simulation.cameras, simulation.times, detections)
+        for frame in detected_frames(simulation.cameras, simulation.times, detections)
     ]
     known: dict[int, int] = {}
     behind: list[tuple[float, dict[int, int]]] = []
@@ -163,6 +166,7 @@ def _seen(simulation: Simulation, name: str, shown: Bool[np.ndarray, "2 people"]
         keypoints_px=detections.keypoints_px[kept],
         score=detections.score[kept],
         box_px=detections.box_px[kept],
+        colour=detections.colour[kept] if len(detections.colour) else detections.colour,
     )
 
 

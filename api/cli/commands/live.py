@@ -50,7 +50,7 @@ from pipeline.warm_up import warm_up
 _MAX_DIGITS = 5  # of a port
 
 
-@with_choices("joints")
+@with_choices("joints", "appearance")
 def command(
     calibration: Annotated[Path, typer.Option(help="Calibration file, as of multicap reconstruct.")],
     camera: Annotated[

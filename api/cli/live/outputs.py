@@ -21,7 +21,7 @@ from pipeline.joints import JointSet
 from pipeline.live.cameras.run import LiveListener
 from pipeline.live.cameras.totals import LiveTotals
 from pipeline.live.packing import described_camera, instant_json
-from pipeline.live.recorded import RecordedFrame
+from pipeline.live.recorded import DetectedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.live.vmc import VmcSender
 from pipeline.skeleton.model import SKELETON
@@ -47,7 +47,7 @@ class LiveOutputs(LiveListener):
         for output in self._outputs:
             output.begin(cameras, joints, frame_rate_hz)
 
-    def take(self, camera: Camera, frame: RecordedFrame) -> None:
+    def take(self, camera: Camera, frame: DetectedFrame) -> None:
         """See ``LiveListener``."""
         self._each(lambda output: output.take(camera, frame))
 
@@ -150,7 +150,7 @@ class KeptKeypoints(LiveListener):
             (self._folder / "calibration.json").write_bytes(encode(cameras))
             self._write_times([("camera", "frame", "time_s")])
 
-    def take(self, camera: Camera, frame: RecordedFrame) -> None:
+    def take(self, camera: Camera, frame: DetectedFrame) -> None:
         """Write a frame and its time."""
         if self._joints is None:
             return

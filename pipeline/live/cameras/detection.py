@@ -6,9 +6,10 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from pipeline.config import MotionChoices, detected_joints, networks_of
+from pipeline.detect.appearance import colour_histograms
 from pipeline.detect.profiles.detection import open_detection
 from pipeline.detect.profiles.sizes import RULES, USUAL_PX, CameraSizes, SizeRule, body_spans_px, choose_sizes
 from pipeline.detect.providers.find import current_provider
@@ -32,6 +33,7 @@ class DetectionJob(NamedTuple):
     rotation_deg: int  # Counterclockwise turn of the picture for display
     turn_deg: float  # Counterclockwise turn that brings the shown picture upright
     sizes: CameraSizes | None  # Size of the picture in the network's input; ``None``: the usual one
+    measures_colours: bool  # Whether the colours of the clothes are measured
 
 
 class DetectedBodies(NamedTuple):
@@ -39,6 +41,7 @@ class DetectedBodies(NamedTuple):
 
     keypoints_px: Float[np.ndarray, "bodies joints 2"]  # NaN where a joint was not found
     score: Float[np.ndarray, "bodies joints"]
+    colour: UInt8[np.ndarray, "bodies parts bins"] | None  # Colours of the clothes; ``None``: not measured
     spans_px: Float[np.ndarray, " bodies"]  # Size of each body, see ``body_spans_px``
     duration_s: float  # Time that the detection took: of a core, which other programs don't lengthen, or of the GPU
 
@@ -55,15 +58,18 @@ def start_detecting(choices: MotionChoices) -> None:
 
 
 def detect_bodies(job: DetectionJob) -> DetectedBodies:
-    """Detect the bodies in a picture."""
+    """Detect the bodies in a picture, and measure the colours of their clothes if they are asked for."""
     clock = time.perf_counter if current_provider().is_gpu else time.thread_time
     started_s = clock()
     pictures = np.memmap(job.path, np.uint8, "r", shape=job.shape)
     image_rgb = Rotator()(pictures[job.slot], job.rotation_deg // 90)
     detector = open_detection(networks_of(job.choices), detected_joints(job.choices), job.sizes, job.turn_deg)
     bodies = detector.detect(image_rgb)
+    colour = None
+    if job.measures_colours:
+        colour = colour_histograms(image_rgb, bodies.keypoints_px, bodies.score, detector.joints)
     spans_px = body_spans_px(bodies, job.turn_deg)
-    return DetectedBodies(bodies.keypoints_px, bodies.score, spans_px, clock() - started_s)
+    return DetectedBodies(bodies.keypoints_px, bodies.score, colour, spans_px, clock() - started_s)
 
 
 class PictureSize:

@@ -11,7 +11,7 @@ from pipeline.data.detections import Detections
 from pipeline.detect.bodies import boxes_around
 from pipeline.errors import InputError, Problem
 from pipeline.joints import JointSet
-from pipeline.live.recorded import RecordedFrame
+from pipeline.live.recorded import DetectedFrame
 from pipeline.problem_codes.live import STREAM_SILENT
 from pipeline.synchronization.synchronize import synchronize
 
@@ -31,11 +31,11 @@ class OffsetSearch:
     def __init__(self, cameras: Sequence[Camera], joints: JointSet, seconds: float | None) -> None:
         self._cameras, self._joints, self._seconds = cameras, joints, seconds
         self._found: Future[list[float]] | None = None
-        self.frames: list[RecordedFrame] = []
+        self.frames: list[DetectedFrame] = []
         self.offsets_s: list[float] | None = [0.0] * len(cameras) if seconds is None else None
         """Offsets in the cameras' order; ``None`` until they are found."""
 
-    def add(self, frame: RecordedFrame) -> None:
+    def add(self, frame: DetectedFrame) -> None:
         """Take a frame of the first seconds; later ones are ignored."""
         if self._found is None:
             self.frames.append(frame)
@@ -52,13 +52,13 @@ class OffsetSearch:
         self.offsets_s = self._found.result()
         return True
 
-    def moved(self, frame: RecordedFrame) -> RecordedFrame:
+    def moved(self, frame: DetectedFrame) -> DetectedFrame:
         """Frame at its time on the common clock."""
         offset_s = 0.0 if self.offsets_s is None else self.offsets_s[frame.camera]
         return frame._replace(time_s=frame.time_s + offset_s)
 
 
-def find_offsets(cameras: Sequence[Camera], frames: Sequence[RecordedFrame], joints: JointSet) -> list[float]:
+def find_offsets(cameras: Sequence[Camera], frames: Sequence[DetectedFrame], joints: JointSet) -> list[float]:
     """Measure what is to be added to the times of each camera, so that all show the same at the same time.
 
     Parameters
@@ -92,7 +92,7 @@ def find_offsets(cameras: Sequence[Camera], frames: Sequence[RecordedFrame], joi
     return [clock.shift_s for clock in found.clocks]
 
 
-def _stacked(camera: str, frames: Sequence[RecordedFrame], num_joints: int) -> Detections:
+def _stacked(camera: str, frames: Sequence[DetectedFrame], num_joints: int) -> Detections:
     number = np.repeat(np.arange(len(frames)), [len(frame.score) for frame in frames])
     keypoints_px = np.concatenate([np.empty((0, num_joints, 2)), *(frame.points_px for frame in frames)])
     score = np.concatenate([np.empty((0, num_joints)), *(frame.score for frame in frames)])

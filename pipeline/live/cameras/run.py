@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import math
 import queue
 import statistics
 import time
@@ -33,7 +34,7 @@ from pipeline.live.cameras.sources import CameraSource
 from pipeline.live.cameras.stream_process import SharedPictures
 from pipeline.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import RecordedFrame
+from pipeline.live.recorded import DetectedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
 from pipeline.problem_codes.sessions import SIZE_MISMATCH
@@ -52,6 +53,8 @@ _REST = 0.2
 # Files start this long after all is ready.
 _START_S = 0.1
 _TICK_S = 1.0
+# Least time between two pictures of a camera in which colours are measured: more tell no more, and cost time.
+_COLOURS_S = 0.08
 # Frames of the other cameras are waited for as many periods; at least as long as usual.
 _WINDOW_PERIODS, _WINDOW_S = 2.5, 0.1
 
@@ -62,7 +65,7 @@ class LiveListener:
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         """All cameras are open; the instants have this rate."""
 
-    def take(self, camera: Camera, frame: RecordedFrame) -> None:
+    def take(self, camera: Camera, frame: DetectedFrame) -> None:
         """Bodies were detected in a frame of a camera; its time is that since the start."""
 
     def show(self, instant: LiveInstant, latency_s: float) -> None:
@@ -129,6 +132,7 @@ class CameraRun:
         self._free = [set(range(num_slots)) for _ in sources]
         self._asked: list[set[int]] = [set() for _ in sources]
         self._num_pending = 0
+        self._coloured_s = [-math.inf] * len(sources)  # times of the latest pictures with colours
         self._tickets: list[deque[_Ticket]] = [deque() for _ in sources]
         self._opened: dict[int, FeedOpened] = {}
         # Times of the first frames, from which rates are measured.
@@ -365,7 +369,7 @@ class CameraRun:
                 time_s = ticket.time_s - start_s
                 if time_s < 0.0:
                     continue
-                frame = RecordedFrame(camera, time_s, bodies.keypoints_px, bodies.score)
+                frame = DetectedFrame(camera, time_s, bodies.keypoints_px, bodies.score, bodies.colour)
                 if search.offsets_s is None:
                     search.add(frame)
                     continue
@@ -386,8 +390,19 @@ class CameraRun:
         """Detection in a picture, which the calibration turns upright."""
         number, pictures = picture.camera, picture.pictures
         rotation_deg, turn_deg = self._opened[number].format.rotation_deg, self._turns_deg[number]
-        sizes = self._sizes[number].sizes
-        return DetectionJob(self._choices, pictures.path, pictures.shape, picture.slot, rotation_deg, turn_deg, sizes)
+        measures_colours = self._choices.appearance == "on" and picture.time_s >= self._coloured_s[number] + _COLOURS_S
+        if measures_colours:
+            self._coloured_s[number] = picture.time_s
+        return DetectionJob(
+            self._choices,
+            pictures.path,
+            pictures.shape,
+            picture.slot,
+            rotation_deg,
+            turn_deg,
+            self._sizes[number].sizes,
+            measures_colours,
+        )
 
 
 def _size_problem(camera: Camera, opened: FeedOpened, source: CameraSource) -> Problem:

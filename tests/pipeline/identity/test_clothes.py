@@ -12,6 +12,7 @@ from pipeline.identity.clothes import (
     Contrast,
     learn_contrast,
     log_likelihood_ratios,
+    log_likelihood_ratios_of,
     mean_clothes,
 )
 
@@ -108,6 +109,33 @@ def test_all_pairs_are_as_each_pair() -> None:
         assert ratios[k, k] == 0.0
         for j in range(k):
             assert ratios[j, k] == pytest.approx(log_likelihood_ratio(pieces[j], one, CONTRAST), rel=1e-12)
+
+
+def test_a_piece_against_others_is_a_row_of_all_pairs() -> None:
+    rng = np.random.default_rng(5)
+    pieces = [seen(0, rng, [0]), seen(9, rng), seen(9, rng, [1, 2]), seen(0, rng), seen(0, rng, [])]
+    row = log_likelihood_ratios_of(pieces[0], pieces[1:], CONTRAST)
+    np.testing.assert_allclose(row, log_likelihood_ratios(pieces, CONTRAST)[0, 1:], rtol=1e-12)
+    assert row[2] > 0.0 > row[0]
+
+
+def test_two_pieces_together_are_as_one_piece() -> None:
+    rng = np.random.default_rng(6)
+    colour = rng.integers(0, 40, (60, 2, NUM_BINS)).astype(np.uint8)
+    colour[:10, 1] = 0
+    colour = np.where(
+        colour.any(-1, keepdims=True), np.rint(255 * colour / np.maximum(colour.sum(-1), 1)[..., None]), 0
+    )
+    camera = np.repeat([0, 0, 2], 20)
+    whole, *parts = (
+        mean_clothes(colour[rows].astype(np.uint8), camera[rows], NUM_CAMERAS)
+        for rows in (slice(None), slice(0, 25), slice(25, None))
+    )
+    together = parts[0].joined(parts[1])
+    np.testing.assert_array_equal(together.num_detections, whole.num_detections)
+    # Sums of a histogram's bytes differ a little from 255.
+    np.testing.assert_allclose(together.share, whole.share, atol=1e-3)
+    np.testing.assert_array_equal(together.share[1], 0.0)
 
 
 def test_different_clothes_have_contrast() -> None:

@@ -3,17 +3,17 @@
 from collections.abc import Iterable
 
 from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import RecordedFrame, recorded_frames
+from pipeline.live.recorded import DetectedFrame, detected_frames
 from pipeline.live.records import LiveInstant
 from pipeline.simulation.scenes import Simulation
 
 
-def sent_frames(simulation: Simulation) -> list[RecordedFrame]:
+def sent_frames(simulation: Simulation) -> list[DetectedFrame]:
     """Frames of all cameras in time order."""
-    return recorded_frames(simulation.cameras, simulation.times, simulation.detections)
+    return detected_frames(simulation.cameras, simulation.times, simulation.detections)
 
 
-def play(capture: LiveCapture, frames: Iterable[RecordedFrame]) -> list[LiveInstant]:
+def play(capture: LiveCapture, frames: Iterable[DetectedFrame]) -> list[LiveInstant]:
     """Send frames, then end."""
     instants = []
     for frame in frames:

@@ -11,7 +11,7 @@ from pipeline.errors import InputError
 from pipeline.joints import COCO_17
 from pipeline.live import frames as waiting
 from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import RecordedFrame
+from pipeline.live.recorded import DetectedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
 from pipeline.simulation.scenes import SCENES, Simulation, record
@@ -69,7 +69,7 @@ def test_an_instant_is_final_with_the_last_camera(room: Simulation) -> None:
         assert all(instant.lag_s == 0.0 for instant in instants)
 
 
-def shuffled(frames: list[RecordedFrame], within_s: float) -> list[RecordedFrame]:
+def shuffled(frames: list[DetectedFrame], within_s: float) -> list[DetectedFrame]:
     """Frames as a network may deliver them, each up to so much later than it should come."""
     rng = np.random.default_rng(5)
     return sorted(frames, key=lambda frame: frame.time_s + rng.uniform(0.0, within_s))

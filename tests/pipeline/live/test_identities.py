@@ -11,7 +11,7 @@ from pipeline.errors import InputError
 from pipeline.live.bodies import read_bodies
 from pipeline.live.capture import LiveCapture
 from pipeline.live.identities import Identities, limbs_of_bones_m
-from pipeline.live.recorded import RecordedFrame
+from pipeline.live.recorded import DetectedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
 from pipeline.live.skeleton import learn_bones
@@ -28,7 +28,7 @@ def room() -> Simulation:
     return record(replace(SCENES["room"], duration_s=10.0), 1)
 
 
-def with_a_break(room: Simulation) -> list[RecordedFrame]:
+def with_a_break(room: Simulation) -> list[DetectedFrame]:
     """Frames of a take from which everybody is gone for some seconds."""
     return [
         frame if frame.time_s < LEAVE_S else frame._replace(time_s=frame.time_s + AWAY_S) for frame in sent_frames(room)
@@ -112,23 +112,23 @@ def located_m(length_m: np.ndarray, identities: Identities) -> np.ndarray:
 
 @pytest.mark.parametrize(("factor", "is_same"), [(1.0, True), (1.12, False)])
 def test_only_the_same_proportions_are_the_same_person(room: Simulation, factor: float, is_same: bool) -> None:
-    identities = Identities(room.joints, [scaled(1.0), scaled(0.88)])
+    identities = Identities(room.joints, len(room.cameras), [scaled(1.0), scaled(0.88)])
     standing_m = located_m(scaled(factor), identities)
-    bodies = [identities.see(1, time_s, standing_m) for time_s in np.arange(0.0, 3.1, 0.04)]
+    bodies = [identities.see(1, time_s, standing_m, {}) for time_s in np.arange(0.0, 3.1, 0.04)]
     assert any(body is not None for body in bodies) == is_same
     assert identities.number_of(1) == (1 if is_same else 3)
     # Somebody else of the same proportions is in sight at the same time: another person.
     for time_s in np.arange(4.0, 7.1, 0.04):
-        identities.see(2, time_s, standing_m)
+        identities.see(2, time_s, standing_m, {})
     assert identities.number_of(2) == 4
 
 
 def test_the_first_of_very_many_people_are_forgotten_but_not_those_who_were_announced(room: Simulation) -> None:
-    identities = Identities(room.joints, [scaled(1.0), scaled(0.88)])
+    identities = Identities(room.joints, len(room.cameras), [scaled(1.0), scaled(0.88)])
     bones = learn_bones(room.truth_m[0, :5], room.joints)
     for tracked in range(1, 101):
         for time_s in np.arange(0.0, 1.1, 0.1):
-            identities.see(tracked, time_s, np.full((len(room.joints.names), 3), np.nan))
+            identities.see(tracked, time_s, np.full((len(room.joints.names), 3), np.nan), {})
         identities.learn(tracked, bones)
         identities.keep({tracked})
     identities.keep(set())

@@ -41,9 +41,10 @@ def test_a_slide_is_the_speed_of_a_joint_that_stands() -> None:
     assert 1.0 < slid.figures()["slide_cm_s"] - exact["slide_cm_s"] < 3.0
 
 
-def test_numbers_of_people_who_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("have_clothes", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_numbers_of_people_who_come_back(monkeypatch: pytest.MonkeyPatch, have_clothes: bool) -> None:
     monkeypatch.setattr(live_people, "_STAY_S", 6.0)
-    figures = measure_returns(1)
+    figures = measure_returns(1, have_clothes=have_clothes)
     assert figures["people"] == figures["strangers"] == 3
     assert figures["back"] >= 2
     assert figures["mistaken"] + figures["strangers_mistaken"] <= 1
@@ -53,4 +54,4 @@ def test_numbers_of_people_who_come_back(monkeypatch: pytest.MonkeyPatch) -> Non
         """Recognise nobody."""
 
     monkeypatch.setattr(Identities, "see", nobody)
-    assert measure_returns(1)["back"] == 0
+    assert measure_returns(1, have_clothes=have_clothes)["back"] == 0

@@ -15,10 +15,11 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.errors import PipelineError
 from pipeline.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import recorded_frames
+from pipeline.live.recorded import detected_frames
 from pipeline.live.records import LiveInstant, LivePerson
 from pipeline.live.settings import LiveSettings
 from pipeline.runtime.child_processes import python_command
+from pipeline.simulation.clothes import dress
 from pipeline.simulation.scenes import SCENES, Joints, record
 from tests.small_disk import fill, small_disk
 
@@ -31,7 +32,9 @@ def test_what_is_kept_is_a_session(tmp_path: Path, joints: Joints) -> None:
     kept = KeptKeypoints(tmp_path / "kept")
     kept.begin(simulation.cameras, simulation.joints, RATE_HZ)
     cameras = simulation.cameras
-    for frame in recorded_frames(cameras, simulation.times, simulation.detections):
+    dressed = dress(simulation, lambda person, time_s: person)
+    for frame in detected_frames(cameras, dressed.times, dressed.detections):
+        assert frame.colour is not None
         kept.take(cameras[frame.camera], frame)
     folder = tmp_path / "kept"
     session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
@@ -41,6 +44,7 @@ def test_what_is_kept_is_a_session(tmp_path: Path, joints: Joints) -> None:
     for camera in cameras:
         given, found = simulation.detections[camera.name], session.detections[camera.name]
         np.testing.assert_array_equal(found.frame, given.frame)
+        assert len(found.colour) == 0  # colours of clothes are kept nowhere
         np.testing.assert_allclose(session.times[camera.name].time_s, simulation.times[camera.name].time_s)
         places = session.joints.indices(simulation.joints.names)
         np.testing.assert_allclose(found.keypoints_px[:, places], given.keypoints_px, atol=1e-9)
@@ -52,7 +56,7 @@ def test_a_line_is_an_instant() -> None:
     lines.begin(simulation.cameras, simulation.joints, RATE_HZ)
     lines.tell("cam_00 is lost.")
     capture = LiveCapture(simulation.cameras, simulation.joints, LiveSettings(RATE_HZ))
-    for frame in recorded_frames(simulation.cameras, simulation.times, simulation.detections):
+    for frame in detected_frames(simulation.cameras, simulation.times, simulation.detections):
         for instant in capture.push(*frame):
             lines.show(instant, 0.0123)
     ready, notice, *instants = map(json.loads, file.getvalue().splitlines())
@@ -113,7 +117,7 @@ def test_a_disk_that_gets_full_leaves_a_session_and_the_capture_goes_on(tmp_path
     with small_disk(tmp_path / "disk", 4) as disk:
         outputs = LiveOutputs([KeptKeypoints(disk / "kept"), JsonLines(lines)])
         outputs.begin(cameras, simulation.joints, RATE_HZ)
-        frames = recorded_frames(cameras, simulation.times, simulation.detections)
+        frames = detected_frames(cameras, simulation.times, simulation.detections)
         for number, frame in enumerate(frames):
             if number == 200:
                 fill(disk / "others")
@@ -139,12 +143,12 @@ import itertools, sys
 from dataclasses import replace
 from pathlib import Path
 from api.cli.live.outputs import KeptKeypoints
-from pipeline.live.recorded import recorded_frames
+from pipeline.live.recorded import detected_frames
 from pipeline.simulation.scenes import SCENES, record
 simulation = record(replace(SCENES["room"], duration_s=2.0), 0, 3)
 kept = KeptKeypoints(Path(sys.argv[1]))
 kept.begin(simulation.cameras, simulation.joints, 25.0)
-frames = recorded_frames(simulation.cameras, simulation.times, simulation.detections)
+frames = detected_frames(simulation.cameras, simulation.times, simulation.detections)
 for turn in itertools.count():
     for frame in frames:
         kept.take(simulation.cameras[frame.camera], frame._replace(time_s=2.0 * turn + frame.time_s))

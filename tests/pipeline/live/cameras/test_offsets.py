@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.errors import InputError
 from pipeline.live.cameras.offsets import OffsetSearch, find_offsets
-from pipeline.live.recorded import RecordedFrame, recorded_frames
+from pipeline.live.recorded import DetectedFrame, detected_frames
 from pipeline.simulation.scenes import SCENES, Simulation, record
 
 LATE_S = (0.0, 0.12, -0.05)
@@ -20,13 +20,13 @@ def room() -> Simulation:
 
 
 @pytest.fixture(scope="module")
-def frames(room: Simulation) -> list[RecordedFrame]:
+def frames(room: Simulation) -> list[DetectedFrame]:
     """Frames whose times are late by ``LATE_S`` of their camera."""
-    sent = recorded_frames(room.cameras, room.times, room.detections)
+    sent = detected_frames(room.cameras, room.times, room.detections)
     return [frame._replace(time_s=frame.time_s + LATE_S[frame.camera]) for frame in sent]
 
 
-def test_offsets_make_late_cameras_agree(room: Simulation, frames: list[RecordedFrame]) -> None:
+def test_offsets_make_late_cameras_agree(room: Simulation, frames: list[DetectedFrame]) -> None:
     search = OffsetSearch(room.cameras, room.joints, 3.0)
     with ThreadPoolExecutor(1) as pool:
         assert not search.advance(2.9, pool)
@@ -44,7 +44,7 @@ def test_offsets_make_late_cameras_agree(room: Simulation, frames: list[Recorded
     assert search.moved(frames[0]).time_s == frames[0].time_s + search.offsets_s[frames[0].camera]
 
 
-def test_a_camera_without_pictures_and_still_people_are_refused(room: Simulation, frames: list[RecordedFrame]) -> None:
+def test_a_camera_without_pictures_and_still_people_are_refused(room: Simulation, frames: list[DetectedFrame]) -> None:
     with pytest.raises(InputError, match="Too few pictures") as error:
         find_offsets(room.cameras, [frame for frame in frames if frame.camera != 1], room.joints)
     assert [problem.camera for problem in error.value.problems] == ["cam_01"]

@@ -12,6 +12,7 @@ import pytest
 
 from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera
+from pipeline.detect.appearance import NUM_BINS, PARTS
 from pipeline.errors import InputError
 from pipeline.joints import COCO_17, JointSet
 from pipeline.live.cameras import feed as feeds
@@ -23,7 +24,7 @@ from pipeline.live.cameras.pace import DetectionPace
 from pipeline.live.cameras.run import CameraRun, LiveListener
 from pipeline.live.cameras.sources import CameraSource
 from pipeline.live.cameras.totals import LiveTotals
-from pipeline.live.recorded import RecordedFrame
+from pipeline.live.recorded import DetectedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.problem_codes.live import STREAM_REFUSED, STREAM_SILENT
 from pipeline.problem_codes.sessions import SIZE_MISMATCH
@@ -56,14 +57,14 @@ class Seen(LiveListener):
     """Messages about a capture."""
 
     def __init__(self) -> None:
-        self.rate_hz, self.frames = 0.0, list[tuple[str, RecordedFrame]]()
+        self.rate_hz, self.frames = 0.0, list[tuple[str, DetectedFrame]]()
         self.instants, self.sentences = list[LiveInstant](), list[str]()
         self.latencies_s, self.ticks = list[float](), 0
 
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         self.rate_hz = frame_rate_hz
 
-    def take(self, camera: Camera, frame: RecordedFrame) -> None:
+    def take(self, camera: Camera, frame: DetectedFrame) -> None:
         self.frames.append((camera.name, frame))
 
     def show(self, instant: LiveInstant, latency_s: float) -> None:
@@ -84,6 +85,7 @@ def play(
     detection_s: float,
     stop_s: float = 60.0,
     sync_s: float | None = None,
+    choices: ReconstructionConfig = CHOICES,
 ) -> tuple[Seen, LiveTotals]:
     """Capture the clips, with one process that takes some time for a picture."""
     turn = threading.Lock()
@@ -98,14 +100,16 @@ def play(
         detections = room.detections[camera.name]
         rows = detections.frame == number
         points_px = (detections.keypoints_px[rows] + 0.5) / SCALE - 0.5
-        return DetectedBodies(points_px, detections.score[rows], np.full(rows.sum(), 30.0), detection_s)
+        shape = rows.sum(), len(PARTS), NUM_BINS
+        colour = np.full(shape, number, np.uint8) if job.measures_colours else None
+        return DetectedBodies(points_px, detections.score[rows], colour, np.full(rows.sum(), 30.0), detection_s)
 
     monkeypatch.setattr(runs, "verify", lambda name: None)
     monkeypatch.setattr(runs, "num_processes", lambda num_cameras: 1)
     monkeypatch.setattr(runs, "detect_bodies", detect)
     sources = [CameraSource(camera.name, "file", str(clip)) for camera, clip in zip(room.cameras, clips, strict=True)]
     seen = Seen()
-    run = CameraRun(room.cameras, sources, CHOICES, seen, sync_s)
+    run = CameraRun(room.cameras, sources, choices, seen, sync_s)
     timer = threading.Timer(stop_s, run.stop)
     timer.daemon = True
     timer.start()
@@ -123,6 +127,16 @@ def test_people_are_where_they_are(room: Simulation, clips: list[Path], monkeypa
     assert seen.rate_hz == pytest.approx(25.0)
     assert seen.ticks >= 1
     assert len(seen.frames) == sum(camera.detected for camera in totals.cameras)
+    for camera in room.cameras:
+        frames = [frame for name, frame in seen.frames if name == camera.name]
+        coloured = [frame for frame in frames if frame.colour is not None]
+        assert np.diff([frame.time_s for frame in coloured]).min() > 0.079
+        # Half of the frames at 25 Hz, unless some are dropped; of their own pictures.
+        assert len(frames) / 3 - 1 < len(coloured) < len(frames) + 1
+        for frame in coloured:
+            assert frame.colour is not None
+            assert frame.colour.shape[0] == len(frame.score)
+            assert (frame.colour == round(25 * frame.time_s)).all()
     assert all(latency_s >= 0.0 for latency_s in seen.latencies_s)
     assert totals.document()["latency_ms"]["p50"] < 5000
     shoulder, num_near = COCO_17.index("left_shoulder"), 0
@@ -132,6 +146,13 @@ def test_people_are_where_they_are(room: Simulation, clips: list[Path], monkeypa
             num_near += bool((np.linalg.norm(truth_m - person.xyz_m[shoulder], axis=-1) < 0.15).any())
     assert num_near > 0.9 * sum(len(instant.people) for instant in seen.instants) > num_frames
     assert any(person.skeleton is not None for person in seen.instants[-1].people) == (seen.instants[-1].time_s > 3.0)
+
+
+def test_colours_are_left_out(room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    choices = replace(CHOICES, appearance="off")
+    seen, _ = play(room, clips, monkeypatch, detection_s=0.001, stop_s=1.5, choices=choices)
+    assert seen.frames
+    assert all(frame.colour is None for _, frame in seen.frames)
 
 
 def test_too_many_frames_are_dropped_evenly(
