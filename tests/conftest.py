@@ -125,11 +125,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Import no module of slow tests where none of them runs."""
-    if "not slow" not in config.option.markexpr or collection_path.is_dir():
+    """Import no module of slow tests where none of them runs, and no module without slow tests where they alone run."""
+    words = config.option.markexpr.split()
+    if "slow" not in words or collection_path.suffix != ".py":
         return None
-    tests = Path(__file__).parent
-    return True if collection_path.relative_to(tests).as_posix().startswith(SLOW) else None
+    is_slow = collection_path.relative_to(Path(__file__).parent).as_posix().startswith(SLOW)
+    if "not slow" in config.option.markexpr:
+        return True if is_slow else None
+    # A module that marks single tests names the mark.
+    has_slow = is_slow or "slow" in collection_path.read_text(encoding="utf-8")
+    return None if has_slow or words[-2:] not in (["slow"], ["and", "slow"]) else True
 
 
 @pytest.hookimpl(wrapper=True)
