@@ -20,7 +20,8 @@ from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.parent_watch import tied_to_parent
 from tests.waiting import wait_for
 
-COMMAND = [sys.executable, "-P", "-m", "api.cli.main", "serve", "--workers", "2"]
+SERVE = [sys.executable, "-P", "-m", "api.cli.main", "serve"]
+COMMAND = [*SERVE, "--workers", "2"]
 # Processes of a service: supervisor, broker, worker with its two children, reaper and API.
 NUM_PROCESSES = 7
 
@@ -80,9 +81,10 @@ _PATIENT = {"MULTICAP_NICE": "0", "MULTICAP_PREFLIGHT_TIMEOUT_S": "240"}
 
 
 @contextmanager
-def serving(data_dir: Path, **environment: str) -> Iterator[Served]:
-    """Run a service on a folder during the block."""
-    command = tied_to_parent([*COMMAND, "--port", "0", "--data", str(data_dir)])
+def serving(data_dir: Path, num_workers: int = 2, /, **environment: str) -> Iterator[Served]:
+    """Run a service on a folder during the block; each worker loads the pipeline, for seconds of processor time."""
+    options = ["--workers", str(num_workers), "--port", "0", "--data", str(data_dir)]
+    command = tied_to_parent([*SERVE, *options])
     with Popen(command, stdout=PIPE, text=True, env=os.environ | _PATIENT | environment) as process:
         try:
             assert process.stdout is not None

@@ -93,7 +93,7 @@ def kill_all(served: Served) -> None:
 def test_a_restored_service_goes_on_with_everything(capture: Path, tmp_path: Path) -> None:
     parts = files(capture)
     archive = tmp_path / "backup.tar"
-    with serving(tmp_path / "first", **ENVIRONMENT) as first:
+    with serving(tmp_path / "first", 1, **ENVIRONMENT) as first:
         secret = multicap("keys", "create", "portal", "--data", first.data_dir)["key"]
         first.client.headers["Authorization"] = f"Bearer {secret}"
         done = first.client.post("/v1/jobs", files=parts).raise_for_status().json()
@@ -115,7 +115,7 @@ def test_a_restored_service_goes_on_with_everything(capture: Path, tmp_path: Pat
     assert multicap("backup", "verify", archive)["faults"] == []
     multicap("backup", "restore", archive, "--data", tmp_path / "second")
 
-    with serving(tmp_path / "second", **ENVIRONMENT) as second:
+    with serving(tmp_path / "second", 1, **ENVIRONMENT) as second:
         assert second.client.get("/v1/jobs").status_code == 401
         second.client.headers["Authorization"] = f"Bearer {secret}"
         assert second.downloads(done["id"]) == before

@@ -18,8 +18,6 @@ from tests.e2e.browsing import opened
 from tests.e2e.captures import video_capture
 from tests.e2e.serving import Served, serving
 
-pytestmark = pytest.mark.xdist_group("sample")
-
 # Frames enough for an error, which needs some instants apart.
 SPEC = {"profile": "fast", "frame_range": [0, 40], "exports": ["bvh"]}
 
@@ -27,7 +25,7 @@ SPEC = {"profile": "fast", "frame_range": [0, 40], "exports": ["bvh"]}
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """Service that has time for all pictures, also on a busy machine."""
-    with serving(tmp_path_factory.mktemp("data")) as running:
+    with serving(tmp_path_factory.mktemp("data"), 1) as running:
         yield running
 
 

@@ -17,7 +17,7 @@ from tests.hostile.keypoints import archive, keypoint_files
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_video
 
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("service")
 
 Parts = list[tuple[str, Any]]
 TWO_HOURS_S = 7200.0

@@ -58,7 +58,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
             pytest.skip(f"{detector} is not installed")
     folder = tmp_path_factory.mktemp("children")
     (folder / "sitecustomize.py").write_text(CHILDREN, encoding="utf-8")
-    with serving(tmp_path_factory.mktemp("data"), PYTHONPATH=str(folder)) as running:
+    with serving(tmp_path_factory.mktemp("data"), 1, PYTHONPATH=str(folder)) as running:
         yield running
 
 

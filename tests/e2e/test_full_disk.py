@@ -24,7 +24,7 @@ ENVIRONMENT = {"MULTICAP_LEASE_S": "3", "MULTICAP_HEARTBEAT_S": "0.5", "MULTICAP
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
-    with small_disk(tmp_path / "disk", 256) as disk, serving(disk / "data", **ENVIRONMENT) as served:
+    with small_disk(tmp_path / "disk", 256) as disk, serving(disk / "data", 1, **ENVIRONMENT) as served:
         yield served
 
 
@@ -89,7 +89,7 @@ def test_a_full_disk_is_emptied_through_the_api_and_jobs_go_on(served: Served, c
 def test_files_are_for_their_owner_alone(tmp_path: Path, capture: Path) -> None:
     old_umask = os.umask(0o000)
     try:
-        with serving(tmp_path / "data", **ENVIRONMENT) as served:
+        with serving(tmp_path / "data", 1, **ENVIRONMENT) as served:
             job = served.client.post("/v1/jobs", files=files(capture)).raise_for_status().json()
             served.client.post("/v1/uploads", headers=TUS | {"Upload-Length": "10"}).raise_for_status()
             assert served.wait_for_end(job["id"])["state"] == "succeeded"

@@ -75,7 +75,7 @@ def portal(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         (take / path.name).symlink_to(path)
     multicap("calibration", "convert", sample.calibration, take / "calibration.toml")
     # Machines of tests are busy: the check of the files may take long.
-    with serving(folder / "data") as served:
+    with serving(folder / "data", 1) as served:
         key = json.loads(multicap("keys", "create", "portal", "--json", "--data", folder / "data"))["key"]
         served.client.headers["Authorization"] = f"Bearer {key}"
         yield ServedCapture(served, key, take)

@@ -20,7 +20,7 @@ from tests.e2e.serving import Served, digests
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import cut_at_keyframes, write_pictures, write_video
 
-pytestmark = pytest.mark.xdist_group("sample")
+pytestmark = pytest.mark.xdist_group("service")
 
 SPEC = {"smoothing": "none", "frame_range": [10, 22]}
 

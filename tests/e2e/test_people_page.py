@@ -90,7 +90,7 @@ def portal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedPeople]:
     data = folder / "data"
     make = [sys.executable, "-P", "-m", "api.cli.main", "keys", "create", "animator", "--json", "--data", str(data)]
     made = json.loads(subprocess.run(make, check=True, capture_output=True).stdout)
-    with serving(data) as served:
+    with serving(data, 1) as served:
         served.client.headers["Authorization"] = f"Bearer {made['key']}"
         manifest = ("manifest", (None, json.dumps({"name": "Room, take 1"})))
         answer = served.client.post("/v1/jobs", files=[*files(folder), manifest])

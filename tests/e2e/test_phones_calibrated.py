@@ -29,7 +29,7 @@ from tests.e2e.phone_takes import (
 from tests.e2e.phones import Phone, phones, write_camera
 from tests.e2e.serving import Served
 
-pytestmark = [pytest.mark.xdist_group("sample"), needs("rendered"), pytest.mark.slow]
+pytestmark = [pytest.mark.xdist_group("phones"), needs("rendered"), pytest.mark.slow]
 
 RATE_HZ = 12
 HOLD = 2  # frames of each place: the people move at a quarter of their speed

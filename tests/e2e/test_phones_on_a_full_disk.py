@@ -20,7 +20,7 @@ FULL = "The service's disk is full."
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
-    with small_disk(tmp_path / "disk", 256) as disk, serving(disk / "data") as served:
+    with small_disk(tmp_path / "disk", 256) as disk, serving(disk / "data", 1) as served:
         yield served
 
 

@@ -68,7 +68,7 @@ def attributes(span: Any) -> dict[str, str | int | bool]:
 
 def test_a_job_is_one_trace(collector: tuple[Collector, str], capture: Path, tmp_path: Path) -> None:
     found, address = collector
-    with serving(tmp_path, OTEL_EXPORTER_OTLP_ENDPOINT=address, OTEL_BSP_SCHEDULE_DELAY="200") as served:
+    with serving(tmp_path, 1, OTEL_EXPORTER_OTLP_ENDPOINT=address, OTEL_BSP_SCHEDULE_DELAY="200") as served:
         job_id = served.client.post("/v1/jobs", files=files(capture)).raise_for_status().json()["id"]
         stages = {stage["name"] for stage in served.wait_for_end(job_id)["stages"]}
         wait_for(lambda: stages <= {span.name for span in list(found.spans.values())})

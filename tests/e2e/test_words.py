@@ -207,5 +207,5 @@ def locked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     command = [sys.executable, "-m", "api.cli.main", "keys", "create", "portal", "--tenant", "studio", "--json"]
     made = subprocess.run([*command, "--data", str(folder)], capture_output=True, text=True, check=True)
     assert re.fullmatch(r"mc_[\w-]{43}", json.loads(made.stdout)["key"])
-    with serving(folder) as running:
+    with serving(folder, 1) as running:
         yield running
