@@ -214,6 +214,11 @@ def open_bench(data_dir: Path) -> RunnerBench:
     """Create a bench with a new session in a data folder."""
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
+    return RunnerBench(data_dir, store, LocalArtifacts(data_dir / "artifacts"), new_session(store))
+
+
+def new_session(store: JobStore) -> Session:
+    """Add a session, which shares no outputs with others."""
     session_id = store.sessions.reserve_id()
     names = [("left.mp4", "video", "a"), ("rig.toml", "calibration", "c")]
     files = [
@@ -224,8 +229,7 @@ def open_bench(data_dir: Path) -> RunnerBench:
         timebase=PreflightTimebase(0.0, 25.0, NUM_FRAMES),
         stretches=(range(NUM_FRAMES),),
     )
-    session = store.sessions.add("take", files, preflight, session_id)
-    return RunnerBench(data_dir, store, LocalArtifacts(data_dir / "artifacts"), session)
+    return store.sessions.add("take", files, preflight, session_id)
 
 
 @pytest.fixture(autouse=True)

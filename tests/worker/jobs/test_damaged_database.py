@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import cycle
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from worker.jobs.database.connection import Database
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.store import JobStore
 
+PROGRAMS = ("worker", "worker.reaper", "api")
 EACH_DAMAGE = pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 
 
@@ -59,8 +61,11 @@ def test_no_backup_is_made_of_a_damaged_file(database: Path, tmp_path: Path, dam
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
-@EACH_DAMAGE
-@pytest.mark.parametrize("module", ["worker", "worker.reaper", "api"])
+# Each damage with one of the programs, which take seconds to start: all of them migrate the database first.
+@pytest.mark.parametrize(
+    ("damage", "module"),
+    [pytest.param(DAMAGES[name], module, id=f"{name}-{module}") for name, module in zip(DAMAGES, cycle(PROGRAMS))],
+)
 def test_programs_end_with_sentences(database: Path, damage: Callable[[Path], None], module: str) -> None:
     damage(database)
     environment = os.environ | {"MULTICAP_DATA_DIR": str(database.parent), "MULTICAP_PORT": "0"}
