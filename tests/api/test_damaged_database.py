@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from itertools import cycle
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,8 @@ from tests.api.conftest import form, problem_of, running
 from tests.api.processes import serving
 from tests.worker.jobs.backups import stopped_service
 from tests.worker.jobs.damage import DAMAGES, copy_of, damage_under
+
+COMMANDS = (["serve", "--port=0"], ["keys", "list"], ["keys", "create", "x"], ["audit"], ["webhooks", "list"])
 
 runner = CliRunner()
 
@@ -28,9 +31,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return stopped_service(tmp_path_factory.mktemp("whole") / "data")
 
 
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
+# Each damage with one of the commands: all of them open the database in the same way.
 @pytest.mark.parametrize(
-    "command", [["serve", "--port=0"], ["keys", "list"], ["keys", "create", "x"], ["audit"], ["webhooks", "list"]]
+    ("damage", "command"),
+    [
+        pytest.param(DAMAGES[name], command, id=f"{name}-{' '.join(command)}")
+        for name, command in zip(DAMAGES, cycle(COMMANDS))
+    ],
 )
 def test_commands_say_which_file_is_damaged_and_what_to_do(
     whole: Path, tmp_path: Path, damage: Callable[[Path], None], command: list[str]

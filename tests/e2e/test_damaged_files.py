@@ -65,8 +65,14 @@ def reconstruct(served: Served, session_id: str, **spec: Any) -> dict[str, Any]:
     return served.wait_for_end(job["id"])
 
 
-@pytest.mark.parametrize("damage", [flip, truncate, remove])
-@pytest.mark.parametrize(("name", "pattern"), [("left.mp4", "inputs/*left.mp4"), ("The record", "record")])
+@pytest.mark.parametrize(
+    ("damage", "name", "pattern"),
+    [
+        (flip, "left.mp4", "inputs/*left.mp4"),
+        (truncate, "The record", "record"),
+        (remove, "left.mp4", "inputs/*left.mp4"),
+    ],
+)
 def test_a_damaged_input_ends_the_job_with_its_name(
     served: Served, videos: Parts, name: str, pattern: str, damage: Callable[[Path], None]
 ) -> None:
@@ -111,7 +117,7 @@ def test_every_stored_file_of_a_finished_job_may_be_damaged(served: Served, keyp
 
 
 def test_a_database_that_is_damaged_under_a_running_service(tmp_path: Path, keypoints: Parts) -> None:
-    with serving(tmp_path / "data", **ENVIRONMENT) as served:
+    with serving(tmp_path / "data", 1, **ENVIRONMENT) as served:
         job = served.client.post("/v1/jobs", files=keypoints).raise_for_status().json()
         assert served.wait_for_end(job["id"])["state"] == "succeeded"
         database = served.data_dir / "multicap.db"

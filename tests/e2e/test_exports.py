@@ -3,9 +3,10 @@
 import json
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import c3d
 import cv2
@@ -28,7 +29,6 @@ from pipeline.simulation.scenes import find_scene, record
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
 from pipeline.stages.local import reconstruct
-from tests.cases import slow_but
 from tests.e2e.conftest import NUM_FIRST
 from tests.e2e.foreign import (
     Animated,
@@ -46,6 +46,7 @@ OF_PRESETS = tuple(export for export, form in FILE_FORMATS.items() if form.has_p
 PRESET_NAMES = tuple(PRESETS)
 # Files of the others are written and read by the slow tests: two of them have all there is in axes and units.
 QUICK_PRESETS: tuple[Preset, ...] = ("default", "unreal")
+PYTHON_READERS = (read_with_bvh_converter, read_with_bvhio)
 # World axes of a file's x, y and z, and units a metre.
 WORLD, Y_UP = np.eye(3), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 IN_FILE: dict[Preset, tuple[np.ndarray, float]] = {
@@ -162,6 +163,17 @@ def capture(request: pytest.FixtureRequest) -> ExportedCapture:
     return request.getfixturevalue(request.param)
 
 
+def on_captures(of_all: Collection[Any], others: Iterable[Any]) -> list[Any]:
+    """Cases of a test by capture: some with each of them, and others, slowly, with the one that has all joints."""
+    cases = [case if isinstance(case, tuple) else (case,) for case in of_all]
+    rest = [case if isinstance(case, tuple) else (case,) for case in others]
+    return [
+        *((name, *case) for name in ("walk", "hands") for case in cases),
+        *(pytest.param("filmed", *case, marks=FILMED.marks) for case in cases),
+        *(pytest.param("hands", *case, marks=pytest.mark.slow) for case in rest if case not in cases),
+    ]
+
+
 def assert_same(found: np.ndarray, expected: np.ndarray, tolerance: float, what: object) -> None:
     assert found.shape == expected.shape, what
     assert np.linalg.norm(found - expected, axis=-1).max() <= tolerance, what
@@ -179,17 +191,11 @@ def beginning_of(path: Path, folder: Path) -> Path:
 
 # Both take seconds for a whole file: three.js reads those of more presets, and they their first frames.
 @pytest.mark.parametrize(
-    ("read", "preset"),
-    [
-        (read_with_bvh_converter, "default"),
-        (read_with_bvhio, "default"),
-        *(
-            pytest.param(read, preset, marks=pytest.mark.slow)
-            for read in (read_with_bvh_converter, read_with_bvhio)
-            for preset in PRESET_NAMES
-            if preset != "default"
-        ),
-    ],
+    ("capture", "read", "preset"),
+    on_captures(
+        [(read, "default") for read in PYTHON_READERS], [(read, one) for read in PYTHON_READERS for one in PRESET_NAMES]
+    ),
+    indirect=["capture"],
 )
 def test_bvh_in_python(
     capture: ExportedCapture, tmp_path: Path, read: Callable[[Path], dict[str, np.ndarray]], preset: Preset
@@ -207,7 +213,11 @@ def test_bvh_in_python(
 
 
 # three.js's loader does not find joints whose names contain a colon.
-@pytest.mark.parametrize("preset", slow_but(QUICK_PRESETS, [preset for preset in PRESET_NAMES if preset != "mixamo"]))
+@pytest.mark.parametrize(
+    ("capture", "preset"),
+    on_captures(QUICK_PRESETS, [preset for preset in PRESET_NAMES if preset != "mixamo"]),
+    indirect=["capture"],
+)
 def test_bvh_in_three(capture: ExportedCapture, preset: Preset) -> None:
     axes, units_per_m = IN_FILE[preset]
     paths = capture.paths("bvh", preset)
@@ -258,12 +268,12 @@ def test_glb_is_valid_gltf(capture: ExportedCapture) -> None:
 
 # The quick run opens the files of one preset in the readers that it has.
 @pytest.mark.parametrize(
-    ("read", "preset"),
-    [
-        pytest.param(read, preset, marks=[] if preset == "default" and read != read_with_ufbx else pytest.mark.slow)
-        for read in (read_with_three, read_with_assimp, read_with_ufbx)
-        for preset in PRESET_NAMES
-    ],
+    ("capture", "read", "preset"),
+    on_captures(
+        [(read, "default") for read in (read_with_three, read_with_assimp)],
+        [(read, preset) for read in (read_with_three, read_with_assimp, read_with_ufbx) for preset in PRESET_NAMES],
+    ),
+    indirect=["capture"],
 )
 def test_fbx_elsewhere(
     capture: ExportedCapture, read: Callable[[Sequence[Path]], dict[Path, Animated]], preset: Preset
@@ -317,7 +327,7 @@ def test_markers(capture: ExportedCapture) -> None:
         assert_same(found_m[known], (expected_m @ Y_UP.T)[known], 1e-4, path)
 
 
-@pytest.mark.parametrize("preset", slow_but(QUICK_PRESETS, PRESET_NAMES))
+@pytest.mark.parametrize(("capture", "preset"), on_captures(QUICK_PRESETS, PRESET_NAMES), indirect=["capture"])
 def test_metrics_say_how_far_joints_are_in_each_format(capture: ExportedCapture, preset: Preset) -> None:
     check = json.loads((capture.of_preset(preset) / "metrics.json").read_bytes())["exports"]
     assert set(check) == {"skeletons", *(EXPORTS if preset == "default" else OF_PRESETS)}

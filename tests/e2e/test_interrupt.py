@@ -58,15 +58,14 @@ def wait_for_children(process: "subprocess.Popen[str]", word: str) -> list[psuti
 
 
 @pytest.mark.parametrize(
-    ("number", "options", "word"),
+    ("number", "options", "word", "later_s"),
     [
-        (signal.SIGINT, [], "pipeline.video.probe"),
-        (signal.SIGTERM, ["--json"], "pipeline.video.probe"),
-        (signal.SIGINT, ["--processes=2", "--json"], "multiprocessing-fork"),
-        (signal.SIGTERM, ["--processes=2"], "multiprocessing-fork"),
+        (signal.SIGINT, [], "pipeline.video.probe", 8.0),
+        (signal.SIGTERM, ["--json"], "pipeline.video.probe", 0.0),
+        (signal.SIGINT, ["--processes=2", "--json"], "multiprocessing-fork", 0.0),
+        (signal.SIGTERM, ["--processes=2"], "multiprocessing-fork", 8.0),
     ],
 )
-@pytest.mark.parametrize("later_s", [0.0, 8.0])
 def test_children_end_and_it_is_said(
     videos: list[str],
     tmp_path: Path,

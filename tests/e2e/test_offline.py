@@ -14,8 +14,8 @@ from tests.e2e.captures import keypoint_capture
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
 
-# The service is that of the other tests of the page.
-pytestmark = pytest.mark.xdist_group("page")
+# Apart from the other tests of the page, which take long enough one after the other.
+pytestmark = pytest.mark.xdist_group("waits")
 
 # What the browser itself writes of requests that can't be made.
 ALLOWED = ("ERR_INTERNET_DISCONNECTED", "ERR_FAILED", "502 (Bad Gateway")
@@ -72,8 +72,11 @@ LOADED = {
 }
 
 
-@pytest.mark.parametrize("view", list(LOADED))
-@pytest.mark.parametrize("is_known", [True, False], ids=["loaded", "new to the browser"])
+@pytest.mark.parametrize(
+    ("view", "is_known"),
+    [("Captures", True), *((view, False) for view in LOADED)],
+    ids=["loaded", *(f"{view}, new to the browser" for view in LOADED)],
+)
 def test_a_view_says_that_it_cannot_load_and_loads_when_it_can(
     served: Served, job: dict[str, Any], view: str, is_known: bool
 ) -> None:

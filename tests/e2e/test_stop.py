@@ -33,8 +33,7 @@ def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[float,
     return seconds, process.communicate()[1]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("is_ready", [True, False])
+@pytest.mark.parametrize(("number", "is_ready"), [(signal.SIGTERM, True), (signal.SIGINT, False)])
 def test_a_service_is_stopped_without_killing(tmp_path: Path, number: signal.Signals, is_ready: bool) -> None:
     process = start(tmp_path)
     tree = [psutil.Process(process.pid)]
