@@ -181,14 +181,15 @@ test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones 
 test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests
 	$(PYTEST) -m "$(DESELECTED) and slow"
 
-verify-accuracy: test-data  ## Measure the accuracies that the documentation states again, of which the slow tests have a case or two
+verify-accuracy: test-data browser  ## Measure the accuracies that the documentation states again, of which the slow tests have a case or two
 	$(PYTEST) -m accuracy tests/pipeline tests/e2e
 
 test-shapes: test-data ffmpeg readers  ## Run the tests of the pipeline again, with shapes and types of all calls checked
 	MULTICAP_CHECK_SHAPES=1 $(PYTEST) -m "$(DESELECTED) and not slow" tests/pipeline
 
-soak: setup  ## Run 200 jobs disturbed by faults, 100 rounds of 20 jobs under outages, and 200 jobs on a disturbed cluster (three hours)
-	$(BIN)/python -P -m pytest -s -m soak tests/faults
+soak: setup browser  ## Run 200 jobs disturbed by faults, 100 rounds of 20 jobs under outages, 200 jobs on a disturbed cluster (three hours), and a form whose requests wait
+	$(BIN)/multicap samples install
+	$(BIN)/python -P -m pytest -s -m soak tests/faults tests/e2e
 
 load: setup  ## Time lists beside 100,000 jobs, and run 1,000 jobs of ten tenants on four workers (half an hour)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -s -m load tests/load

@@ -178,7 +178,7 @@ def test_clips_of_phones_become_a_capture_with_their_times(
         assert file["facts"]["lost"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.accuracy
 def test_from_the_link_to_a_bvh_by_clicks_alone(
     host: Page, served: Served, cameras: list[tuple[str, Path]], tmp_path: Path
 ) -> None:

@@ -40,7 +40,7 @@ def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("demo", DEMOS)
+@pytest.mark.parametrize("demo", accuracy_but(["Demo_SinglePerson", "Demo_MultiPerson"], DEMOS))
 def test_demo(demos: Path, tmp_path: Path, demo: str) -> None:
     videos, padded = DEMOS[demo]
     calibration = demos / videos.split("/")[0] / "calibration" / "Calib.qca.txt"

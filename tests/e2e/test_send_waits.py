@@ -20,8 +20,8 @@ from tests.e2e.captures import cameras_of_two_videos, keypoint_capture, two_vide
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
 
-# The service is that of the other tests of the page.
-pytestmark = pytest.mark.xdist_group("page")
+# Apart from the other tests of the page, which take long enough one after the other.
+pytestmark = pytest.mark.xdist_group("waits")
 
 # What the page shows of the capture.
 SHOWN = """() => {
@@ -250,10 +250,14 @@ NAMES = (
 )
 
 
+# Every fourth request is kept back: the next sequences of actions, which make most of the others too, have those.
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.usefixtures("stored")
-def test_what_is_sent_is_what_is_shown(served: Served, files: dict[str, Path], sample: Sample, name: str) -> None:
-    """Send is pressed while each request that the form makes is kept back: at once, and after all other actions."""
+def test_what_is_sent_is_what_is_shown(
+    served: Served, files: dict[str, Path], sample: Sample, name: str, every: int
+) -> None:
+    """Send is pressed while requests that the form makes are kept back: at once, and after all other actions."""
     actions, meant = actions_of(name, files)
     num_bytes = {path.name: path.stat().st_size for path in [*files.values(), *sample.videos.values()]}
     with opened(f"{served.client.base_url}#/new", allowed=ALLOWED) as page:
@@ -261,7 +265,7 @@ def test_what_is_sent_is_what_is_shown(served: Served, files: dict[str, Path], s
         assert run.is_sent() == (meant != "")
         assert "GET /v1/options" in {kind for kind, _ in run.seen}
         pending = [kept for kept in run.seen if kept[0] not in OF_FRAME | {SESSIONS, JOBS} and is_first_of_many(kept)]
-        for kept in pending:
+        for kept in pending[NAMES.index(name) % every :: every]:
             run = used(page, actions, kept, SESSIONS, is_pressed_at_once=False)
             assert_sent_as_shown(served, run, num_bytes, meant if run.is_as_meant else None)
             if run.is_held_early:  # else at once is after all actions

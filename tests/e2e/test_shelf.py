@@ -52,6 +52,7 @@ def test_shelf_by_clustering() -> None:
 
 
 @NEEDS_SHELF
+@pytest.mark.accuracy
 def test_shelf_at_one_image_in_five() -> None:
     whole, thinned = (evaluated("shelf", "--smoothing=none", f"--every={every}") for every in (1, 5))
     assert whole["pcp"]["average"] - thinned["pcp"]["average"] <= 3.0
