@@ -128,7 +128,8 @@ class Identities:
         self._seconds = {n: seconds for n, seconds in self._seconds.items() if n in present or n in self._known}
         absent = [number for number in self._known if number > self._first and number not in present]
         for number in absent[: max(0, len(self._known) - _MOST_KNOWN)]:
-            del self._known[number], self._seconds[number]
+            del self._known[number]
+            self._seconds.pop(number, None)
         self._clothes.keep(self._seconds.keys())
 
     def see(
@@ -216,7 +217,8 @@ class Identities:
     def _former(self, number: int) -> int | None:
         """Number of the absent person who is this one; ``None`` if it is nobody, or not clear."""
         present = set(self._number.values())
-        absent = [known for known in self._known if known not in present]
+        # Whoever was never located often enough in a second can't be recognised: bones need fewer positions.
+        absent = [known for known in self._known if known not in present and known in self._seconds]
         if not absent:
             return None
         odds = self.log_odds(number, absent)

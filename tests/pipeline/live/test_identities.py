@@ -138,6 +138,22 @@ def test_the_first_of_very_many_people_are_forgotten_but_not_those_who_were_anno
         identities.log_odds(102, [3])
 
 
+def test_whoever_was_located_too_seldom_is_not_recognised(room: Simulation) -> None:
+    identities = Identities(room.joints, len(room.cameras), [])
+    standing_m = located_m(scaled(1.0), identities)
+    for time_s in np.arange(0.0, 5.0, 0.25):
+        identities.see(1, time_s, standing_m, {})
+    identities.learn(1, learn_bones(room.truth_m[0, :5], room.joints))
+    identities.keep(set())
+    bodies = [identities.see(2, time_s, standing_m, {}) for time_s in np.arange(6.0, 9.0, 0.1)]
+    assert all(body is None for body in bodies)
+    assert identities.number_of(2) == 2
+    for tracked in range(3, 70):
+        identities.learn(tracked, learn_bones(room.truth_m[0, :5], room.joints))
+        identities.keep({tracked})
+    assert identities.number_of(70) == 70
+
+
 def test_bodies_are_read_from_a_result(room: Simulation, tmp_path: Path) -> None:
     truth_m = room.truth_m[0]
     positions_m = [[point.tolist() for point in frame_m] for frame_m in truth_m]
