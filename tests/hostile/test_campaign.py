@@ -143,8 +143,9 @@ def run(campaign: Campaign, folder: Path, *counts: int) -> CampaignReport:
     return report
 
 
-def test_a_short_campaign(campaign: Campaign, tmp_path: Path) -> None:
-    run(campaign, tmp_path / "videos", 40, 8, 8)
+@pytest.mark.parametrize("share", [1, pytest.param(5, marks=pytest.mark.hostile)])
+def test_a_short_campaign(campaign: Campaign, tmp_path: Path, share: int) -> None:
+    run(campaign, tmp_path / "videos", 8 * share, 2 * share, 2 * share)
 
 
 @pytest.mark.hostile
