@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -60,6 +61,18 @@ def test_other_programs_are_not_forked(programs: WarmPrograms) -> None:
 def test_a_signal_that_ends_the_fork_ends_the_client(waiting: "subprocess.Popen[bytes]", number: int) -> None:
     fork_of_the_server().send_signal(number)
     assert waiting.wait(60) == -number
+
+
+@pytest.mark.parametrize("sent", [b"", b"\x00\x00\x00\x09{"])
+def test_clients_that_are_killed_before_they_have_asked_leave_the_server_whole(
+    programs: WarmPrograms, sent: bytes
+) -> None:
+    command = programs.python_command("-m", CHECK)
+    for _ in range(3):
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(command[4])
+            client.sendall(sent)
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 2
 
 
 def test_a_fork_ends_with_its_client(waiting: "subprocess.Popen[bytes]") -> None:

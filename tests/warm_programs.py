@@ -26,7 +26,7 @@ import threading
 import traceback
 from pathlib import Path
 from types import TracebackType
-from typing import NoReturn, Self
+from typing import Any, NoReturn, Self
 
 from pipeline.runtime import child_processes, parent_watch
 
@@ -137,7 +137,10 @@ def _serve(path: Path) -> None:
                 return
             if file == listener.fileno():
                 client, _ = listener.accept()
-                fork = _forked(client, path)
+                if (request := _request(client)) is None:
+                    client.close()
+                    continue
+                fork = _forked(path, *request)
                 clients[client.fileno()] = (client, fork)
                 forks[ended := os.pidfd_open(fork)] = client.fileno()
                 poll.register(client, select.POLLIN)
@@ -159,11 +162,24 @@ def _serve(path: Path) -> None:
                     os.killpg(clients[file][1], signal.SIGKILL)
 
 
-def _forked(client: socket.socket, path: Path) -> int:
+def _request(client: socket.socket) -> tuple[list[int], tuple[Any, ...]] | None:
+    """Files of a client, and its words and surroundings; ``None`` if it was killed before it had sent them."""
+    files: list[int] = []
+    try:
+        head, files, _, _ = socket.recv_fds(client, 4, _MAX_FILES)
+        content = client.recv(num_bytes := int.from_bytes(head, "big"), socket.MSG_WAITALL)
+    except ConnectionError:
+        content, num_bytes = b"", 0
+    if 0 < num_bytes == len(content):
+        return files, marshal.loads(content)  # noqa: S302 - from the client above
+    for file in files:
+        os.close(file)
+    return None
+
+
+def _forked(path: Path, files: list[int], request: tuple[Any, ...]) -> int:
     """Fork for a client; return the process, which is the first of a group of its own."""
-    head, files, _, _ = socket.recv_fds(client, 4, _MAX_FILES)
-    content = client.recv(int.from_bytes(head, "big"), socket.MSG_WAITALL)
-    words, *surroundings = marshal.loads(content)  # noqa: S302 - from the client above
+    words, *surroundings = request
     if words[0] not in sys.modules:
         importlib.import_module(words[0])
         gc.freeze()

@@ -31,9 +31,9 @@ def open_recording(host: Page, name: str) -> str:
 
 
 def join(host: Page, joined: list[Phone]) -> None:
+    """Join one phone after the other: the service numbers them in this order."""
     for phone in joined:
         phone.allow_camera()
-    for phone in joined:
         phone.expect_state("Ready")
         expect(phone_card(host, phone.name).locator(".state")).to_have_text("ready")
 
