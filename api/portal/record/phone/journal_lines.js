@@ -18,7 +18,8 @@ export function parseJournal(text) {
 /**
  * Part of a take, from the facts of its journal and the bytes that are there; null of a journal without its beginning.
  *
- * Times are the service's, in seconds. A part that was not ended was cut, and is there up to `endS`, its last piece.
+ * Times are the service's, in seconds. A part that was not ended was cut, and is there up to `endS`, its last piece. `isAgain` is
+ * true of a part whose upload takes the place of one that the service has no more.
  */
 export function partOf({ key, facts, numBytes, isOpen }) {
   const find = (kind) => facts.findLast((fact) => fact.fact === kind);
@@ -26,7 +27,8 @@ export function partOf({ key, facts, numBytes, isOpen }) {
   if (!begin) return null;
   const [first, piece, end] = ["first", "piece", "end"].map(find);
   // An upload that the service has no more counts for nothing.
-  const since = facts.slice(facts.findLastIndex(({ fact }) => fact === "gone") + 1);
+  const gone = facts.findLastIndex(({ fact }) => fact === "gone");
+  const since = facts.slice(gone + 1);
   const [upload, sent] = ["upload", "sent"].map((kind) => since.findLast(({ fact }) => fact === kind));
   const firstFrameS = first?.at_s ?? begin.at_s;
   const endS = (end ?? piece)?.until_s ?? firstFrameS;
@@ -34,7 +36,7 @@ export function partOf({ key, facts, numBytes, isOpen }) {
     key, recording: begin.recording, take: begin.take, part: begin.part, mimeType: begin.mime_type, track: begin.track ?? null,
     numBytes, isOpen, isCut: !isOpen && !end, firstFrameS, stdS: first?.std_s ?? UNKNOWN_STD_S, endS, durationS: Math.max(0, endS - firstFrameS),
     numFrames: (end ?? piece)?.num_frames ?? 0, dropped: (end ?? piece)?.dropped ?? 0,
-    uploadUrl: upload?.url ?? null, uploadId: sent?.upload_id ?? null,
+    uploadUrl: upload?.url ?? null, uploadId: sent?.upload_id ?? null, isAgain: gone >= 0,
   };
 }
 

@@ -184,8 +184,8 @@ export class PhoneCamera extends EventTarget {
       else if (own.length) {
         if (this.recorder?.take === take.number) await this.#stop(take.number, take.stop_s);
         this.#tellStopped(take.number);
-        // Messages that were sent while the connection was lost.
-        for (const part of own) if (part.uploadId !== null && !take.parts.includes(part.part)) this.#tellSent(part, part.uploadId);
+        // Messages that were sent while the connection was lost. Of a part that was sent again the service may know the upload before.
+        for (const part of own) if (part.uploadId !== null && (part.isAgain || !take.parts.includes(part.part))) this.#tellSent(part, part.uploadId);
         if (take.is_upload_wanted) this.#wanted(take.number);
       }
     }

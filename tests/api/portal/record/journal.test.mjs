@@ -66,6 +66,7 @@ test("an upload that the service has no more counts for nothing", () => {
   const facts = [BEGIN, FIRST, ...PIECES, END, { fact: "upload", url: "/v1/uploads/u" }, { fact: "sent", upload_id: "u" }, { fact: "gone" }];
   const gone = part(facts);
   assert.deepEqual([gone.uploadUrl, gone.uploadId, gone.numFrames], [null, null, 30]);
+  assert.deepEqual([gone.isAgain, part(facts.slice(0, -1)).isAgain], [true, false]);
   const again = part([...facts, { fact: "upload", url: "/v1/uploads/v" }, { fact: "sent", upload_id: "v" }]);
-  assert.deepEqual([again.uploadUrl, again.uploadId], ["/v1/uploads/v", "v"]);
+  assert.deepEqual([again.uploadUrl, again.uploadId, again.isAgain], ["/v1/uploads/v", "v", true]);
 });
