@@ -24,8 +24,10 @@ RUN /opt/multicap/bin/multicap models install movenet-multipose movenet-multipos
         openpose-mobilenet-thin \
     && /opt/multicap/bin/multicap bodies install \
     && /opt/multicap/bin/python -P -m multicap.pipeline.warm_up
-# Packages of networks, and tests of libraries: a seventh of the image.
+# Packages of networks, tests of libraries, and what builds them: a seventh of the image.
 RUN rm -rf /opt/multicap-home/downloads /opt/multicap/lib/python3.11/site-packages/onnx/backend/test \
+    && /opt/multicap/bin/python -m pip uninstall --quiet --yes setuptools \
+    && find /opt/multicap/lib -type f \( -name '*.h' -o -name '*.pyx' -o -name '*.pxd' \) -delete \
     && find /opt/multicap/lib -type d -name tests -prune -exec rm -rf {} +
 
 FROM python:3.11-slim-bookworm
