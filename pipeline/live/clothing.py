@@ -51,9 +51,7 @@ class LiveClothes:
         return len(self._halves)
 
     def add(self, number: int, colours: Sequence[ColourOfCamera]) -> None:
-        """Take the colours of a person's detections of some time."""
-        if not colours:
-            return
+        """Take the colours of a person's detections of some time, one at least."""
         cameras, histograms = zip(*colours, strict=True)
         clothes = mean_clothes(np.array(histograms), np.array(cameras), self._num_cameras)
         known = self._halves.pop(number, None)

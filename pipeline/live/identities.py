@@ -217,7 +217,7 @@ class Identities:
     def _former(self, number: int) -> int | None:
         """Number of the absent person who is this one; ``None`` if it is nobody, or not clear."""
         present = set(self._number.values())
-        # Whoever was never located often enough in a second can't be recognised: bones need fewer positions.
+        # People who were located too seldom in each second have bones, which need fewer positions, and no lengths.
         absent = [known for known in self._known if known not in present and known in self._seconds]
         if not absent:
             return None

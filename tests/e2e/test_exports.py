@@ -193,7 +193,8 @@ def beginning_of(path: Path, folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("capture", "read", "preset"),
     on_captures(
-        [(read, "default") for read in PYTHON_READERS], [(read, one) for read in PYTHON_READERS for one in PRESET_NAMES]
+        [(read, "default") for read in PYTHON_READERS],
+        [(read, preset) for read in PYTHON_READERS for preset in PRESET_NAMES],
     ),
     indirect=["capture"],
 )

@@ -54,7 +54,7 @@ class SmallStageService:
         return found[0]
 
     def is_whole(self) -> bool:
-        """Whether all parts run, and both children of the worker."""
+        """Return whether all parts run, and both children of the worker."""
         with contextlib.suppress(AssertionError, psutil.NoSuchProcess):
             return len(psutil.Process(self.process.pid).children()) == 3 and len(self.worker_children()) == 2
         return False
