@@ -9,8 +9,8 @@ import numpy as np
 from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.fisheye import angle_limit_rad
-from pipeline.geometry.kernels import point_dtype, view_dtype
-from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
+from pipeline.geometry.kernels import BLOCK, POINT, VIEW
+from pipeline.runtime.jit import kernel, record_dtype, zero_records
 
 
 @cache
@@ -27,21 +27,20 @@ class Lenses(NamedTuple):
     distortions: np.ndarray  # (cameras, 12), in the order of camera.distort; of a fisheye its four coefficients
     fisheye_limit_rad: np.ndarray  # (cameras,): angle limit of a fisheye, 0 for the standard model
     min_weight: float  # an observation is used if its weight is above 0 and at least this
-    points: np.ndarray  # (1,) of kernels.point_dtype
-    views: np.ndarray  # (1,) of kernels.view_dtype
+    points: np.ndarray  # (1,) of kernels.POINT
+    views: np.ndarray  # (1,) of kernels.VIEW
 
 
-def make_lenses(cameras: Sequence[Camera], num_joints: int, min_weight: float) -> Lenses:
-    """Gather the cameras in arrays, and allocate the workspace for so many joints."""
-    lanes = round_up(num_joints)
+def make_lenses(cameras: Sequence[Camera], min_weight: float) -> Lenses:
+    """Gather the cameras in arrays, and allocate the workspace."""
     return Lenses(
         np.array([camera.cam_from_world.matrix for camera in cameras]),
         np.array([camera.matrix for camera in cameras]),
         np.array([twelve_coefficients(camera.distortion) for camera in cameras]),
         np.array([angle_limit_rad(camera.distortion) if camera.lens == "fisheye" else 0.0 for camera in cameras]),
         float(min_weight),
-        zero_records(1, point_dtype(lanes)),
-        zero_records(1, view_dtype(lanes)),
+        zero_records(1, POINT),
+        zero_records(1, VIEW),
     )
 
 
@@ -99,6 +98,42 @@ def _add_fisheye_errors(here, view, p, m, d, limit_rad):
 
 @kernel
 @no_type_check
+def _reproject_block(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views, start, stop):
+    """Reproject the joints from ``start`` to before ``stop``, as ``reproject_frame`` does."""
+    here, view = lenses.points[0], lenses.views[0]
+    here.cost[:] = 0.0
+    here.views[:] = 0.0
+    here.weight_sum[:] = 0.0
+    view.weight[:] = 0.0
+    for k in range(stop - start):
+        for axis in range(3):
+            here.xyz_m[axis, k] = xyz_m[start + k, axis]
+    for c in range(weights.shape[0]):
+        num_used = 0.0
+        for k in range(stop - start):
+            weight = weights[c, start + k]
+            view.weight[k] = weight if weight >= lenses.min_weight else 0.0
+            num_used += 1.0 if weight > 0 else 0.0
+        if num_used == 0:  # it would add only zeros
+            continue
+        for k in range(stop - start):
+            view.px[0, k], view.px[1, k] = flat_px[c, 2 * (start + k)], flat_px[c, 2 * (start + k) + 1]
+        limit_rad = lenses.fisheye_limit_rad[c]
+        if limit_rad > 0:
+            _add_fisheye_errors(here, view, lenses.poses[c], lenses.matrices[c], lenses.distortions[c], limit_rad)
+        else:
+            _add_errors(here, view, lenses.poses[c], lenses.matrices[c], lenses.distortions[c])
+    for k in range(stop - start):
+        seen = here.views[k]
+        error, weight = here.cost[k] / seen, here.weight_sum[k] / seen
+        located = (seen > 0) & (error == error)
+        views[start + k] = seen if located else 0.0
+        error_px[start + k] = error if located else np.nan
+        mean_weight[start + k] = weight if located else 0.0
+
+
+@kernel
+@no_type_check
 def reproject_frame(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views):
     """Compute the mean reprojection error over the cameras that saw a joint, and the number of these cameras.
 
@@ -115,34 +150,9 @@ def reproject_frame(lenses, xyz_m, flat_px, weights, error_px, mean_weight, view
     mean_weight, views
         Output: mean weight and number of the cameras that saw the joint, (joints,); 0 where there is no error.
     """
-    here, view = lenses.points[0], lenses.views[0]
-    here.cost[:] = 0.0
-    here.views[:] = 0.0
-    here.weight_sum[:] = 0.0
-    for k in range(weights.shape[1]):
-        for axis in range(3):
-            here.xyz_m[axis, k] = xyz_m[k, axis]
-    for c in range(weights.shape[0]):
-        num_used = 0.0
-        for k in range(weights.shape[1]):
-            view.weight[k] = weights[c, k] if weights[c, k] >= lenses.min_weight else 0.0
-            num_used += 1.0 if weights[c, k] > 0 else 0.0
-        if num_used == 0:  # it would add only zeros
-            continue
-        for k in range(weights.shape[1]):
-            view.px[0, k], view.px[1, k] = flat_px[c, 2 * k], flat_px[c, 2 * k + 1]
-        limit_rad = lenses.fisheye_limit_rad[c]
-        if limit_rad > 0:
-            _add_fisheye_errors(here, view, lenses.poses[c], lenses.matrices[c], lenses.distortions[c], limit_rad)
-        else:
-            _add_errors(here, view, lenses.poses[c], lenses.matrices[c], lenses.distortions[c])
-    for k in range(weights.shape[1]):
-        seen = here.views[k]
-        error, weight = here.cost[k] / seen, here.weight_sum[k] / seen
-        located = (seen > 0) & (error == error)
-        views[k] = seen if located else 0.0
-        error_px[k] = error if located else np.nan
-        mean_weight[k] = weight if located else 0.0
+    for start in range(0, weights.shape[1], BLOCK):
+        stop = min(start + BLOCK, weights.shape[1])
+        _reproject_block(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views, start, stop)
 
 
 @kernel

@@ -1,18 +1,20 @@
 """Triangulation of whole tracks, and interpolation of their gaps, as compiled loops.
 
-``triangulation.py`` is the triangulation in plain NumPy; read it first. Tests compare both. Intermediate values are
-stored in records whose arrays have the joints last, with a length that is known at compile time, so that loops over
-joints are vectorised.
+``triangulation.py`` is the triangulation in plain NumPy; read it first. Tests compare both. Joints are computed in
+blocks. Intermediate values of a block are stored in records whose arrays have its joints last, with a length that is
+known at compile time, so that loops over joints are vectorised and compiled once for all numbers of joints.
 """
 
-from functools import cache
 from typing import NamedTuple, no_type_check
 
 import numpy as np
 
 from pipeline.data.people import Source
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
-from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
+from pipeline.runtime.jit import kernel, record_dtype, zero_records
+
+BLOCK = 28
+"""Joints that are computed together; a body with feet is one block."""
 
 _NUM_NORMAL = 9
 # The guess for a joint is its median over so many frames on each side.
@@ -20,36 +22,30 @@ _REACH = 2
 _MIN_DETERMINANT = 1e-5
 _ABSENT, _MEASURED, _INTERPOLATED = int(Source.ABSENT), int(Source.MEASURED), int(Source.INTERPOLATED)
 
+VIEW = record_dtype(
+    ("rows", np.float64, (8, BLOCK)),  # planes through the ray (Chen et al. 2020, eq. 7-9)
+    ("over2", np.float64, (2, BLOCK)),  # inverse squared norms of the rows (eq. 11)
+    ("normal", np.float64, (_NUM_NORMAL, BLOCK)),  # contribution to the normal equations at weight 1
+    ("base2", np.float64, (BLOCK,)),  # squared weight
+    ("weight", np.float64, (BLOCK,)),  # squared weight times the robust weight
+    ("off2", np.float64, (BLOCK,)),  # squared distance to the point, 0 where the point or the view is unused
+    ("px", np.float64, (2, BLOCK)),
+)
+"""Record of a camera: rows, weights and distances of a block of joints."""
 
-@cache
-def view_dtype(lanes: int) -> np.dtype:
-    """Record of a camera: rows, weights and distances of all joints."""
-    return record_dtype(
-        ("rows", np.float64, (8, lanes)),  # planes through the ray (Chen et al. 2020, eq. 7-9)
-        ("over2", np.float64, (2, lanes)),  # inverse squared norms of the rows (eq. 11)
-        ("normal", np.float64, (_NUM_NORMAL, lanes)),  # contribution to the normal equations at weight 1
-        ("base2", np.float64, (lanes,)),  # squared weight
-        ("weight", np.float64, (lanes,)),  # squared weight times the robust weight
-        ("off2", np.float64, (lanes,)),  # squared distance to the point, 0 where the point or the view is unused
-        ("px", np.float64, (2, lanes)),
-    )
-
-
-@cache
-def point_dtype(lanes: int) -> np.dtype:
-    """Record of the triangulation of all joints from all cameras."""
-    return record_dtype(
-        # The six entries of a symmetric 3x3 matrix and the right-hand side of the normal equations.
-        ("normal", np.float64, (_NUM_NORMAL, lanes)),
-        ("views", np.float64, (lanes,)),
-        ("xyz_m", np.float64, (3, lanes)),
-        ("kept_m", np.float64, (3, lanes)),
-        ("worst2", np.float64, (lanes,)),
-        ("num_far", np.float64, (lanes,)),
-        ("cost", np.float64, (lanes,)),
-        ("kept_cost", np.float64, (lanes,)),
-        ("weight_sum", np.float64, (lanes,)),
-    )
+POINT = record_dtype(
+    # The six entries of a symmetric 3x3 matrix and the right-hand side of the normal equations.
+    ("normal", np.float64, (_NUM_NORMAL, BLOCK)),
+    ("views", np.float64, (BLOCK,)),
+    ("xyz_m", np.float64, (3, BLOCK)),
+    ("kept_m", np.float64, (3, BLOCK)),
+    ("worst2", np.float64, (BLOCK,)),
+    ("num_far", np.float64, (BLOCK,)),
+    ("cost", np.float64, (BLOCK,)),
+    ("kept_cost", np.float64, (BLOCK,)),
+    ("weight_sum", np.float64, (BLOCK,)),
+)
+"""Record of the triangulation of a block of joints from all cameras."""
 
 
 class Solver(NamedTuple):
@@ -60,37 +56,37 @@ class Solver(NamedTuple):
     scales_m: np.ndarray  # triangulation.SCALES_M
     disputed_m: float  # triangulation.DISPUTED_M
     reach: int  # a guess is the median over so many frames on each side
-    views: np.ndarray  # (cameras,) of view_dtype
-    points: np.ndarray  # (1,) of point_dtype
+    views: np.ndarray  # (cameras,) of VIEW
+    points: np.ndarray  # (1,) of POINT
     window: np.ndarray  # (2 * reach + 1,): sorted values around a frame
 
 
-def make_solver(image_from_world: np.ndarray, num_joints: int, min_weight: float) -> Solver:
-    """Allocate the workspace for so many joints, and gather the settings of ``triangulation.triangulate_robust``."""
-    lanes = round_up(num_joints)
+def make_solver(image_from_world: np.ndarray, min_weight: float) -> Solver:
+    """Allocate the workspace, and gather the settings of ``triangulation.triangulate_robust``."""
     return Solver(
         image_from_world,
         float(min_weight),
         np.array(SCALES_M),
         DISPUTED_M,
         _REACH,
-        zero_records(len(image_from_world), view_dtype(lanes)),
-        zero_records(1, point_dtype(lanes)),
+        zero_records(len(image_from_world), VIEW),
+        zero_records(1, POINT),
         np.empty(2 * _REACH + 1),
     )
 
 
 @kernel
 @no_type_check
-def _fill_rows(solver, flat_px, weights):
-    """Compute the rows of the views that have a joint, and their norms (Chen et al. 2020, eq. 7-9 and 11).
+def _fill_rows(solver, flat_px, weights, start, stop):
+    """Compute the rows of the views that have a joint of a block, and their norms (Chen et al. 2020, eq. 7-9 and 11).
 
-    Returns the number of these views; the others would add only zeros to all sums.
+    The block has the joints from ``start`` to before ``stop``. Returns the number of these views; the others would add
+    only zeros to all sums.
     """
     num_views = 0
     for c in range(len(weights)):
         num_used = 0.0
-        for k in range(weights.shape[1]):
+        for k in range(start, stop):
             num_used += 1.0 if weights[c, k] > 0 else 0.0
         if num_used == 0:
             continue
@@ -99,9 +95,10 @@ def _fill_rows(solver, flat_px, weights):
         p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
         p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
         p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
-        for k in range(weights.shape[1]):
-            view.px[0, k], view.px[1, k] = flat_px[c, 2 * k], flat_px[c, 2 * k + 1]
-            view.weight[k] = weights[c, k]
+        view.weight[:] = 0.0
+        for k in range(stop - start):
+            view.px[0, k], view.px[1, k] = flat_px[c, 2 * (start + k)], flat_px[c, 2 * (start + k) + 1]
+            view.weight[k] = weights[c, start + k]
         for k in range(view.weight.shape[0]):
             u, v, w = view.px[0, k], view.px[1, k], view.weight[k]
             used = (w > 0) & (w >= solver.min_weight) & (u + v == u + v)
@@ -296,12 +293,15 @@ def triangulate_frame(solver, flat_px, weights, xyz_m, disputed):
     disputed
         Output: whether the views of a joint disagree, (joints,).
     """
-    here, num_views = solver.points[0], _fill_rows(solver, flat_px, weights)
-    _triangulate_alone(solver.views[:num_views], here, solver.scales_m, solver.disputed_m)
-    for k in range(weights.shape[1]):
-        disputed[k] = here.num_far[k] > 0
-        for axis in range(3):
-            xyz_m[k, axis] = here.xyz_m[axis, k]
+    here = solver.points[0]
+    for start in range(0, weights.shape[1], BLOCK):
+        stop = min(start + BLOCK, weights.shape[1])
+        num_views = _fill_rows(solver, flat_px, weights, start, stop)
+        _triangulate_alone(solver.views[:num_views], here, solver.scales_m, solver.disputed_m)
+        for k in range(stop - start):
+            disputed[start + k] = here.num_far[k] > 0
+            for axis in range(3):
+                xyz_m[start + k, axis] = here.xyz_m[axis, k]
 
 
 @kernel
@@ -352,7 +352,7 @@ def guess_from_neighbours(solver, xyz_m, disputed, guess_m):
 @kernel
 @no_type_check
 def _from_guess(views, here, scales_m, disputed, guess_m, xyz_m):
-    """Triangulate disputed joints from their guess; keep the position with the lower robust cost."""
+    """Triangulate the disputed joints of a block from their guess; keep the position with the lower robust cost."""
     num_joints = len(xyz_m)
     for k in range(num_joints):
         for axis in range(3):
@@ -380,8 +380,12 @@ def settle_frame(solver, flat_px, weights, disputed, guess_m, xyz_m):
     This is ``triangulation.triangulate_robust`` with a guess, after ``triangulate_frame`` and
     ``guess_from_neighbours``. ``xyz_m`` is changed in place where the guess wins.
     """
-    num_views = _fill_rows(solver, flat_px, weights)
-    _from_guess(solver.views[:num_views], solver.points[0], solver.scales_m, disputed, guess_m, xyz_m)
+    for start in range(0, weights.shape[1], BLOCK):
+        stop = min(start + BLOCK, weights.shape[1])
+        if np.any(disputed[start:stop]):
+            views = solver.views[: _fill_rows(solver, flat_px, weights, start, stop)]
+            block = disputed[start:stop], guess_m[start:stop], xyz_m[start:stop]
+            _from_guess(views, solver.points[0], solver.scales_m, *block)
 
 
 @kernel

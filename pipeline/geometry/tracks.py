@@ -43,7 +43,7 @@ def triangulate_frames(
     num_frames, num_cameras, num_joints = weights.shape
     xyz_m, guess_m = np.empty((num_frames, num_joints, 3)), np.empty((num_frames, num_joints, 3))
     disputed = np.empty((num_frames, num_joints), bool)
-    solver = make_solver(image_from_world, num_joints, min_weight)
+    solver = make_solver(image_from_world, min_weight)
     flat_px = as_compiled(points_px.reshape(num_frames, num_cameras, 2 * num_joints))
     triangulate_all(solver, flat_px, as_compiled(weights), xyz_m, disputed, guess_m)
     return xyz_m
@@ -91,7 +91,7 @@ def reproject(
     """
     shape = xyz_m.shape[:2]
     error_px, mean_weight, views = np.empty(shape), np.empty(shape), np.empty(shape, np.int64)
-    lenses = make_lenses(cameras, xyz_m.shape[1], min_weight)
+    lenses = make_lenses(cameras, min_weight)
     flat_px = as_compiled(points_px.reshape(*weights.shape[:2], 2 * xyz_m.shape[1]))
     reproject_all(lenses, as_compiled(xyz_m), flat_px, as_compiled(weights), error_px, mean_weight, views)
     return error_px, mean_weight, views

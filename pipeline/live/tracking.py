@@ -59,7 +59,7 @@ class LiveTracker:
         self._parameters, self._rate_hz = parameters, rate_hz
         self._state = TrackerState(cameras, num_joints, parameters)
         self._image_from_world = projection_matrices(cameras)
-        self._solver = make_solver(self._image_from_world, num_joints, parameters.min_score)
+        self._solver = make_solver(self._image_from_world, parameters.min_score)
         self._frame_s = np.full(len(cameras), -np.inf)  # time of each camera's latest frame
         self._targets: dict[int, _Target] = {}
         self._num_people = 0

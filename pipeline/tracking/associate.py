@@ -135,7 +135,7 @@ def _triangulate(
 ) -> list[Float[np.ndarray, "_ joints 3"]]:
     """Triangulate each person at the output instants, robustly."""
     num_joints = bodies.score.shape[1]
-    solver = make_solver(projection_matrices(cameras), num_joints, parameters.min_score)
+    solver = make_solver(projection_matrices(cameras), parameters.min_score)
     flat_px = ideal_px.reshape(len(ideal_px), 2 * num_joints)
     room = np.empty((len(cameras), 2 * num_joints)), np.empty((len(cameras), num_joints))
 
@@ -159,7 +159,7 @@ def _record(
 ) -> People:
     """Make each person's track, and the observations behind it in distorted pixels."""
     num_cameras, num_joints = len(cameras), bodies.score.shape[1]
-    lenses = make_lenses(cameras, num_joints, parameters.min_score)
+    lenses = make_lenses(cameras, parameters.min_score)
     lives = [find_life(timebase, person_m) for person_m in xyz_m]
     # One array for all people: its memory consists of larger pages, and its first use takes a fifth of the time.
     num_frames = sum(life.stop - life.start for life in lives if life is not None)

@@ -20,6 +20,7 @@ from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 from threadpoolctl import ThreadpoolController
 
+from pipeline.runtime.jit import as_compiled
 from pipeline.skeleton.fitting.articulation import NUM_ROOT, Articulation
 from pipeline.skeleton.fitting.articulation_kernels import assemble, differentiate, pose, turn
 from pipeline.skeleton.fitting.positions import tie_weight
@@ -202,7 +203,7 @@ def linearise(
     if bodies.is_tied is not None:
         tie *= (bodies.is_tied[1:] & bodies.is_tied[:-1])[:, None]
     lower, right = np.zeros((num_frames * num_freedoms, 3 * num_freedoms)), np.zeros(num_frames * num_freedoms)
-    curvature, pull = evidence.normal_equations(posed.landmark_m)
+    curvature, pull = map(as_compiled, evidence.normal_equations(posed.landmark_m))
     assemble(jacobian, skeleton.moved_by, skeleton.num_moved_by, curvature, pull, tie, second_m, lower, right)
     by_frame, force = lower.reshape(num_frames, num_freedoms, -1), right.reshape(num_frames, num_freedoms)
     _draw_to_rest(bodies, skeleton, by_frame, force)

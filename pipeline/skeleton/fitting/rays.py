@@ -9,6 +9,7 @@ from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.joints import JointSet
+from pipeline.runtime.jit import as_compiled
 from pipeline.skeleton.fitting.ray_kernels import squared_distances, sum_normal_equations
 
 # Noise of a detector across a ray.
@@ -112,7 +113,7 @@ class Rays:
     def _off_m2(self, joint: int, xyz_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames cameras"]:
         """Squared distances of positions to the rays of a joint."""
         off_m2 = np.empty(self._weight.shape[:2])
-        squared_distances(self._rays[:, :, joint], self._centers_m, xyz_m, off_m2)
+        squared_distances(self._rays[:, :, joint], self._centers_m, as_compiled(xyz_m), off_m2)
         return off_m2
 
     def _summed(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.camera_kernels import reproject_all
-from pipeline.geometry.kernels import triangulate_all
+from pipeline.geometry.kernels import BLOCK, triangulate_all
 from pipeline.geometry.tracks import reproject, triangulate_frames
 from tests.pipeline.geometry.test_camera import camera
 
@@ -35,3 +35,23 @@ def test_other_arrays_compile_no_kernel_and_change_nothing(kind: str) -> None:
     assert (len(triangulate_all.signatures), len(reproject_all.signatures)) == compiled
     for one, two in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("num_joints", [BLOCK, BLOCK + 1, 2 * BLOCK + 7])
+def test_each_joint_is_computed_as_if_it_were_alone(num_joints: int) -> None:
+    rng = np.random.default_rng(num_joints)
+    matrices, points_px = rng.normal(size=(4, 3, 4)), rng.uniform(0.0, 100.0, (6, 4, num_joints, 2))
+    points_px[rng.random((6, 4, num_joints)) < 0.3] = np.nan
+    weights, xyz_m = rng.uniform(0.0, 1.0, (6, 4, num_joints)), rng.normal(size=(6, num_joints, 3))
+    cameras = [camera([0.0] * 5)] * 4
+
+    def computed(joints: slice) -> list[np.ndarray]:
+        seen = points_px[:, :, joints], weights[:, :, joints]
+        return [triangulate_frames(matrices, *seen, 0.3), *reproject(cameras, xyz_m[:, joints], *seen, 0.3)]
+
+    alone = [computed(slice(k, k + 1)) for k in range(num_joints)]
+    together = computed(slice(None))
+    assert np.isfinite(together[0]).any()
+    assert np.isfinite(together[1]).any()
+    for number, values in enumerate(together):
+        np.testing.assert_array_equal(values, np.concatenate([parts[number] for parts in alone], axis=1))
