@@ -52,6 +52,14 @@ def test_shelf_by_clustering() -> None:
 
 
 @NEEDS_SHELF
+def test_live_capture_of_real_people_is_near_the_finished_session() -> None:
+    scores = evaluated("shelf", "--live")
+    assert scores["live"]["people"] == 4
+    assert scores["live"]["switches"] == 0
+    assert scores["live"]["pcp"]["average"] >= scores["pcp"]["average"] - 1.0
+
+
+@NEEDS_SHELF
 @pytest.mark.accuracy
 def test_shelf_at_one_image_in_five() -> None:
     whole, thinned = (evaluated("shelf", "--smoothing=none", f"--every={every}") for every in (1, 5))

@@ -20,6 +20,7 @@ from pipeline.evaluation.camera_errors import without_extrinsics
 from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.evaluation.datasets.shelf_ablation import ablate
 from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
+from pipeline.evaluation.live import live_tracks
 from pipeline.joints import COCO_17
 from pipeline.problem_codes.commands import NO_ABLATION
 from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
@@ -41,6 +42,9 @@ def command(
     ] = 1,
     ablation: Annotated[
         bool, typer.Option(help="Also measure the contribution of each part of the method (half a minute).")
+    ] = False,
+    live: Annotated[
+        bool, typer.Option(help="Also score a live capture of the same keypoints, which knows no later images.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -88,12 +92,17 @@ def command(
             **refinement_scores(refinement),
             **errors,
         }
+        if live:
+            tracks_live = live_tracks(*views, benchmark.timebase, COCO_17)
+            result["live"] = {"people": len(tracks_live), **score_shelf(tracks_live, benchmark)}
         if ablation:
             result["ablation"] = ablate(whole)
     if as_json:
         emit(result)
         return
     _print_shelf(result)
+    if live:
+        _print_live(result["live"])
     if ablation:
         _print_ablation(result["ablation"])
 
@@ -123,6 +132,12 @@ def _print_shelf(result: dict[str, Any]) -> None:
         ),
     )
     typer.echo("Actors are annotated in some images only: unmatched tracks count as false near an annotated actor.")
+
+
+def _print_live(found: dict[str, Any]) -> None:
+    actors = ", ".join(f"{value:.2f}" for value in found["pcp"]["actors"])
+    people = f"{found['people']} people, identity switches {found['switches']}"
+    typer.echo(f"Live: average PCP {found['pcp']['average']:.2f} % ({actors}), {people}")
 
 
 def _print_ablation(ablation: dict[str, Any]) -> None:
