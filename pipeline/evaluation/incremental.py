@@ -105,16 +105,17 @@ def locate_incrementally(
                 penalty[number] = np.exp(-parameters.lambda_t_hz * (now_s - time_s[rows[-1]]))
                 ages_s.append(now_s - time_s[rows[-1]])
             xyz_m[frame] = triangulate_last(projections, points_px, penalty, kind)
-        tracks.append(_track(len(tracks) + 1, xyz_m))
+        tracks.append(unscored_track(len(tracks) + 1, xyz_m))
     return tuple(tracks), float(np.mean(ages_s)) if ages_s else 0.0
 
 
-def _track(track_id: int, xyz_m: Float[np.ndarray, "frames joints 3"]) -> Track3D:
+def unscored_track(track_id: int, xyz_m: Float[np.ndarray, "frames joints 3"], start_frame: int = 0) -> Track3D:
+    """Track of positions in metres, NaN where a joint is unknown; scores and views are 0, errors are NaN."""
     shape = xyz_m.shape[:2]
     known = np.isfinite(xyz_m[..., 0])
     return Track3D(
         track_id=track_id,
-        start_frame=0,
+        start_frame=start_frame,
         xyz_m=xyz_m,
         score=np.zeros(shape),
         source=np.where(known, Source.MEASURED, Source.ABSENT).astype(np.int8),

@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
-from pipeline.data.people import Source, Track3D
+from pipeline.data.people import Track3D
+from pipeline.evaluation.incremental import unscored_track
 from pipeline.joints import JointSet
 from pipeline.live.capture import LiveCapture
 from pipeline.live.recorded import recorded_frames
@@ -22,10 +23,7 @@ def live_tracks(
     timebase: Timebase,
     joints: JointSet,
 ) -> tuple[Track3D, ...]:
-    """Play detections to a live capture; return what it says of each person, NaN where it says nothing.
-
-    Scores and views are 0, errors are NaN. The first instant is output frame 0.
-    """
+    """Play detections to a live capture; return what it says of each person, NaN where it says nothing."""
     capture = LiveCapture(cameras, joints, LiveSettings(timebase.frame_rate_hz))
     instants = [instant for frame in recorded_frames(cameras, times, detections) for instant in capture.push(*frame)]
     instants += capture.flush()
@@ -43,13 +41,4 @@ def _track(number: int, said: Mapping[int, Float[np.ndarray, "joints 3"]]) -> Tr
     xyz_m = np.full((last - first + 1, num_joints, 3), np.nan)
     for frame, joints_m in said.items():
         xyz_m[frame - first] = joints_m
-    shape = xyz_m.shape[:2]
-    return Track3D(
-        track_id=number,
-        start_frame=first,
-        xyz_m=xyz_m,
-        score=np.zeros(shape),
-        source=np.where(np.isfinite(xyz_m[..., 0]), Source.MEASURED, Source.ABSENT).astype(np.int8),
-        error_px=np.full(shape, np.nan),
-        views=np.zeros(shape, int),
-    )
+    return unscored_track(number, xyz_m, first)
