@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.fisheye import angle_limit_rad
-from pipeline.geometry.kernels import BLOCK, POINT, VIEW
+from pipeline.geometry.kernels import BLOCK_JOINTS, POINT_DTYPE, VIEW_DTYPE
 from pipeline.runtime.jit import kernel, record_dtype, zero_records
 
 
@@ -27,8 +27,8 @@ class Lenses(NamedTuple):
     distortions: np.ndarray  # (cameras, 12), in the order of camera.distort; of a fisheye its four coefficients
     fisheye_limit_rad: np.ndarray  # (cameras,): angle limit of a fisheye, 0 for the standard model
     min_weight: float  # an observation is used if its weight is above 0 and at least this
-    points: np.ndarray  # (1,) of kernels.POINT
-    views: np.ndarray  # (1,) of kernels.VIEW
+    points: np.ndarray  # (1,) of kernels.POINT_DTYPE
+    views: np.ndarray  # (1,) of kernels.VIEW_DTYPE
 
 
 def make_lenses(cameras: Sequence[Camera], min_weight: float) -> Lenses:
@@ -39,8 +39,8 @@ def make_lenses(cameras: Sequence[Camera], min_weight: float) -> Lenses:
         np.array([twelve_coefficients(camera.distortion) for camera in cameras]),
         np.array([angle_limit_rad(camera.distortion) if camera.lens == "fisheye" else 0.0 for camera in cameras]),
         float(min_weight),
-        zero_records(1, POINT),
-        zero_records(1, VIEW),
+        zero_records(1, POINT_DTYPE),
+        zero_records(1, VIEW_DTYPE),
     )
 
 
@@ -150,8 +150,8 @@ def reproject_frame(lenses, xyz_m, flat_px, weights, error_px, mean_weight, view
     mean_weight, views
         Output: mean weight and number of the cameras that saw the joint, (joints,); 0 where there is no error.
     """
-    for start in range(0, weights.shape[1], BLOCK):
-        stop = min(start + BLOCK, weights.shape[1])
+    for start in range(0, weights.shape[1], BLOCK_JOINTS):
+        stop = min(start + BLOCK_JOINTS, weights.shape[1])
         _reproject_block(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views, start, stop)
 
 

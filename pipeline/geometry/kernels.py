@@ -13,7 +13,7 @@ from pipeline.data.people import Source
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
 from pipeline.runtime.jit import kernel, record_dtype, zero_records
 
-BLOCK = 28
+BLOCK_JOINTS = 28
 """Joints that are computed together; a body with feet is one block."""
 
 _NUM_NORMAL = 9
@@ -22,28 +22,28 @@ _REACH = 2
 _MIN_DETERMINANT = 1e-5
 _ABSENT, _MEASURED, _INTERPOLATED = int(Source.ABSENT), int(Source.MEASURED), int(Source.INTERPOLATED)
 
-VIEW = record_dtype(
-    ("rows", np.float64, (8, BLOCK)),  # planes through the ray (Chen et al. 2020, eq. 7-9)
-    ("over2", np.float64, (2, BLOCK)),  # inverse squared norms of the rows (eq. 11)
-    ("normal", np.float64, (_NUM_NORMAL, BLOCK)),  # contribution to the normal equations at weight 1
-    ("base2", np.float64, (BLOCK,)),  # squared weight
-    ("weight", np.float64, (BLOCK,)),  # squared weight times the robust weight
-    ("off2", np.float64, (BLOCK,)),  # squared distance to the point, 0 where the point or the view is unused
-    ("px", np.float64, (2, BLOCK)),
+VIEW_DTYPE = record_dtype(
+    ("rows", np.float64, (8, BLOCK_JOINTS)),  # planes through the ray (Chen et al. 2020, eq. 7-9)
+    ("over2", np.float64, (2, BLOCK_JOINTS)),  # inverse squared norms of the rows (eq. 11)
+    ("normal", np.float64, (_NUM_NORMAL, BLOCK_JOINTS)),  # contribution to the normal equations at weight 1
+    ("base2", np.float64, (BLOCK_JOINTS,)),  # squared weight
+    ("weight", np.float64, (BLOCK_JOINTS,)),  # squared weight times the robust weight
+    ("off2", np.float64, (BLOCK_JOINTS,)),  # squared distance to the point, 0 where the point or the view is unused
+    ("px", np.float64, (2, BLOCK_JOINTS)),
 )
 """Record of a camera: rows, weights and distances of a block of joints."""
 
-POINT = record_dtype(
+POINT_DTYPE = record_dtype(
     # The six entries of a symmetric 3x3 matrix and the right-hand side of the normal equations.
-    ("normal", np.float64, (_NUM_NORMAL, BLOCK)),
-    ("views", np.float64, (BLOCK,)),
-    ("xyz_m", np.float64, (3, BLOCK)),
-    ("kept_m", np.float64, (3, BLOCK)),
-    ("worst2", np.float64, (BLOCK,)),
-    ("num_far", np.float64, (BLOCK,)),
-    ("cost", np.float64, (BLOCK,)),
-    ("kept_cost", np.float64, (BLOCK,)),
-    ("weight_sum", np.float64, (BLOCK,)),
+    ("normal", np.float64, (_NUM_NORMAL, BLOCK_JOINTS)),
+    ("views", np.float64, (BLOCK_JOINTS,)),
+    ("xyz_m", np.float64, (3, BLOCK_JOINTS)),
+    ("kept_m", np.float64, (3, BLOCK_JOINTS)),
+    ("worst2", np.float64, (BLOCK_JOINTS,)),
+    ("num_far", np.float64, (BLOCK_JOINTS,)),
+    ("cost", np.float64, (BLOCK_JOINTS,)),
+    ("kept_cost", np.float64, (BLOCK_JOINTS,)),
+    ("weight_sum", np.float64, (BLOCK_JOINTS,)),
 )
 """Record of the triangulation of a block of joints from all cameras."""
 
@@ -56,8 +56,8 @@ class Solver(NamedTuple):
     scales_m: np.ndarray  # triangulation.SCALES_M
     disputed_m: float  # triangulation.DISPUTED_M
     reach: int  # a guess is the median over so many frames on each side
-    views: np.ndarray  # (cameras,) of VIEW
-    points: np.ndarray  # (1,) of POINT
+    views: np.ndarray  # (cameras,) of VIEW_DTYPE
+    points: np.ndarray  # (1,) of POINT_DTYPE
     window: np.ndarray  # (2 * reach + 1,): sorted values around a frame
 
 
@@ -69,8 +69,8 @@ def make_solver(image_from_world: np.ndarray, min_weight: float) -> Solver:
         np.array(SCALES_M),
         DISPUTED_M,
         _REACH,
-        zero_records(len(image_from_world), VIEW),
-        zero_records(1, POINT),
+        zero_records(len(image_from_world), VIEW_DTYPE),
+        zero_records(1, POINT_DTYPE),
         np.empty(2 * _REACH + 1),
     )
 
@@ -294,8 +294,8 @@ def triangulate_frame(solver, flat_px, weights, xyz_m, disputed):
         Output: whether the views of a joint disagree, (joints,).
     """
     here = solver.points[0]
-    for start in range(0, weights.shape[1], BLOCK):
-        stop = min(start + BLOCK, weights.shape[1])
+    for start in range(0, weights.shape[1], BLOCK_JOINTS):
+        stop = min(start + BLOCK_JOINTS, weights.shape[1])
         num_views = _fill_rows(solver, flat_px, weights, start, stop)
         _triangulate_alone(solver.views[:num_views], here, solver.scales_m, solver.disputed_m)
         for k in range(stop - start):
@@ -380,8 +380,8 @@ def settle_frame(solver, flat_px, weights, disputed, guess_m, xyz_m):
     This is ``triangulation.triangulate_robust`` with a guess, after ``triangulate_frame`` and
     ``guess_from_neighbours``. ``xyz_m`` is changed in place where the guess wins.
     """
-    for start in range(0, weights.shape[1], BLOCK):
-        stop = min(start + BLOCK, weights.shape[1])
+    for start in range(0, weights.shape[1], BLOCK_JOINTS):
+        stop = min(start + BLOCK_JOINTS, weights.shape[1])
         if np.any(disputed[start:stop]):
             views = solver.views[: _fill_rows(solver, flat_px, weights, start, stop)]
             block = disputed[start:stop], guess_m[start:stop], xyz_m[start:stop]
