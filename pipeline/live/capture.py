@@ -28,6 +28,9 @@ _MOST_BODIES = 128
 _LONGEST_S = 1e11
 # Instants without frames are left out, except those in a pause up to this long.
 _LONGEST_PAUSE_S = 1.0
+# Bones are learnt in steps at instants that are this far apart, so that those of several people delay no instant: a
+# step takes about as long as a pose. Less than the distance of two instants at 60 Hz, rounded.
+_LEARNING_STEP_S = 0.03
 
 
 class LiveCapture:
@@ -74,8 +77,8 @@ class LiveCapture:
         self._bodies: dict[int, LiveBody] = {}
         bodies = [np.array(length_m) for length_m in settings.bodies]
         self._identities = Identities(joints, len(cameras), bodies, offsets)
-        # True until somebody's bones are learnt at the current instant: those of several people would delay it.
-        self._may_learn = True
+        # Time of the last step of learning somebody's bones
+        self._learnt_s = -math.inf
         self._start_s: float | None = None
         self._num_instants = 0
 
@@ -157,7 +160,6 @@ class LiveCapture:
     def _instant(self, time_s: float) -> LiveInstant:
         self._bodies = {number: body for number, body in self._bodies.items() if number in self._tracker.numbers}
         self._identities.keep(self._tracker.numbers)
-        self._may_learn = True
         people = sorted((self._person(time_s, seen) for seen in self._tracker.people_at(time_s)), key=attrgetter("id"))
         return LiveInstant(time_s, tuple(people), max(0.0, self._queue.newest_s - time_s))
 
@@ -175,11 +177,12 @@ class LiveCapture:
         known = self._identities.see(seen.number, time_s, seen.xyz_m, seen.colours)
         if known is not None and body.bones is None:
             body.recall(known.length_m, known.bones)
-        had_bones = body.bones is not None
-        followed = body.follow(time_s, seen.xyz_m, rays.swapaxes(0, 1), seen.score.T, self._may_learn)
-        if body.bones is not None and not had_bones:
-            self._may_learn = False
-            self._identities.learn(seen.number, body.bones)
+        followed = body.follow(time_s, seen.xyz_m, rays.swapaxes(0, 1), seen.score.T)
+        if body.is_learning and time_s - self._learnt_s >= _LEARNING_STEP_S:
+            self._learnt_s = time_s
+            body.learn_a_step()
+            if body.bones is not None:
+                self._identities.learn(seen.number, body.bones)
         number = self._identities.number_of(seen.number)
         if followed is None:
             return LivePerson(number, seen.xyz_m, None)

@@ -7,8 +7,9 @@ Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, se
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -169,18 +170,37 @@ def learn_bones(
     With known lengths only the landmarks of head and feet are learnt. ``offsets`` are those of the detector's marks
     from the joints' centres.
     """
+    steps = _learning_steps(learnt_m, joints, length_m, offsets)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as last:
+            return cast(LearntBones, last.value)
+
+
+def _learning_steps(
+    learnt_m: Float[np.ndarray, "instants joints 3"],
+    joints: JointSet,
+    length_m: Float[np.ndarray, " bones"] | None,
+    offsets: JointOffsets,
+) -> Generator[None, None, LearntBones]:
+    """Learn bones as ``learn_bones`` does, in steps that take about as long as a pose; the bones are returned."""
     source = np.where(np.isfinite(learnt_m[..., 0]), Source.MEASURED, Source.ABSENT)
     if offsets and _has_torso(learnt_m, joints).any():
         landmarks = Landmarks(learnt_m, source, joints)
         learnt_m = centers_from_marks(landmarks, offsets, bone_lengths_m(landmarks))
+        yield
     nothing = np.zeros(source.shape)
     track = Track3D(1, 0, learnt_m, nothing, source, nothing, np.zeros(source.shape, int))
     if length_m is None:
         length_m = bone_lengths_m(Landmarks(learnt_m, source, joints))
+        yield
     offsets_m = landmark_offsets_m(track, joints, length_m)
+    yield
     centers = articulate(length_m, joints, offsets_m)
     if not offsets:
         return LearntBones(length_m, centers, centers)
+    yield
     marks_m = mark_offsets_m(joints, offsets, trunk_length_m(length_m))
     return LearntBones(length_m, articulate(length_m, joints, offsets_m, marks_m), centers)
 
@@ -327,6 +347,7 @@ class LiveBody:
         self._first_s: float | None = None
         self._learnt_s = -np.inf
         self._learnt: deque[Float[np.ndarray, "joints 3"]] = deque(maxlen=_MOST_LEARNT)
+        self._learning: Generator[None, None, LearntBones] | None = None
         self._filter: PoseFilter | None = None
 
     @property
@@ -338,7 +359,25 @@ class LiveBody:
         """Take the bones of a person who was there before, or their lengths alone, in place of those to be learnt."""
         if bones is None:
             bones = learn_bones(np.array(self._learnt), self._joints, length_m, self._offsets)
+        self._take(bones)
+
+    @property
+    def is_learning(self) -> bool:
+        """Whether there are instants enough from which bones can be learnt by ``learn_a_step``."""
+        return self._learning is not None
+
+    def learn_a_step(self) -> None:
+        """Take a step of learning, which takes about as long as a pose; ``bones`` are there after the last one."""
+        if self._learning is None:
+            return
+        try:
+            next(self._learning)
+        except StopIteration as last:
+            self._take(last.value)
+
+    def _take(self, bones: LearntBones) -> None:
         self._filter = PoseFilter(bones, self._joints, self._center_m, self._rate_hz)
+        self._learning = None
         self._learnt.clear()
 
     @property
@@ -352,7 +391,6 @@ class LiveBody:
         xyz_m: Float[np.ndarray, "joints 3"],
         ray: Float[np.ndarray, "joints cameras 3"],
         score: Float[np.ndarray, "joints cameras"],
-        may_learn: bool,
     ) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]] | None:
         """Skeleton at an instant, and positions of the joints by it; ``None`` until bones are learnt.
 
@@ -362,9 +400,6 @@ class LiveBody:
             Located joints, world positions in metres, NaN where unknown.
         ray, score
             Viewing rays of the joints as unit vectors, NaN where unseen, and the detector's confidence.
-        may_learn
-            Whether there is time to learn bones now, which takes as long as some poses; the first pose follows at the
-            next instant.
 
         Returns
         -------
@@ -373,14 +408,12 @@ class LiveBody:
         """
         if self._filter is not None:
             return self._filter.follow(time_s, xyz_m, ray, score)
-        if self._is_learnt(time_s, xyz_m) and may_learn:
-            bones = learn_bones(np.array(self._learnt), self._joints, offsets=self._offsets)
-            self._filter = PoseFilter(bones, self._joints, self._center_m, self._rate_hz)
-            self._learnt.clear()
+        if self._learning is None and self._is_seen_enough(time_s, xyz_m):
+            self._learning = _learning_steps(np.array(self._learnt), self._joints, None, self._offsets)
         return None
 
-    def _is_learnt(self, time_s: float, xyz_m: Float[np.ndarray, "joints 3"]) -> bool:
-        """Keep located joints; return whether they suffice."""
+    def _is_seen_enough(self, time_s: float, xyz_m: Float[np.ndarray, "joints 3"]) -> bool:
+        """Keep located joints; return whether they suffice to learn bones."""
         self._first_s = time_s if self._first_s is None else self._first_s
         if time_s - self._learnt_s >= self._learn_s / _MOST_LEARNT:
             self._learnt.append(xyz_m)

@@ -37,11 +37,11 @@ _LOOP_S = 60.0
 _SAME_PERSON_M = 0.5
 
 
-def latencies_ms(simulation: Simulation, learn_s: float) -> tuple[np.ndarray, int]:
+def latencies_ms(simulation: Simulation, learn_s: float, slowness: float = 1.0) -> tuple[np.ndarray, int]:
     """Time from the arrival of the frame that makes an instant final to the instant, and the number of dropped frames.
 
     Frames arrive at their times, and one core processes them in turn. Its processor time counts, so that other programs
-    do not.
+    do not, times ``slowness``: as a core would take that is so many times slower.
     """
     capture = LiveCapture(
         simulation.cameras, simulation.joints, LiveSettings(simulation.timebase.frame_rate_hz, learn_s=learn_s)
@@ -50,7 +50,7 @@ def latencies_ms(simulation: Simulation, learn_s: float) -> tuple[np.ndarray, in
     for frame in recorded_frames(simulation.cameras, simulation.times, simulation.detections):
         started_s = time.thread_time()
         instants = capture.push(*frame)
-        free_s = max(free_s, frame.time_s) + time.thread_time() - started_s
+        free_s = max(free_s, frame.time_s) + slowness * (time.thread_time() - started_s)
         is_timed = learn_s == _NEVER_S or any(
             person.skeleton is not None for instant in instants for person in instant.people
         )
@@ -59,14 +59,14 @@ def latencies_ms(simulation: Simulation, learn_s: float) -> tuple[np.ndarray, in
     return np.array(taken_ms), capture.counts.dropped
 
 
-def measure_sizes(duration_s: float) -> list[dict[str, Any]]:
+def measure_sizes(duration_s: float, slowness: float = 1.0) -> list[dict[str, Any]]:
     """Latencies at each size; ``p50_ms`` and so on are those of skeletons."""
     sizes = []
     for num_cameras, num_people, rate_hz in _SIZES:
         simulation = crowd(num_cameras, num_people, duration_s, rate_hz)
         size: dict[str, Any] = {"cameras": num_cameras, "people": num_people, "rate_hz": rate_hz, "dropped": 0}
         for prefix, learn_s in (("", _LEARN_S), ("tracks_", _NEVER_S)):
-            taken_ms, num_dropped = latencies_ms(simulation, learn_s)
+            taken_ms, num_dropped = latencies_ms(simulation, learn_s, slowness)
             values = np.percentile(taken_ms, _PERCENTILES).tolist()
             size |= {f"{prefix}p{share}_ms": value for share, value in zip(_PERCENTILES, values, strict=True)}
             size["dropped"] += num_dropped
@@ -154,6 +154,9 @@ def _turned(frames: Sequence[RecordedFrame], loop: int) -> Iterator[RecordedFram
 
 def live(
     duration_s: Annotated[float, typer.Option("--duration", min=3.0, max=600.0, help="Seconds of each size.")] = 20.0,
+    slowness: Annotated[
+        float, typer.Option(min=0.1, max=20.0, help="Time as on a core that is so many times slower.")
+    ] = 1.0,
     minutes: Annotated[
         list[int] | None,
         typer.Option("--memory", min=1, max=600, help="Measure the memory after so many minutes of a capture instead."),
@@ -172,7 +175,7 @@ def live(
         return
     with reporting(as_json):
         warm_up()
-        sizes = measure_sizes(duration_s)
+        sizes = measure_sizes(duration_s, slowness)
         room = compare_with_finished(record(replace(ROOM, duration_s=_ROOM_S), 0))
     if as_json:
         emit({"sizes": sizes, "room": room})

@@ -25,11 +25,12 @@ def test_sizes_have_latencies_of_tracks_and_of_skeletons(monkeypatch: pytest.Mon
     assert size["tracks_p50_ms"] < size["p50_ms"]
 
 
-def test_frames_wait_while_the_core_is_busy(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("slowness", [1.0, 3.0])
+def test_frames_wait_while_the_core_is_busy(monkeypatch: pytest.MonkeyPatch, slowness: float) -> None:
     """A core that needs 30 ms for each of three frames every 40 ms falls behind by 50 ms an instant."""
-    ticks = iter(0.03 * np.repeat(np.arange(10_000), 2)[1:])
+    ticks = iter(0.03 / slowness * np.repeat(np.arange(10_000), 2)[1:])
     monkeypatch.setattr(time, "thread_time", lambda: next(ticks))
-    taken_ms, num_dropped = live.latencies_ms(crowd(3, 2, 2.0), live._NEVER_S)
+    taken_ms, num_dropped = live.latencies_ms(crowd(3, 2, 2.0), live._NEVER_S, slowness)
     np.testing.assert_allclose(taken_ms, 90.0 + 50.0 * np.arange(len(taken_ms)), atol=1e-6)
     assert num_dropped == 0
     assert len(taken_ms) == 50
