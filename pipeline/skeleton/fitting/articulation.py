@@ -207,7 +207,8 @@ def build(
     freedom_joint = np.full((NUM_ROOT + len(freedoms), 2), -1)
     for number, freedom in enumerate(freedoms, NUM_ROOT):
         freedom_joint[number, : len(freedom.joints)] = [index[name] for name in freedom.joints]
-    moved_by = [_moved_by(landmark.joint, landmark.beside, parent, freedom_joint) for landmark in landmarks]
+    turned = freedom_joint.tolist()
+    moved_by = [_moved_by(landmark.joint, landmark.beside, parent, turned) for landmark in landmarks]
     most = max(map(len, moved_by), default=0)
     limits = [freedom.limits_rad or (-np.inf, np.inf) for freedom in freedoms]
     return Articulation(
@@ -230,7 +231,7 @@ def build(
 
 
 def _moved_by(
-    joint: int, beside: bool, parent: Int[np.ndarray, " joints"], freedom_joint: Int[np.ndarray, "freedoms 2"]
+    joint: int, beside: bool, parent: Int[np.ndarray, " joints"], freedom_joint: Sequence[Sequence[int]]
 ) -> list[int]:
     """Degrees of freedom that move a landmark at the centre of a joint, or ``beside`` it."""
     turning: set[int] = set()
@@ -238,4 +239,5 @@ def _moved_by(
     while above >= 0:
         turning.add(above)
         above = int(parent[above])
-    return [*range(NUM_ROOT), *np.flatnonzero(np.isin(freedom_joint, list(turning)).any(1)).tolist()]
+    # A skeleton is built for each of many lengths: sets of a few numbers are quicker than arrays.
+    return [*range(NUM_ROOT), *(n for n, joints in enumerate(freedom_joint) if not turning.isdisjoint(joints))]
