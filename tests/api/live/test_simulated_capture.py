@@ -53,7 +53,7 @@ def computing(make_settings: Callable[..., Settings], warm_programs: WarmProgram
 
 @pytest.fixture(scope="module")
 def room() -> Simulation:
-    return record(replace(find_scene("room"), duration_s=1.0), seed=4, num_views=3)
+    return record(replace(find_scene("room"), duration_s=1.5), seed=4, num_views=3)
 
 
 @pytest.fixture(scope="module")
