@@ -42,8 +42,7 @@ class Work:
     # Call it after each unit of work; raises ``StoppedError`` when the work is no longer wanted
     on_unit: Callable[[], None]
     check: Callable[[], None]  # Call it during long steps that are no unit; raises ``StoppedError`` likewise
-    # Reads the interim outputs of all chunks of an earlier stage, by its name. Raises ``DamagedOutputsError``.
-    interim: Callable[[str], list[bytes]]
+    interim: OutputReader  # Reads their interim outputs
     found: bytes | None  # Output of the chunk if it is stored already, and only the interim output is missing
     # Reads a piece of an output that an earlier chunk of the session has kept, by its key; ``None`` without it
     piece: Callable[[str], bytes | None] = lambda _: None

@@ -196,8 +196,8 @@ class _TaskContext(Context):
     def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         return self.work.outputs(stage, tasks)
 
-    def interim(self, stage: str) -> list[bytes]:
-        return self.work.interim(stage)
+    def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        return self.work.interim(stage, tasks)
 
     def piece(self, key: str) -> bytes | None:
         return self.work.piece(key)

@@ -333,8 +333,8 @@ class Runner:
             raise DamagedOutputsError(stage, damaged)
         return contents
 
-    def _interim(self, claim: Claim, stage: str) -> list[bytes]:
-        outputs = self._store.outputs.of_stage(claim.job_id, stage)
+    def _interim(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
+        outputs = self._store.outputs.of_stage(claim.job_id, stage)[chunks]
         contents = [read_interim(self._artifacts, claim, output.key) for output in outputs]
         if damaged := {output.index for output, content in zip(outputs, contents, strict=True) if content is None}:
             raise DamagedOutputsError(stage, damaged)

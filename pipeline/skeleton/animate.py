@@ -1,6 +1,7 @@
 """Motion of all people: smoothing or skeleton fit, standing feet held in place, and hands."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from pipeline.config import ReconstructionConfig
@@ -11,8 +12,8 @@ from pipeline.joints import FINGER_JOINTS, MARKED_AT_CENTERS, JointOffsets, Join
 from pipeline.progress import OnShare, ignore, split
 from pipeline.rules import cutoff_problems, require
 from pipeline.skeleton.feet.floor import shared_floor
-from pipeline.skeleton.feet.stances import contacts_of, foot_points, hold_feet
-from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
+from pipeline.skeleton.feet.stances import FootPoints, contacts_of, foot_points, hold_feet
+from pipeline.skeleton.fitting.fit import FitState, SkeletonFit, fit_to_rays, follow
 from pipeline.skeleton.hands.whole import (
     fit_hands,
     follow_hands,
@@ -25,8 +26,25 @@ from pipeline.skeleton.hands.whole import (
 )
 from pipeline.skeleton.smooth import smooth_track
 
-# Shares of the computing time: positions, skeleton motion, holding feet, positions from the motion.
-_WORK = (6, 6, 3, 1)
+# Shares of the computing time: of the fit, positions and skeleton motion; then holding feet, positions from the motion.
+_FITTING, _FINISHING = (6, 6), (3, 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedPerson:
+    """Person whose skeleton is fitted, before feet are held: the floor is that of several people."""
+
+    state: FitState
+    points: FootPoints  # Points of the feet in the fitted motion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedFeet:
+    """Feet of some of the fitted people."""
+
+    points: tuple[FootPoints, ...]
+    # Positions of the people, among everybody, from whose feet the floor is estimated; ``None`` if others know
+    on_floor: tuple[int, ...] | None
 
 
 def animate(
@@ -39,7 +57,6 @@ def animate(
     on_share: OnShare = ignore,
     offsets: JointOffsets = MARKED_AT_CENTERS,
     floor: Floor | Literal["estimated"] | None = "estimated",
-    on_floor: Sequence[int] | None = None,
 ) -> Animation:
     """Compute the skeleton motion and the final joint positions of all people.
 
@@ -57,61 +74,79 @@ def animate(
         Offsets of the detector's marks from the joints' centres. Only the fit can move joints to their centres.
     floor
         Floor under the people; ``None``: there is none; ``estimated``: it is estimated from their feet.
-    on_floor
-        Positions of the people from whose feet the floor is estimated; ``None``: all.
 
     Raises
     ------
     InputError
         If the cutoff of the low-pass is not below half of the frame rate.
     """
-    require(cutoff_problems(config.smoothing, config.cutoff_hz, timebase.frame_rate_hz))
     num_frames = [track.num_frames for track in tracks]
-    work = [share * num for shares in (_WORK[:2], _WORK[2:]) for num in num_frames for share in shares]
+    work = [sum(shares) * num for shares in (_FITTING, _FINISHING) for num in num_frames]
     parts = iter(split(on_share, work))
-    body = without_hands(joints)
-    fits: list[SkeletonFit] = []
-    motions: list[SkeletonMotion] = []
-
-    # Observations are local to calls, so that none outlives the work on its person.
-    def start(track: Track3D, seen: Observations) -> None:
-        of_body = selected(track, seen, joints, body.names)
-        fitted = _prepare(*of_body, cameras, timebase, body, config, offsets, next(parts))
-        motions.append(fitted.motion(next(parts)))
-        fitted.drop_observations()
-        fits.append(fitted)
-
-    def finish(number: int, track: Track3D, seen: Observations, floor: Floor | None) -> Track3D:
-        fitted = fits[number]
-        _, body_seen = selected(track, seen, joints, body.names)
-        fitted.take_observations(body_seen, cameras)
-        contacts = contacts_of(points[number], floor, timebase.frame_rate_hz, config.feet)
-        motions[number] = hold_feet(fitted, motions[number], points[number], contacts, floor, next(parts))
-        on_followed = next(parts)
-        followed = fitted.track
-        if config.smoothing == "fit":
-            followed = follow(fitted, motions[number], body_seen, cameras, on_followed)
-        if has_fingers(joints):
-            motions[number], followed = _add_hands(
-                motions[number], followed, track, seen, cameras, timebase, joints, config, fitted.has_torso
-            )
-        fitted.drop_observations()
-        return followed
-
-    for number in range(len(tracks)):
-        start(tracks[number], observations[number])
-    points = [foot_points(fitted, motion, body) for fitted, motion in zip(fits, motions, strict=True)]
+    setting = cameras, timebase, joints, config, offsets
+    fitted = [fit_person(tracks[number], observations[number], *setting, next(parts)) for number in range(len(tracks))]
     if floor == "estimated":
-        judged = points if on_floor is None else [points[number] for number in on_floor]
-        floor = shared_floor(
-            [person.ankles_m for person in judged],
-            [person.ankles_known for person in judged],
-            [person.support.carries for person in judged],
-            timebase.frame_rate_hz,
-        )
-    finals = [finish(number, tracks[number], observations[number], floor) for number in range(len(tracks))]
+        floor = floor_under([person.points for person in fitted], timebase.frame_rate_hz)
+    finished = [
+        finish_person(person, tracks[number], observations[number], *setting, floor, next(parts))
+        for number, person in enumerate(fitted)
+    ]
     on_share(1.0)
-    return Animation(tuple(finals), tuple(motions), floor)
+    return Animation(tuple(track for track, _ in finished), tuple(motion for _, motion in finished), floor)
+
+
+def fit_person(
+    track: Track3D,
+    seen: Observations,
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    config: ReconstructionConfig,
+    offsets: JointOffsets = MARKED_AT_CENTERS,
+    on_share: OnShare = ignore,
+) -> FittedPerson:
+    """Fit a person's skeleton, up to where the floor counts; see ``animate``."""
+    require(cutoff_problems(config.smoothing, config.cutoff_hz, timebase.frame_rate_hz))
+    on_positions, on_motion = split(on_share, _FITTING)
+    body = without_hands(joints)
+    fit = _prepare(*selected(track, seen, joints, body.names), cameras, timebase, body, config, offsets, on_positions)
+    motion = fit.motion(on_motion)
+    return FittedPerson(fit.state, foot_points(fit, motion, body))
+
+
+def floor_under(people: Sequence[FootPoints], frame_rate_hz: float) -> Floor | None:
+    """Floor under people, from the points of their feet; ``None`` if no foot was ever seen."""
+    return shared_floor(
+        [person.ankles_m for person in people],
+        [person.ankles_known for person in people],
+        [person.support.carries for person in people],
+        frame_rate_hz,
+    )
+
+
+def finish_person(
+    fitted: FittedPerson,
+    track: Track3D,
+    seen: Observations,
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    config: ReconstructionConfig,
+    offsets: JointOffsets = MARKED_AT_CENTERS,
+    floor: Floor | None = None,
+    on_share: OnShare = ignore,
+) -> tuple[Track3D, SkeletonMotion]:
+    """Hold a fitted person's feet on the floor; return the final track and motion, with hands. See ``animate``."""
+    on_held, on_followed = split(on_share, _FINISHING)
+    body, by_rays = without_hands(joints), config.smoothing == "fit"
+    _, body_seen = selected(track, seen, joints, body.names)
+    fit = SkeletonFit.resumed(fitted.state, body_seen, cameras, timebase, body, offsets, by_rays)
+    contacts = contacts_of(fitted.points, floor, timebase.frame_rate_hz, config.feet)
+    motion = hold_feet(fit, fit.current, fitted.points, contacts, floor, on_held)
+    followed = follow(fit, motion, body_seen, cameras, on_followed) if by_rays else fit.track
+    if has_fingers(joints):
+        motion, followed = _add_hands(motion, followed, track, seen, cameras, timebase, joints, config, fit.has_torso)
+    return followed, motion
 
 
 def _add_hands(

@@ -108,8 +108,8 @@ class Context(ABC):
         """Outputs of tasks of an earlier stage, in the tasks' order; by default of all tasks."""
 
     @abstractmethod
-    def interim(self, stage: str) -> list[bytes]:
-        """Interim outputs of all tasks of an earlier stage, in the tasks' order; see ``Stage.leaves_interim``."""
+    def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        """Interim outputs of tasks of an earlier stage, as of ``outputs``; see ``Stage.leaves_interim``."""
 
     @abstractmethod
     def stored_output(self) -> bytes | None:

@@ -6,8 +6,8 @@ Edits of people change nothing: whoever was found or detected once has a head.
 from pipeline.config import ReconstructionConfig
 from pipeline.stages.stage import (
     DETECT,
-    FIT,
     HEADS,
+    HOLD,
     IDENTIFY,
     REFINE,
     SYNCHRONIZE,
@@ -21,17 +21,17 @@ from pipeline.stages.stage import (
 
 def find_heads(task: Task, context: Context) -> Output:
     """Find the heads of everybody who was located or detected, in every camera."""
-    from pipeline.data.animation import Animation
     from pipeline.data.detections import Detections, PafFields
     from pipeline.privacy.bodies import seen_heads
     from pipeline.privacy.heads import head_regions
     from pipeline.privacy.people import head_path
     from pipeline.stages.codec import encode
+    from pipeline.stages.take import animation_of
     from pipeline.video.timeline import frames_in
 
     session, detections = context.wanted(context.outline()), context.detections
     joints, timebase = detections.joints(session), session.timebase
-    tracks = [*context.people(IDENTIFY).people.tracks, *context.record(FIT, Animation).tracks]
+    tracks = [*context.people(IDENTIFY).people.tracks, *animation_of(context).tracks]
     people = [path for track in tracks if (path := head_path(track, joints, timebase)) is not None]
     seen = seen_heads(context.records(DETECT, PafFields if detections.finds_fields else Detections), joints)
     on_share, regions = context.on_share(task), []
@@ -56,7 +56,7 @@ STAGE = Stage(
     cut="whole",
     # It reads the detections too, by whose keys those of the people are made. Colours are not read, so that detection
     # need not run again for them.
-    follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT),
+    follows=(SYNCHRONIZE, REFINE, IDENTIFY, HOLD),
     choices=("blur_faces",),
     is_planned=blurs_heads,
 )

@@ -365,8 +365,8 @@ class _TaskContext(Context):
     def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         return [_read(self.job.outputs, task) for task in islice(self.job.tasks_of(stage), tasks.start, tasks.stop)]
 
-    def interim(self, stage: str) -> list[bytes]:
-        return [_read(self.job.interim, task) for task in self.job.tasks_of(stage)]
+    def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        return [_read(self.job.interim, task) for task in islice(self.job.tasks_of(stage), tasks.start, tasks.stop)]
 
     def piece(self, key: str) -> bytes | None:
         return self.job.outputs.read(key)

@@ -1,7 +1,7 @@
 """Scale OpenSim's model to people and find its motion. The output indexes the files, with figures of each person."""
 
 from pipeline.config import FILE_FORMATS
-from pipeline.stages.stage import OPENSIM, PERSON_PARTS, TAKE, Context, Output, ResultFile, Stage, Task, indexed
+from pipeline.stages.stage import OPENSIM, TAKE, Context, Output, ResultFile, Stage, Task, indexed
 
 
 def run_opensim(task: Task, context: Context) -> Output:
@@ -9,11 +9,11 @@ def run_opensim(task: Task, context: Context) -> Output:
     from pipeline.opensim.files import write_opensim_files
     from pipeline.stages.take import assemble
 
-    take, rows = assemble(context), slice(task.index, None, PERSON_PARTS)
+    take = assemble(context)
     names = {motion.track_id: motion.name for motion in take.motions}
     files, people = [], []
     rate_hz = context.config.output_rate_hz
-    for written in write_opensim_files(take, rows, context.scratch, rate_hz, context.on_share(task)):
+    for written in write_opensim_files(take, task.people, context.scratch, rate_hz, context.on_share(task)):
         people.append(written.person.document())
         if written.path is not None:
             person = f"person-{written.person.id}"

@@ -6,9 +6,8 @@ from pipeline.stages.edit import is_edited
 from pipeline.stages.fit import CHOICES
 from pipeline.stages.stage import (
     EDIT,
-    FIT,
+    HOLD,
     IDENTIFY,
-    PERSON_PARTS,
     REFINE,
     REFIT,
     SYNCHRONIZE,
@@ -34,9 +33,9 @@ def refit(task: Task, context: Context) -> Output:
     session, config, on_share = context.wanted(context.outline()), context.config, context.on_share(task)
     joints, offsets = context.detections.joints(session), context.offsets()
     changed = context.people(EDIT).people
-    floor = RecordArchive(*context.outputs(FIT)).find(Floor, "floor")
+    floor = RecordArchive(*context.outputs(HOLD, slice(1))).find(Floor, "floor")
     pieces = Pieces(task, context)
-    numbers = range(task.index, len(changed.tracks), PERSON_PARTS)
+    numbers = range(len(changed.tracks))[task.people]
     fitted = []
     for number, on_person in zip(numbers, split(on_share, [1] * len(numbers)), strict=True):
         track, seen = changed.tracks[number], changed.observations[number]
@@ -61,8 +60,8 @@ STAGE = Stage(
     "Fit edited people",
     refit,
     cut="people",
-    follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT),
-    choices=CHOICES,
+    follows=(SYNCHRONIZE, REFINE, IDENTIFY, HOLD, EDIT),
+    choices=(*CHOICES, "feet"),
     is_planned=is_edited,
     is_of_edits=True,
     pieces_of=REFIT,

@@ -24,7 +24,8 @@ LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
 EXPECT, REDETECT = "expect_bodies", "redetect"
 EXPECT_AGAIN, REDETECT_AGAIN = "expect_again", "redetect_again"
-IDENTIFY, FIT, EDIT, REFIT = "identify", "fit", "edit", "refit"
+IDENTIFY, FIT, HOLD = "identify", "fit", "hold_feet"
+EDIT, REFIT = "edit", "refit"
 WRITE, EXPORT = "write_people", "export"
 HEADS, BLUR = "find_heads", "blur_videos"
 OVERLAY, REPORT, RECORD = "draw_overlay", "write_report", "write_recording"
@@ -32,14 +33,12 @@ RETARGET = "retarget_character"
 OPENSIM = "run_opensim"
 FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
 CHECK = "check_session"
-TAKE = CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT
+TAKE = CHECK, SYNCHRONIZE, REFINE, IDENTIFY, HOLD, EDIT, REFIT
 """Stages of whose outputs a take is assembled; see ``pipeline.stages.take``."""
 
-PERSON_PARTS = 4
-"""Number of tasks of a stage that is cut by person: person number k is in task k modulo this number.
-
-A plan is made before anybody is found. Tasks without a person take a tenth of a second.
-"""
+# Largest number of tasks of a stage that is cut by person, and the frames for each: a task takes a tenth of a second
+# even without a person, so that short takes have one.
+_MOST_PERSON_PARTS, _FRAMES_A_PART = 4, 250
 
 VIEWER = "viewer"
 """Kind of the files that viewers read; lists of downloads leave them out."""
@@ -96,6 +95,14 @@ class FrameCut:
         return [part for part in inside if part] or [self.frames[:1]]
 
 
+def num_person_parts(frames: range) -> int:
+    """Number of tasks of a stage that is cut by person: person number k is in task k modulo this number.
+
+    A plan is made before anybody is found.
+    """
+    return max(1, min(_MOST_PERSON_PARTS, len(frames) // _FRAMES_A_PART))
+
+
 @dataclass(frozen=True, slots=True)
 class Task:
     """A task of a stage."""
@@ -110,6 +117,11 @@ class Task:
     # Key of all that pieces of its output depend on but the edits of people, for stages that follow edits; see
     # ``pipeline.stages.pieces``
     piece_key: str = ""
+
+    @property
+    def people(self) -> slice:
+        """Numbers of the people of a task of a stage that is cut by person."""
+        return slice(self.index, None, num_person_parts(self.frames))
 
     @property
     def one_camera(self) -> str:

@@ -16,7 +16,7 @@ from pipeline.findings import SessionCheck
 from pipeline.quality.views import PersonViews
 from pipeline.stages.context import Context
 from pipeline.stages.editing import cut, edited_take, put_together, united
-from pipeline.stages.stage import CHECK, DESCRIPTION, EDIT, FIT, IDENTIFY, MOTION, REFIT, VIEWER, ResultFile
+from pipeline.stages.stage import CHECK, DESCRIPTION, EDIT, HOLD, IDENTIFY, MOTION, REFIT, VIEWER, ResultFile
 
 
 def assemble(context: Context) -> Reconstruction:
@@ -26,7 +26,7 @@ def assemble(context: Context) -> Reconstruction:
     """
     session = context.wanted(context.outline())
     identified = context.people(IDENTIFY)
-    people, animation = identified.people, context.record(FIT, Animation)
+    people, animation = identified.people, animation_of(context)
     take = None
     if context.config.edits:
         take = edited_take(identified.spans, context.config, session.timebase)
@@ -56,6 +56,11 @@ def assemble(context: Context) -> Reconstruction:
         return reconstruction
     edited = reconstruction if take.frames is None else cut(reconstruction, take.frames)
     return replace(edited, is_emptied=bool(identified.spans) and not edited.tracks)
+
+
+def animation_of(context: Context) -> Animation:
+    """Animation of everybody who was found, before any edit."""
+    return united(list(context.records(HOLD, Animation)))
 
 
 def kept_frames(context: Context) -> range | None:

@@ -1,7 +1,7 @@
 """Write files of edited people: pieces that the stage ``export`` finds again. The output is empty."""
 
 from pipeline.edits import without_names
-from pipeline.stages.stage import EXPORT, PERSON_PARTS, TAKE, WRITE, Context, Output, Stage, Task
+from pipeline.stages.stage import EXPORT, TAKE, WRITE, Context, Output, Stage, Task
 
 
 def write_people(task: Task, context: Context) -> Output:
@@ -11,10 +11,9 @@ def write_people(task: Task, context: Context) -> Output:
     from pipeline.stages.take import assemble
 
     config, pieces = context.config, Pieces(task, context)
-    rows = slice(task.index, None, PERSON_PARTS)
     choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
     files = FilesInPieces(pieces, context.scratch)
-    keep_people(assemble(context), rows, context.scratch, *choices, context.on_share(task), files)
+    keep_people(assemble(context), task.people, context.scratch, *choices, context.on_share(task), files)
     return Output(b"", pieces=pieces.files)
 
 

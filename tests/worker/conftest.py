@@ -26,6 +26,7 @@ from pipeline.stages.stage import (
     EXPORT,
     FIT,
     HEADS,
+    HOLD,
     IDENTIFY,
     LOOK,
     OVERLAY,
@@ -90,12 +91,16 @@ def identify(work: Work) -> Output:
 
 
 def fit(work: Work) -> Output:
-    return Output(b"squares: " + work.outputs(IDENTIFY)[0])
+    return Output(b"feet", interim=b"squares: " + work.outputs(IDENTIFY)[0])
+
+
+def hold_feet(work: Work) -> Output:
+    return Output(work.interim(FIT, slice(1))[0])
 
 
 def export(work: Work) -> Output:
     path = work.scratch / "person-1.bvh"
-    path.write_bytes(work.outputs(REFIT if without_names(work.claim.edits) else FIT)[0])
+    path.write_bytes(work.outputs(REFIT if without_names(work.claim.edits) else HOLD)[0])
     return Output(b"{}", (ResultFile(path.name, "bvh", "person-1", "text/plain", path),), people=FOUND)
 
 
@@ -104,29 +109,29 @@ def edit(work: Work) -> Output:
 
 
 def refit(work: Work) -> Output:
-    return Output(work.outputs(FIT)[0] + work.outputs(EDIT)[0])
+    return Output(work.outputs(HOLD)[0] + work.outputs(EDIT)[0])
 
 
 def draw_overlay(work: Work) -> Output:
     path = work.scratch / "overlay-left.mp4"
-    path.write_bytes(b"video of " + work.outputs(REFIT if without_names(work.claim.edits) else FIT)[0])
+    path.write_bytes(b"video of " + work.outputs(REFIT if without_names(work.claim.edits) else HOLD)[0])
     return Output(b"{}", (ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path),))
 
 
 def write_report(work: Work) -> Output:
     path = work.scratch / "report.html"
-    path.write_bytes(b"report of " + work.outputs(REFIT if without_names(work.claim.edits) else FIT)[0])
+    path.write_bytes(b"report of " + work.outputs(REFIT if without_names(work.claim.edits) else HOLD)[0])
     return Output(b"{}", (ResultFile(path.name, REPORT_KIND, None, "text/html", path),))
 
 
 def write_recording(work: Work) -> Output:
     path = work.scratch / "take.rrd"
-    path.write_bytes(b"recording of " + work.outputs(REFIT if without_names(work.claim.edits) else FIT)[0])
+    path.write_bytes(b"recording of " + work.outputs(REFIT if without_names(work.claim.edits) else HOLD)[0])
     return Output(b"{}", (ResultFile(path.name, RECORDING_KIND, None, "application/octet-stream", path),))
 
 
 def find_heads(work: Work) -> Output:
-    return Output(b"heads in " + work.outputs(FIT)[0])
+    return Output(b"heads in " + work.outputs(HOLD)[0])
 
 
 def blur_videos(work: Work) -> Output:
@@ -150,6 +155,7 @@ LIGHT_STAGES: dict[str, Callable[[Work], Output]] = {
     REDETECT_AGAIN: redetect,
     IDENTIFY: identify,
     FIT: fit,
+    HOLD: hold_feet,
     HEADS: find_heads,
     BLUR: blur_videos,
     EDIT: edit,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.stages.stage import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, Output
+from pipeline.stages.stage import ASSOCIATE, DETECT, EXPORT, FIT, HOLD, IDENTIFY, Output
 from tests.cases import slow_but
 from tests.worker.conftest import (
     CHUNK_FRAMES,
@@ -66,7 +66,7 @@ def test_a_damaged_output_is_made_again(bench: RunnerBench) -> None:
     ("stage", "chunk", "reader"),
     slow_but(
         [(DETECT, 2, ASSOCIATE)],
-        [(DETECT, 2, ASSOCIATE), (ASSOCIATE, 0, IDENTIFY), (IDENTIFY, 0, FIT), (FIT, 0, EXPORT)],
+        [(DETECT, 2, ASSOCIATE), (ASSOCIATE, 0, IDENTIFY), (IDENTIFY, 0, FIT), (HOLD, 0, EXPORT)],
     ),
 )
 def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
@@ -171,13 +171,13 @@ def test_workers_side_by_side_compute_a_damaged_output_again(bench: RunnerBench)
 def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.runner().work(60.0)
-    flip(stored(bench, job.id, FIT))
+    flip(stored(bench, job.id, HOLD))
     flip(bench.data_dir / "artifacts" / bench.store.results.of_job(job.id)[0].key)
     again = bench.create_job()
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT
     reused = {stage.name: stage.reused for stage in bench.store.jobs.get(again.id).stages}
-    assert {name for name, is_reused in reused.items() if not is_reused} == {FIT, EXPORT}
+    assert {name for name, is_reused in reused.items() if not is_reused} == {FIT, HOLD, EXPORT}
 
 
 def test_pieces_of_outputs_are_found_by_later_jobs_until_they_are_damaged(bench: RunnerBench) -> None:

@@ -74,6 +74,11 @@ def looks(stage: str, chunks: slice = slice(None)) -> list[bytes]:
     return [encode(CameraLook())] * len(range(2)[chunks]) if stage == LOOK else []
 
 
+def no_interim(stage: str, chunks: slice = slice(None)) -> list[bytes]:
+    """Read the interim outputs of earlier stages: there are none."""
+    return []
+
+
 def work(
     session: Session,
     artifacts: LocalArtifacts,
@@ -92,7 +97,7 @@ def work(
         scratch,
         on_unit,
         lambda: None,
-        lambda stage: [],
+        no_interim,
         found,
     )
 

@@ -27,6 +27,7 @@ from pipeline.stages.stage import (
     EXPORT,
     FIT,
     HEADS,
+    HOLD,
     IDENTIFY,
     LENGTHS,
     LOOK,
@@ -108,11 +109,18 @@ def test_the_stages_and_their_sizes() -> None:
         (REDETECT_AGAIN, 6),
         (IDENTIFY, 1),
         (FIT, 1),
+        (HOLD, 1),
         (EXPORT, 1),
     ]
     assert [chunk.unit_count for chunk in stages[0].chunks] == [LOOKED_AT_FRAMES] * 2
     assert [chunk.unit_count for chunk in stages[1].chunks] == [25, 25, 25, 25, 10, 10]
     assert [chunk.unit_count for chunk in stages[5].chunks] == [2, 2, 2, 2, 1, 1]  # people lean in few frames
+
+
+@pytest.mark.parametrize(("num_frames", "num_parts"), [(60, 1), (499, 1), (500, 2), (1000, 4), (90_000, 4)])
+def test_long_takes_are_fitted_in_parts(num_frames: int, num_parts: int) -> None:
+    sizes = {stage.name: len(list(stage.chunks)) for stage in plan_job(make_session(num_frames), JobSpec(), 250)}
+    assert (sizes[FIT], sizes[HOLD], sizes[IDENTIFY]) == (num_parts, num_parts, 1)
 
 
 @pytest.mark.parametrize("choice", [{"profile": "fast"}, {"detector": "movenet-multipose"}])
@@ -125,17 +133,21 @@ def test_a_cutoff_counts_where_it_is_used() -> None:
     session = make_session()
     assert keys(session, JobSpec(cutoff_hz=3.0)) == keys(session)
     low, high = (keys(session, JobSpec(smoothing="butterworth", cutoff_hz=hz)) for hz in (3.0, 6.0))
-    assert {name for name in low if low[name] != high[name]} == {FIT, EXPORT}
+    assert {name for name in low if low[name] != high[name]} == {FIT, HOLD, EXPORT}
 
 
-FROM_PLACES = {EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, EXPORT}
-VIDEO_STAGES = (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, EXPORT)
+FROM_PLACES = {EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, HOLD, EXPORT}
+VIDEO_STAGES = (
+    *(LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, HOLD, EXPORT),
+)
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
 def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
     _, detect, _, lengths, poses, *_ = stages = plan_job(make_session(60), CLUSTERING, 25)
-    assert [stage.name for stage in stages] == [LOOK, DETECT, CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    assert [stage.name for stage in stages] == [
+        *(LOOK, DETECT, CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT),
+    ]
     assert next(iter(lengths.chunks)).payload["chunk_frames"] == 25
     ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in poses.chunks]
     assert ranges == [(0, 25), (25, 50), (50, 60)]
@@ -175,7 +187,7 @@ def test_cameras_that_people_calibrate_are_looked_at_without_their_poses() -> No
 @given(chunk_frames=st.integers(1, 300))
 def test_keys_of_clusterings_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
     one, other = keys(make_session(), CLUSTERING, chunk_frames), keys(make_session(), CLUSTERING)
-    assert all(one[name] == other[name] for name in (LENGTHS, ASSOCIATE, IDENTIFY, FIT, EXPORT))
+    assert all(one[name] == other[name] for name in (LENGTHS, ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT))
 
 
 def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
@@ -186,8 +198,8 @@ def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
 @given(chunk_frames=st.integers(1, 300))
 def test_keys_of_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
     one, other = keys(make_session(), chunk_frames=chunk_frames), keys(make_session())
-    assert {name: one[name] for name in (ASSOCIATE, IDENTIFY, FIT, EXPORT)} == {
-        name: other[name] for name in (ASSOCIATE, IDENTIFY, FIT, EXPORT)
+    assert {name: one[name] for name in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT)} == {
+        name: other[name] for name in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT)
     }
 
 
@@ -209,9 +221,9 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
         ({"detector": "openpose-mobilenet-thin"}, set(VIDEO_STAGES)),
         ({"follow_s": 0.1}, set(VIDEO_STAGES) - {LOOK}),
         ({"method": "clustering"}, {ASSOCIATE} | FROM_PLACES),
-        ({"smoothing": "none"}, {FIT, EXPORT}),
-        ({"feet": "off"}, {FIT, EXPORT}),
-        ({"joint_centers": "off"}, {FIT, EXPORT}),
+        ({"smoothing": "none"}, {FIT, HOLD, EXPORT}),
+        ({"feet": "off"}, {HOLD, EXPORT}),
+        ({"joint_centers": "off"}, {FIT, HOLD, EXPORT}),
         ({"refine_calibration": "auto"}, {ASSOCIATE} | FROM_PLACES),
         ({"exports": ("glb",)}, {EXPORT}),
     ],
@@ -223,7 +235,7 @@ def test_a_choice_changes_the_keys_of_its_stage_and_those_after(choice: dict[str
 
 @pytest.mark.parametrize(
     ("stage", "changed"),
-    [(LOOK, set(VIDEO_STAGES)), (DETECT, set(VIDEO_STAGES) - {LOOK}), (FIT, {FIT, EXPORT}), (EXPORT, {EXPORT})],
+    [(LOOK, set(VIDEO_STAGES)), (DETECT, set(VIDEO_STAGES) - {LOOK}), (FIT, {FIT, HOLD, EXPORT}), (EXPORT, {EXPORT})],
 )
 def test_new_code_changes_the_keys_of_its_stage_and_those_after(stage: str, changed: set[str]) -> None:
     before = keys(make_session())
@@ -257,9 +269,9 @@ def test_keys_are_unique_and_safe_as_names() -> None:
 def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
     files = tuple(replace(file, kind="keypoints") if file.kind == "video" else file for file in FILES)
     session, slower = make_session(files=files), make_session(files=files, rates_hz=(20.0, 20.0))
-    assert list(keys(session)) == [CHECK, ASSOCIATE, IDENTIFY, FIT, EXPORT]
-    assert list(keys(session, CLUSTERING)) == [CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
-    assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, EXPORT))
+    assert list(keys(session)) == [CHECK, ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT]
+    assert list(keys(session, CLUSTERING)) == [CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT]
+    assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT))
 
 
 def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
@@ -316,7 +328,7 @@ def test_a_part_of_a_session_takes_what_was_found_in_all_of_it() -> None:
     whole, part = keys(make_session(100)), keys(make_session(100), JobSpec(frame_range=(25, 90)))
     assert whole[DETECT][2:6] == part[DETECT][:4]  # 25-50 and 50-75 of both cameras
     assert not set(whole[DETECT]) & set(part[DETECT][4:])  # 75-90
-    assert all(whole[stage] != part[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, EXPORT))
+    assert all(whole[stage] != part[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT))
 
 
 def test_how_many_people_are_wanted_counts_from_the_global_pass_on() -> None:

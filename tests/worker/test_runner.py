@@ -16,6 +16,7 @@ from pipeline.stages.stage import (
     EXPECT_AGAIN,
     EXPORT,
     FIT,
+    HOLD,
     IDENTIFY,
     LOOK,
     REDETECT,
@@ -65,7 +66,7 @@ def begin_endless_job(bench: RunnerBench, **choices: Any) -> tuple[JobRecord, th
 
 def test_a_job_runs_to_its_results(bench: RunnerBench) -> None:
     job = bench.create_job()
-    assert bench.runner().work(60.0) == 1 + 4 + 2 + 1 + 4 + 1 + 4 + 3
+    assert bench.runner().work(60.0) == 1 + 4 + 2 + 1 + 4 + 1 + 4 + 4
     job = bench.store.jobs.get(job.id)
     assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
     assert [(stage.name, stage.state) for stage in job.stages] == [
@@ -81,6 +82,7 @@ def test_a_job_runs_to_its_results(bench: RunnerBench) -> None:
             REDETECT_AGAIN,
             IDENTIFY,
             FIT,
+            HOLD,
             EXPORT,
         )
     ]
@@ -125,7 +127,7 @@ def test_workers_side_by_side_leave_the_same(bench: RunnerBench) -> None:
 def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    for name in (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT):
+    for name in (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, HOLD):
         bench.stages[name] = fail_with(AssertionError("must not run"))
     again = bench.create_job()
     bench.runner().work(60.0)
@@ -142,6 +144,7 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -
         REDETECT_AGAIN: True,
         IDENTIFY: True,
         FIT: True,
+        HOLD: True,
         EXPORT: False,
     }
     assert bench.result(again.id) == RESULT

@@ -56,8 +56,17 @@ def _rays_in(seen: Observations, cameras: Sequence[Camera], joints: JointSet) ->
     return lambda rows: Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
 
 
-def _no_rays(_: slice) -> Rays:
-    raise RuntimeError("the observations of the fit were dropped")
+@dataclass(frozen=True, slots=True, eq=False)
+class FitState:
+    """State of a person's fit after ``SkeletonFit.motion``, without the observations: ``SkeletonFit.resumed``."""
+
+    track: Track3D  # Positions at the start of the fit
+    motion: SkeletonMotion
+    # See ``SkeletonFit``
+    is_predicted: Bool[np.ndarray, "frames joints"]
+    lively: Float[np.ndarray, " frames"]
+    has_offsets: bool
+    uncertainty_m: Float[np.ndarray, "frames joints"] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +116,8 @@ class SkeletonFit:
         Positions that are weak evidence beside the rays, as one camera alone sees the person. ``None``: none is.
     lively
         Ratio of the person's accelerations to usual ones, see ``fitting.liveliness``. ``None``: they are usual.
+    bone_length_m
+        Lengths of the bones at the start. ``None``: they are measured between the positions.
     """
 
     def __init__(
@@ -119,25 +130,56 @@ class SkeletonFit:
         offsets: JointOffsets = MARKED_AT_CENTERS,
         is_predicted: Bool[np.ndarray, "frames joints"] | None = None,
         lively: Float[np.ndarray, " frames"] | None = None,
+        bone_length_m: Float[np.ndarray, " joints"] | None = None,
     ) -> None:
         self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
         self._is_predicted = np.zeros(track.source.shape, bool) if is_predicted is None else is_predicted
         self._lively = np.ones(track.num_frames) if lively is None else lively
         self._offsets = offsets
-        self._use_lengths(bone_lengths_m(Landmarks(track.xyz_m, track.source, joints)))
+        if bone_length_m is None:
+            bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints))
+        self._use_lengths(bone_length_m)
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
         self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
         self._uncertainty_m: np.ndarray | None = None
 
-    def drop_observations(self) -> None:
-        """Forget the observations until ``take_observations``: those of everybody in a long take are large."""
-        if self._rays_of is not None:
-            self._rays_of = _no_rays
+    @classmethod
+    def resumed(
+        cls,
+        state: FitState,
+        seen: Observations,
+        cameras: Sequence[Camera],
+        timebase: Timebase,
+        joints: JointSet,
+        offsets: JointOffsets,
+        follows_rays: bool,
+    ) -> "SkeletonFit":
+        """Go on with the fit of a person from its state, which stays as it is.
 
-    def take_observations(self, seen: Observations, cameras: Sequence[Camera]) -> None:
-        """Follow the observations again from which the fit was prepared, if it follows rays."""
-        if self._rays_of is not None:
-            self._rays_of = _rays_in(seen, cameras, self._joints)
+        ``follows_rays`` tells whether it follows the rays of ``seen``, as of ``fit_to_rays``; ``offsets`` are as there.
+        """
+        motion = state.motion
+        fitted = cls(
+            state.track,
+            joints,
+            timebase,
+            motion.name,
+            _rays_in(seen, cameras, joints) if follows_rays else None,
+            offsets if state.has_offsets else MARKED_AT_CENTERS,
+            state.is_predicted,
+            state.lively,
+            motion.bone_length_m,
+        )
+        fitted._root_m, fitted._quat = np.array(motion.root_m), np.array(motion.parent_from_joint)
+        fitted._uncertainty_m = state.uncertainty_m
+        return fitted
+
+    @property
+    def state(self) -> FitState:
+        """State after ``motion``; the motion's arrays are those of the fit."""
+        return FitState(
+            self._track, self.current, self._is_predicted, self._lively, bool(self._offsets), self._uncertainty_m
+        )
 
     @property
     def track(self) -> Track3D:
@@ -180,6 +222,11 @@ class SkeletonFit:
             self._fit(start, {}, _NUM_STEPS, on_share, Blend(sigma_m))
             self._uncertainty_m = np.full(self._track.xyz_m.shape[:2], np.nan)
             self._uncertainty_m[:, self._skeleton.landmark] = sigma_m
+        return self.current
+
+    @property
+    def current(self) -> SkeletonMotion:
+        """Motion as it is now, without contacts; what changes the fit changes it too."""
         return SkeletonMotion(
             track_id=self._track.track_id,
             name=self._name,

@@ -22,6 +22,7 @@ from pipeline.stages.stage import (
     EXPORT,
     FIT,
     HEADS,
+    HOLD,
     IDENTIFY,
     LENGTHS,
     OPENSIM,
@@ -129,7 +130,7 @@ def test_a_constant_of_contacts_counts_for_the_fit(sources: Path) -> None:
         line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("_") and " = " in line
     )
     edit(path, name, name.partition(" = ")[0] + " = 123.456")
-    assert changed(sources) == {FIT, REFIT}
+    assert changed(sources) == {FIT, HOLD, REFIT}
 
 
 @pytest.mark.slow
@@ -168,7 +169,7 @@ def test_what_a_task_asks_its_context_counts(sources: Path) -> None:
     edit(context, "facts.frame_rate_hz) + 2", "facts.frame_rate_hz) + 3")  # a helper of what they ask
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES}
     edit(context, "return self.detections.offsets", "return {**self.detections.offsets}")
-    fitted = {FIT, REFIT, OVERLAY, REPORT, RECORD, RETARGET, OPENSIM, WRITE, EXPORT}
+    fitted = {FIT, HOLD, REFIT, OVERLAY, REPORT, RECORD, RETARGET, OPENSIM, WRITE, EXPORT}
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES} | fitted
     edit(context, "return range(frames.start - first, frames.stop - first)", "return frames")
     assert changed(sources) == {CHECK, REFINE, LENGTHS, POSES} | fitted
@@ -182,7 +183,7 @@ def test_the_form_of_stored_people_counts_for_those_who_write_or_read_them(sourc
     )
     assert changed(sources) == {
         *(ASSOCIATE, EXPECT, EXPECT_AGAIN, IDENTIFY),
-        *(EDIT, FIT, HEADS, REFIT, OVERLAY, REPORT, RECORD, RETARGET, OPENSIM, WRITE, EXPORT),
+        *(EDIT, FIT, HOLD, HEADS, REFIT, OVERLAY, REPORT, RECORD, RETARGET, OPENSIM, WRITE, EXPORT),
     }
 
 

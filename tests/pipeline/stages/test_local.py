@@ -16,10 +16,11 @@ from pipeline.progress import Progress
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct, reconstruct_to_files
 from pipeline.stages.plan import STAGE_BY_NAME
-from pipeline.stages.stage import ASSOCIATE, CHECK, FIT, IDENTIFY, LENGTHS, POSES
+from pipeline.stages.stage import ASSOCIATE, CHECK, FIT, HOLD, IDENTIFY, LENGTHS, POSES
 from tests.pipeline.simulations import write_simulation
 
 TRACKING = ReconstructionConfig(exports=("bvh", "csv"))
+NONE_REUSED = dict.fromkeys([CHECK, ASSOCIATE, IDENTIFY, FIT, HOLD], 0)
 CLUSTERING = replace(TRACKING, method="clustering", chunk_frames=20, smoothing="butterworth")
 
 
@@ -51,14 +52,14 @@ def run(session: KeypointSession, config: ReconstructionConfig, cache: Path | No
 
 def test_another_smoothing_reuses_the_tracks(session: KeypointSession, tmp_path: Path) -> None:
     first, of_first = run(session, TRACKING, tmp_path / "cache")
-    assert {name: units for name, (units, _) in of_first.items()} == {CHECK: 0, ASSOCIATE: 0, IDENTIFY: 0, FIT: 0}
+    assert {name: units for name, (units, _) in of_first.items()} == NONE_REUSED
     again, of_again = run(session, TRACKING, tmp_path / "cache")
     assert all(units == total for units, total in of_again.values())
     assert written(again, tmp_path / "again") == written(first, tmp_path / "first")
     smoothed = replace(TRACKING, smoothing="one-euro")
     other, of_other = run(session, smoothed, tmp_path / "cache")
     assert of_other[ASSOCIATE][0] == of_other[ASSOCIATE][1]
-    assert of_other[FIT][0] == 0
+    assert (of_other[FIT][0], of_other[HOLD][0]) == (0, 0)
     fresh, _ = run(session, smoothed, None)
     assert written(other, tmp_path / "other") == written(fresh, tmp_path / "fresh")
 
@@ -97,7 +98,7 @@ def test_processes_and_ranges_change_no_byte(
 ) -> None:
     config = replace(CLUSTERING, frame_range=frame_range)
     one, units = run(session, config, None)
-    assert list(units) == [CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT]
+    assert list(units) == [CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, HOLD]
     two, _ = run(session, replace(config, processes=2, chunk_frames=13), None)
     assert written(one, tmp_path / "one") == written(two, tmp_path / "two")
 
@@ -111,7 +112,7 @@ def test_a_damaged_output_is_computed_again(session: KeypointSession, tmp_path: 
             content[-1] ^= 1
             path.write_bytes(content)
     again, units = run(session, TRACKING, tmp_path / "cache")
-    assert {name: number for name, (number, _) in units.items()} == {CHECK: 0, ASSOCIATE: 0, IDENTIFY: 0, FIT: 0}
+    assert {name: number for name, (number, _) in units.items()} == NONE_REUSED
     assert written(again, tmp_path / "again") == written(first, tmp_path / "first")
 
 
