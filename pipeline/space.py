@@ -22,6 +22,8 @@ _SEEING = 0.8
 # and in other smoothing; of a person's rotations in a frame, and of a camera's frame in the searches for missed people.
 _TRACK, _VIEW, _DETECTION, _FITTED, _SMOOTHED = 49, 18, 21, 24, 16
 _POSE, _OF_FRAME = 900, 80
+# Of a person in a frame: points of the feet; and until the job ends the state of the fit, without and of each joint.
+_FEET, _STATE, _STATE_OF_JOINT = 75, 600, 40
 _FIELDS_OF_FRAME: Mapping[str, int] = {"openpose-mobilenet-thin": 17_000, "human-pose-estimation-0001": 5_800}
 # With fingers a skeleton has so many times as many joints.
 _WITH_FINGERS = 2.0
@@ -84,7 +86,7 @@ class ForeseenSpace:
 
     output_bytes: int  # Outputs of stages, which later jobs of the session reuse
     result_bytes: int  # Result files
-    scratch_bytes: int  # Temporary files of the largest task, beside these
+    scratch_bytes: int  # Temporary files of the largest task, beside these, and the states of fits until the job ends
     num_people: int  # Number of people that was assumed
 
     @property
@@ -175,7 +177,7 @@ def space_of(
     rows = num_people * num_worked
     people_bytes = rows * num_joints * (_TRACK + _VIEW * num_views)
     turns = _WITH_FINGERS if num_joints >= _NUM_JOINTS["whole"] else 1.0
-    fit_bytes = rows * (turns * _POSE + num_joints * (_FITTED if config.smoothing == "fit" else _SMOOTHED))
+    fit_bytes = rows * (turns * _POSE + _FEET + num_joints * (_FITTED if config.smoothing == "fit" else _SMOOTHED))
     output_bytes = 2 * people_bytes + fit_bytes + 5_000 * (num_people + 1)
     if config.method == "clustering":
         output_bytes += people_bytes
@@ -198,7 +200,8 @@ def space_of(
         result_bytes += viewer_bytes
         # Copies of these files are kept as pieces, for edits of people.
         output_bytes += kept_bytes + viewer_bytes
-    scratch_bytes = people_bytes + max(people_bytes, result_bytes)
+    state_bytes = rows * (_STATE + num_joints * _STATE_OF_JOINT)
+    scratch_bytes = people_bytes + state_bytes + max(people_bytes, result_bytes)
     return ForeseenSpace(round(output_bytes), round(result_bytes), round(scratch_bytes), num_people)
 
 

@@ -28,7 +28,7 @@ def fit(task: Task, context: Context) -> Output:
         sees = cache(seen_in(people.observations))
         likenesses = find_likenesses(people.tracks, sees, session.cameras, joints, timebase.frame_rate_hz)
         on_floor = tuple(likenesses.others(len(people.tracks)))
-    on_share, numbers = context.on_share(task), range(len(people.tracks))[task.people]
+    on_share, numbers = context.on_share(task), range(len(people.tracks))[STAGE.people(task)]
     fitted = [
         fit_person(
             people.tracks[number],

@@ -21,7 +21,7 @@ def hold_feet(task: Task, context: Context) -> Output:
     path = context.scratch / "states.npz"
     path.write_bytes(*context.interim(FIT, slice(task.index, task.index + 1)))
     states = RecordArchive(path)  # one of them at a time is in memory
-    on_share, numbers = context.on_share(task), range(len(people.tracks))[task.people]
+    on_share, numbers = context.on_share(task), range(len(people.tracks))[STAGE.people(task)]
     finished = [
         finish_person(
             FittedPerson(states.read(FitState, place), points[number]),

@@ -206,7 +206,7 @@ def _planned(
         scratch = stack.enter_context(_scratch_folder(files))
         codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else stage_codes(current_provider().identity)
         stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name in wanted]
-        yield _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), scratch, files)
+        yield _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), scratch, files, _Pool(stack))
 
 
 @contextlib.contextmanager
@@ -302,6 +302,7 @@ class _Job:
     interim: OutputFolder
     scratch: Path  # Folder for temporary files of the process that runs a task
     files: _Destination | None = None  # Destination of result files; ``None``: no task makes any
+    pool: "_Pool | None" = None  # Pool of its processes; ``None`` in these processes
 
     def tasks_of(self, stage: str) -> Iterable[Task]:
         """Tasks of a stage; none if it is not planned."""
@@ -438,8 +439,8 @@ def _needs_interim(job: _Job, stage: PlannedStage) -> bool:
 
 def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[Task], None]) -> Generator[Task, None, None]:
     """Run tasks; yields each one when it is done."""
-    if len(tasks) > 1 and job.config.processes > 1:
-        return _finished_in_processes(job, tasks)
+    if len(tasks) > 1 and job.config.processes > 1 and job.pool is not None:
+        return _finished_in_processes(job, tasks, job.pool)
     if len(tasks) > 1 and STAGE_BY_NAME[tasks[0].stage].runs_networks:
         return overlapped(tasks, partial(_run, job), on_unit)
     return (_run(job, task, partial(on_unit, task)) for task in tasks)
@@ -471,14 +472,31 @@ def _keep(file: ResultFile, folder: Path) -> None:
         raise not_written(folder, error) from error
 
 
-def _finished_in_processes(job: _Job, tasks: Sequence[Task]) -> Generator[Task, None, None]:
+def _finished_in_processes(job: _Job, tasks: Sequence[Task], pool: "_Pool") -> Generator[Task, None, None]:
     try:
-        with ProcessPool(min(job.config.processes, len(tasks)), _Worker.start, (job,)) as pool:
-            yield from pool.map(_Worker.run, tasks)
+        yield from pool.of(job).map(_Worker.run, tasks)
     except BrokenProcessPool as error:
         raise ChildError(
             "A process was ended from outside, most likely for lack of memory. Try fewer processes."
         ) from error
+
+
+class _Pool:
+    """Pool of a job's processes. It starts with the first stage of several tasks, and ends with ``stack``.
+
+    Each process starts when it is first needed: that takes seconds.
+    """
+
+    def __init__(self, stack: contextlib.ExitStack) -> None:
+        self._stack = stack
+        self._started: ProcessPool | None = None
+
+    def of(self, job: _Job) -> ProcessPool:
+        """Pool for the job."""
+        if self._started is None:
+            pool = ProcessPool(job.config.processes, _Worker.start, (replace(job, pool=None),))
+            self._started = self._stack.enter_context(pool)
+        return self._started
 
 
 class _Worker:

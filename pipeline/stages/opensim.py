@@ -13,7 +13,7 @@ def run_opensim(task: Task, context: Context) -> Output:
     names = {motion.track_id: motion.name for motion in take.motions}
     files, people = [], []
     rate_hz = context.config.output_rate_hz
-    for written in write_opensim_files(take, task.people, context.scratch, rate_hz, context.on_share(task)):
+    for written in write_opensim_files(take, STAGE.people(task), context.scratch, rate_hz, context.on_share(task)):
         people.append(written.person.document())
         if written.path is not None:
             person = f"person-{written.person.id}"
@@ -28,6 +28,7 @@ STAGE = Stage(
     "Run OpenSim",
     run_opensim,
     cut="people",
+    frames_a_part=1,  # OpenSim takes much longer than a task without a person
     follows=TAKE,
     choices=("exports", "output_rate_hz", "names"),
     is_planned=lambda facts, config: config.making is None and "osim" in config.exports,

@@ -21,7 +21,7 @@ from typing import Any
 from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
 from pipeline.edits import document_of, without_names
 from pipeline.job_choices import ProxyChoices
-from pipeline.stages.stage import SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task, num_person_parts
+from pipeline.stages.stage import SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
 
 # Modules that declare the stages, in the order of their work.
 _MODULES = (
@@ -213,7 +213,7 @@ def _tasks(
     if stage.looked_at_hz is not None:
         num_units = max(1, min(cut.num_frames, round(stage.looked_at_hz * cut.num_frames / facts.frame_rate_hz)))
     if stage.cut == "people":
-        num_parts = num_person_parts(cut.frames)
+        num_parts = stage.num_parts(cut.frames)
         num_units = -(-num_units // num_parts)
         return tuple(
             Task(stage.name, index, None, cut.frames, cut.chunk_frames, num_units, _hash([stage_key, index]))

@@ -35,7 +35,7 @@ def refit(task: Task, context: Context) -> Output:
     changed = context.people(EDIT).people
     floor = RecordArchive(*context.outputs(HOLD, slice(1))).find(Floor, "floor")
     pieces = Pieces(task, context)
-    numbers = range(len(changed.tracks))[task.people]
+    numbers = range(len(changed.tracks))[STAGE.people(task)]
     fitted = []
     for number, on_person in zip(numbers, split(on_share, [1] * len(numbers)), strict=True):
         track, seen = changed.tracks[number], changed.observations[number]

@@ -36,9 +36,8 @@ CHECK = "check_session"
 TAKE = CHECK, SYNCHRONIZE, REFINE, IDENTIFY, HOLD, EDIT, REFIT
 """Stages of whose outputs a take is assembled; see ``pipeline.stages.take``."""
 
-# Largest number of tasks of a stage that is cut by person, and the frames for each: a task takes a tenth of a second
-# even without a person, so that short takes have one.
-_MOST_PERSON_PARTS, _FRAMES_A_PART = 4, 250
+# Largest number of tasks of a stage that is cut by person.
+_MOST_PARTS = 4
 
 VIEWER = "viewer"
 """Kind of the files that viewers read; lists of downloads leave them out."""
@@ -95,14 +94,6 @@ class FrameCut:
         return [part for part in inside if part] or [self.frames[:1]]
 
 
-def num_person_parts(frames: range) -> int:
-    """Number of tasks of a stage that is cut by person: person number k is in task k modulo this number.
-
-    A plan is made before anybody is found.
-    """
-    return max(1, min(_MOST_PERSON_PARTS, len(frames) // _FRAMES_A_PART))
-
-
 @dataclass(frozen=True, slots=True)
 class Task:
     """A task of a stage."""
@@ -117,11 +108,6 @@ class Task:
     # Key of all that pieces of its output depend on but the edits of people, for stages that follow edits; see
     # ``pipeline.stages.pieces``
     piece_key: str = ""
-
-    @property
-    def people(self) -> slice:
-        """Numbers of the people of a task of a stage that is cut by person."""
-        return slice(self.index, None, num_person_parts(self.frames))
 
     @property
     def one_camera(self) -> str:
@@ -191,6 +177,9 @@ class Stage:
     choices: tuple[str, ...]
     # Whether a job has this stage
     is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.is_of_people
+    # Frames for each task of a stage that is cut by person: a task takes a tenth of a second even without a person, so
+    # that short takes have one.
+    frames_a_part: int = 500
     unit: Literal["frames", "steps"] = "steps"  # What its progress counts
     frames_a_unit: int = 1  # Frames of a camera that a unit of a stage on ranges of cameras stands for
     max_frames: int | None = None  # Largest number of frames of a camera that it looks at; ``None``: all
@@ -209,3 +198,14 @@ class Stage:
     # Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are no
     # pieces
     pieces_of: str = ""
+
+    def num_parts(self, frames: range) -> int:
+        """Number of its tasks, if it is cut by person: person number k is in task k modulo this number.
+
+        A plan is made before anybody is found.
+        """
+        return max(1, min(_MOST_PARTS, len(frames) // self.frames_a_part))
+
+    def people(self, task: Task) -> slice:
+        """Numbers of the people of one of its tasks, if it is cut by person."""
+        return slice(task.index, None, self.num_parts(task.frames))

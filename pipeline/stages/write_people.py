@@ -13,7 +13,7 @@ def write_people(task: Task, context: Context) -> Output:
     config, pieces = context.config, Pieces(task, context)
     choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
     files = FilesInPieces(pieces, context.scratch)
-    keep_people(assemble(context), task.people, context.scratch, *choices, context.on_share(task), files)
+    keep_people(assemble(context), STAGE.people(task), context.scratch, *choices, context.on_share(task), files)
     return Output(b"", pieces=pieces.files)
 
 

@@ -95,6 +95,7 @@ def test_the_service_gives_the_same_files(
         "associate",
         "identify",
         "fit",
+        "hold_feet",
         "export",
     ]
     assert all(stage["done"] == stage["total"] for stage in job["stages"])

@@ -3,9 +3,11 @@
 import json
 import re
 from collections.abc import Iterator
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import pytest
 from playwright.sync_api import Page, Request, expect
 
@@ -13,6 +15,7 @@ from tests.e2e.browsing import opened
 from tests.e2e.captures import keypoint_capture
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
+from tests.waiting import wait_for
 
 # Apart from the other tests of the page, which take long enough one after the other.
 pytestmark = pytest.mark.xdist_group("waits")
@@ -121,10 +124,22 @@ def test_a_job_is_followed_again(page: Page, served: Served, job: dict[str, Any]
     page.route("**/events", lambda route: route.fulfill(status=502, body=""), times=1)
     worker = served.part("worker")
     tree = [worker, *worker.children(recursive=True)]
-    for process in tree:
-        process.suspend()
+    answers: list[httpx2.Response] = []
+
+    def is_queued_for_nobody() -> bool:
+        """Queue a job while the worker is suspended, unless that was in a transaction: the database is locked then."""
+        for process in tree:
+            process.suspend()
+        answers.append(served.client.post(job["jobs"], json={"frame_range": [0, 15]}))
+        if answers[-1].status_code == HTTPStatus.SERVICE_UNAVAILABLE:
+            for process in tree:
+                process.resume()
+            return False
+        return True
+
     try:
-        waiting = served.client.post(job["jobs"], json={"frame_range": [0, 15]}).raise_for_status().json()
+        wait_for(is_queued_for_nobody)
+        waiting = answers[-1].raise_for_status().json()
         row = page.locator(f"#job-{waiting['id']}")
         expect(row.get_by_text("Waiting")).to_be_visible(timeout=180_000)
         for _ in range(1200):

@@ -55,6 +55,7 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
         "redetect_again": True,
         "identify": True,
         "fit": True,
+        "hold_feet": True,
         "export": False,
     }
     assert served.downloads(again["id"]) == digests(first_results)

@@ -85,7 +85,14 @@ def test_the_same_files_as_without_the_service(
     assert job["state"] == "succeeded", job
     assert any("evidence" in warning for warning in job["warnings"]) == (method == "clustering")
     before = ["check_session", *(["lengths", "poses"] if method == "clustering" else [])]
-    assert [stage["name"] for stage in job["stages"]] == [*before, "associate", "identify", "fit", "export"]
+    assert [stage["name"] for stage in job["stages"]] == [
+        *before,
+        "associate",
+        "identify",
+        "fit",
+        "hold_feet",
+        "export",
+    ]
     assert len(json.loads((tmp_path / "metrics.json").read_bytes())["people"]) >= 2
     assert served.downloads(job["id"]) == digests(tmp_path)
 
@@ -161,6 +168,7 @@ def test_a_disturbed_calibration_is_refined_with_the_same_files(served: Served, 
         "associate",
         "identify",
         "fit",
+        "hold_feet",
         "export",
     ]
     assert "calibration_refined" in [warning["code"] for warning in job["result_warnings"]]

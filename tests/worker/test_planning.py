@@ -117,7 +117,7 @@ def test_the_stages_and_their_sizes() -> None:
     assert [chunk.unit_count for chunk in stages[5].chunks] == [2, 2, 2, 2, 1, 1]  # people lean in few frames
 
 
-@pytest.mark.parametrize(("num_frames", "num_parts"), [(60, 1), (499, 1), (500, 2), (1000, 4), (90_000, 4)])
+@pytest.mark.parametrize(("num_frames", "num_parts"), [(60, 1), (999, 1), (1000, 2), (2000, 4), (90_000, 4)])
 def test_long_takes_are_fitted_in_parts(num_frames: int, num_parts: int) -> None:
     sizes = {stage.name: len(list(stage.chunks)) for stage in plan_job(make_session(num_frames), JobSpec(), 250)}
     assert (sizes[FIT], sizes[HOLD], sizes[IDENTIFY]) == (num_parts, num_parts, 1)
