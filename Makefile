@@ -175,7 +175,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -n 4 --dist loadgrou
 	--timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile and not load and not accuracy
 
-test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (a quarter of an hour)
+test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (7 to 22 minutes)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
 test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests

@@ -45,6 +45,8 @@ from pipeline.video.images.files import folder_sha256
 UNFINISHED = ".new-"
 """How names of folders begin, beside the results, whose files are not whole; a program that is killed leaves one."""
 _DEFAULTS = ReconstructionConfig()
+# Units of work from which on a pool of processes is started: frames of detection, tens of frames of a fit.
+_UNITS_OF_A_START = 60
 _STAGES_OF_RECORDS = {stage.name for stage in STAGES if not stage.makes_files} - {WRITE}
 
 
@@ -439,7 +441,7 @@ def _needs_interim(job: _Job, stage: PlannedStage) -> bool:
 
 def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[Task], None]) -> Generator[Task, None, None]:
     """Run tasks; yields each one when it is done."""
-    if len(tasks) > 1 and job.config.processes > 1 and job.pool is not None:
+    if len(tasks) > 1 and job.config.processes > 1 and job.pool is not None and job.pool.is_worth(tasks):
         return _finished_in_processes(job, tasks, job.pool)
     if len(tasks) > 1 and STAGE_BY_NAME[tasks[0].stage].runs_networks:
         return overlapped(tasks, partial(_run, job), on_unit)
@@ -490,6 +492,10 @@ class _Pool:
     def __init__(self, stack: contextlib.ExitStack) -> None:
         self._stack = stack
         self._started: ProcessPool | None = None
+
+    def is_worth(self, tasks: Sequence[Task]) -> bool:
+        """Return whether the pool has started, or its start takes less time than it will save."""
+        return self._started is not None or sum(task.num_units for task in tasks) >= _UNITS_OF_A_START
 
     def of(self, job: _Job) -> ProcessPool:
         """Pool for the job."""

@@ -177,9 +177,8 @@ class Stage:
     choices: tuple[str, ...]
     # Whether a job has this stage
     is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.is_of_people
-    # Frames for each task of a stage that is cut by person: a task takes a tenth of a second even without a person, so
-    # that short takes have one.
-    frames_a_part: int = 500
+    # Frames for each task of a stage that is cut by person, so that the shortest takes have one
+    frames_a_part: int = 25
     unit: Literal["frames", "steps"] = "steps"  # What its progress counts
     frames_a_unit: int = 1  # Frames of a camera that a unit of a stage on ranges of cameras stands for
     max_frames: int | None = None  # Largest number of frames of a camera that it looks at; ``None``: all

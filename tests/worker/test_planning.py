@@ -108,8 +108,8 @@ def test_the_stages_and_their_sizes() -> None:
         (EXPECT_AGAIN, 1),
         (REDETECT_AGAIN, 6),
         (IDENTIFY, 1),
-        (FIT, 1),
-        (HOLD, 1),
+        (FIT, 2),
+        (HOLD, 2),
         (EXPORT, 1),
     ]
     assert [chunk.unit_count for chunk in stages[0].chunks] == [LOOKED_AT_FRAMES] * 2
@@ -117,7 +117,7 @@ def test_the_stages_and_their_sizes() -> None:
     assert [chunk.unit_count for chunk in stages[5].chunks] == [2, 2, 2, 2, 1, 1]  # people lean in few frames
 
 
-@pytest.mark.parametrize(("num_frames", "num_parts"), [(60, 1), (999, 1), (1000, 2), (2000, 4), (90_000, 4)])
+@pytest.mark.parametrize(("num_frames", "num_parts"), [(20, 1), (49, 1), (50, 2), (100, 4), (90_000, 4)])
 def test_long_takes_are_fitted_in_parts(num_frames: int, num_parts: int) -> None:
     sizes = {stage.name: len(list(stage.chunks)) for stage in plan_job(make_session(num_frames), JobSpec(), 250)}
     assert (sizes[FIT], sizes[HOLD], sizes[IDENTIFY]) == (num_parts, num_parts, 1)
