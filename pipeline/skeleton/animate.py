@@ -80,38 +80,18 @@ def animate(
     InputError
         If the cutoff of the low-pass is not below half of the frame rate.
     """
+    fitter = PersonFitter(cameras, timebase, joints, config, offsets)
     num_frames = [track.num_frames for track in tracks]
-    work = [sum(shares) * num for shares in (_FITTING, _FINISHING) for num in num_frames]
-    parts = iter(split(on_share, work))
-    setting = cameras, timebase, joints, config, offsets
-    fitted = [fit_person(tracks[number], observations[number], *setting, next(parts)) for number in range(len(tracks))]
+    parts = iter(split(on_share, [sum(shares) * num for shares in (_FITTING, _FINISHING) for num in num_frames]))
+    fitted = [fitter.fit(tracks[number], observations[number], next(parts)) for number in range(len(tracks))]
     if floor == "estimated":
         floor = floor_under([person.points for person in fitted], timebase.frame_rate_hz)
     finished = [
-        finish_person(person, tracks[number], observations[number], *setting, floor, next(parts))
+        fitter.finish(person, tracks[number], observations[number], floor, next(parts))
         for number, person in enumerate(fitted)
     ]
     on_share(1.0)
     return Animation(tuple(track for track, _ in finished), tuple(motion for _, motion in finished), floor)
-
-
-def fit_person(
-    track: Track3D,
-    seen: Observations,
-    cameras: Sequence[Camera],
-    timebase: Timebase,
-    joints: JointSet,
-    config: ReconstructionConfig,
-    offsets: JointOffsets = MARKED_AT_CENTERS,
-    on_share: OnShare = ignore,
-) -> FittedPerson:
-    """Fit a person's skeleton, up to where the floor counts; see ``animate``."""
-    require(cutoff_problems(config.smoothing, config.cutoff_hz, timebase.frame_rate_hz))
-    on_positions, on_motion = split(on_share, _FITTING)
-    body = without_hands(joints)
-    fit = _prepare(*selected(track, seen, joints, body.names), cameras, timebase, body, config, offsets, on_positions)
-    motion = fit.motion(on_motion)
-    return FittedPerson(fit.state, foot_points(fit, motion, body))
 
 
 def floor_under(people: Sequence[FootPoints], frame_rate_hz: float) -> Floor | None:
@@ -124,77 +104,82 @@ def floor_under(people: Sequence[FootPoints], frame_rate_hz: float) -> Floor | N
     )
 
 
-def finish_person(
-    fitted: FittedPerson,
-    track: Track3D,
-    seen: Observations,
-    cameras: Sequence[Camera],
-    timebase: Timebase,
-    joints: JointSet,
-    config: ReconstructionConfig,
-    offsets: JointOffsets = MARKED_AT_CENTERS,
-    floor: Floor | None = None,
-    on_share: OnShare = ignore,
-) -> tuple[Track3D, SkeletonMotion]:
-    """Hold a fitted person's feet on the floor; return the final track and motion, with hands. See ``animate``."""
-    on_held, on_followed = split(on_share, _FINISHING)
-    body, by_rays = without_hands(joints), config.smoothing == "fit"
-    _, body_seen = selected(track, seen, joints, body.names)
-    fit = SkeletonFit.resumed(fitted.state, body_seen, cameras, timebase, body, offsets, by_rays)
-    contacts = contacts_of(fitted.points, floor, timebase.frame_rate_hz, config.feet)
-    motion = hold_feet(fit, fit.current, fitted.points, contacts, floor, on_held)
-    followed = follow(fit, motion, body_seen, cameras, on_followed) if by_rays else fit.track
-    if has_fingers(joints):
-        motion, followed = _add_hands(motion, followed, track, seen, cameras, timebase, joints, config, fit.has_torso)
-    return followed, motion
+@dataclass(frozen=True, slots=True, eq=False)
+class PersonFitter:
+    """Fit of the people of a take, one at a time; see ``animate``."""
 
+    cameras: Sequence[Camera]
+    timebase: Timebase
+    joints: JointSet
+    config: ReconstructionConfig
+    offsets: JointOffsets
 
-def _add_hands(
-    motion: SkeletonMotion,
-    followed: Track3D,
-    track: Track3D,
-    seen: Observations,
-    cameras: Sequence[Camera],
-    timebase: Timebase,
-    joints: JointSet,
-    config: ReconstructionConfig,
-    is_placed: bool,
-) -> tuple[SkeletonMotion, Track3D]:
-    """Fit the hands of a person on the fitted body, and add their joints to the motion and to the track.
+    def fit(self, track: Track3D, seen: Observations, on_share: OnShare = ignore) -> FittedPerson:
+        """Fit a person's skeleton, up to where the floor counts."""
+        require(cutoff_problems(self.config.smoothing, self.config.cutoff_hz, self.timebase.frame_rate_hz))
+        on_positions, on_motion = split(on_share, _FITTING)
+        fit = self._prepared(*selected(track, seen, self.joints, self._body.names), on_positions)
+        motion = fit.motion(on_motion)
+        return FittedPerson(fit.state, foot_points(fit, motion, self._body))
 
-    Parameters
-    ----------
-    motion, followed
-        Motion and final joints of the body.
-    track, seen
-        Located joints with their observations, fingers included.
-    is_placed
-        True if the body's position is known; otherwise hands are in the natural pose, and fingers stay where they are.
-    """
-    by_rays = config.smoothing == "fit"
-    start = track if by_rays else smooth_track(track, seen, cameras, timebase, config)
-    views = views_of_hands(start, seen, joints, timebase.frame_rate_hz)
-    if not is_placed:
-        views = {side: unseen(view) for side, view in views.items()}
-    hands = fit_hands(motion, start, views, joints, cameras if by_rays else None)
-    if by_rays and is_placed:
-        fingers = follow_hands(followed, motion, hands, track, seen, joints, cameras)
-    else:
-        fingers, _ = selected(start, seen, joints, [name for name in joints.names if name in FINGER_JOINTS])
-    return with_hands(motion, hands), with_fingers(followed, fingers, joints)
+    def finish(
+        self, fitted: FittedPerson, track: Track3D, seen: Observations, floor: Floor | None, on_share: OnShare = ignore
+    ) -> tuple[Track3D, SkeletonMotion]:
+        """Hold a fitted person's feet on the floor; return the final track and motion, with hands."""
+        on_held, on_followed = split(on_share, _FINISHING)
+        _, body_seen = selected(track, seen, self.joints, self._body.names)
+        fit = SkeletonFit.resumed(
+            fitted.state, body_seen, self.cameras, self.timebase, self._body, self.offsets, self._by_rays
+        )
+        contacts = contacts_of(fitted.points, floor, self.timebase.frame_rate_hz, self.config.feet)
+        motion = hold_feet(fit, fit.current, fitted.points, contacts, floor, on_held)
+        followed = follow(fit, motion, body_seen, self.cameras, on_followed) if self._by_rays else fit.track
+        if has_fingers(self.joints):
+            motion, followed = self._with_hands(motion, followed, track, seen, fit.has_torso)
+        return followed, motion
 
+    @property
+    def _body(self) -> JointSet:
+        return without_hands(self.joints)
 
-def _prepare(
-    track: Track3D,
-    seen: Observations,
-    cameras: Sequence[Camera],
-    timebase: Timebase,
-    joints: JointSet,
-    config: ReconstructionConfig,
-    offsets: JointOffsets,
-    on_share: OnShare,
-) -> SkeletonFit:
-    name = f"person-{track.track_id}"
-    if config.smoothing == "fit":
-        return fit_to_rays(track, seen, cameras, timebase, joints, name, offsets, on_share)
-    return SkeletonFit(smooth_track(track, seen, cameras, timebase, config), joints, timebase, name)
+    @property
+    def _by_rays(self) -> bool:
+        return self.config.smoothing == "fit"
+
+    def _prepared(self, track: Track3D, seen: Observations, on_share: OnShare) -> SkeletonFit:
+        """Prepare the fit of a body, without hands."""
+        name = f"person-{track.track_id}"
+        if self._by_rays:
+            return fit_to_rays(track, seen, self.cameras, self.timebase, self._body, name, self.offsets, on_share)
+        return SkeletonFit(self._smoothed(track, seen), self._body, self.timebase, name)
+
+    def _smoothed(self, track: Track3D, seen: Observations) -> Track3D:
+        return smooth_track(track, seen, self.cameras, self.timebase, self.config)
+
+    def _with_hands(
+        self, motion: SkeletonMotion, followed: Track3D, track: Track3D, seen: Observations, is_placed: bool
+    ) -> tuple[SkeletonMotion, Track3D]:
+        """Fit the hands of a person on the fitted body, and add their joints to the motion and to the track.
+
+        Parameters
+        ----------
+        motion, followed
+            Motion and final joints of the body.
+        track, seen
+            Located joints with their observations, fingers included.
+        is_placed
+            True if the body's position is known; otherwise hands are in the natural pose, and fingers stay where they
+            are.
+        """
+        start = track if self._by_rays else self._smoothed(track, seen)
+        views = views_of_hands(start, seen, self.joints, self.timebase.frame_rate_hz)
+        if not is_placed:
+            views = {side: unseen(view) for side, view in views.items()}
+        hands = fit_hands(motion, start, views, self.joints, self.cameras if self._by_rays else None)
+        if self._by_rays and is_placed:
+            fingers = follow_hands(followed, motion, hands, track, seen, self.joints, self.cameras)
+        else:
+            fingers, _ = selected(
+                start, seen, self.joints, [name for name in self.joints.names if name in FINGER_JOINTS]
+            )
+        return with_hands(motion, hands), with_fingers(followed, fingers, self.joints)

@@ -16,30 +16,22 @@ def fit(task: Task, context: Context) -> Output:
     """Fit the skeletons of a part of the people; the first task also finds from whose feet the floor is estimated."""
     from pipeline.likenesses.find import find_likenesses, seen_in
     from pipeline.progress import split
-    from pipeline.skeleton.animate import FittedFeet, fit_person
+    from pipeline.skeleton.animate import FittedFeet, PersonFitter
     from pipeline.stages.codec import encode
 
     session = context.wanted(context.outline())
     people = context.people(IDENTIFY).people
-    joints, timebase, offsets = context.detections.joints(session), session.timebase, context.offsets()
+    joints = context.detections.joints(session)
+    fitter = PersonFitter(session.cameras, session.timebase, joints, context.config, context.offsets())
     on_floor = None
     if task.index == 0:
         # Observations stay in their file: those of one person at a time are in memory.
         sees = cache(seen_in(people.observations))
-        likenesses = find_likenesses(people.tracks, sees, session.cameras, joints, timebase.frame_rate_hz)
+        likenesses = find_likenesses(people.tracks, sees, session.cameras, joints, session.timebase.frame_rate_hz)
         on_floor = tuple(likenesses.others(len(people.tracks)))
     on_share, numbers = context.on_share(task), range(len(people.tracks))[STAGE.people(task)]
     fitted = [
-        fit_person(
-            people.tracks[number],
-            people.observations[number],
-            session.cameras,
-            timebase,
-            joints,
-            context.config,
-            offsets,
-            on_person,
-        )
+        fitter.fit(people.tracks[number], people.observations[number], on_person)
         for number, on_person in zip(numbers, split(on_share, [1] * len(numbers)), strict=True)
     ]
     on_share(1.0)

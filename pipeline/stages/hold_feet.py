@@ -8,30 +8,26 @@ def hold_feet(task: Task, context: Context) -> Output:
     """Finish the motion of a part of the people: feet that stand are held, and hands are fitted."""
     from pipeline.data.animation import Animation
     from pipeline.progress import split
-    from pipeline.skeleton.animate import FittedFeet, FittedPerson, finish_person, floor_under
+    from pipeline.skeleton.animate import FittedFeet, FittedPerson, PersonFitter, floor_under
     from pipeline.skeleton.fitting.fit import FitState
     from pipeline.stages.codec import RecordArchive, encode
 
     session = context.wanted(context.outline())
     people = context.people(IDENTIFY).people
-    joints, timebase, offsets = context.detections.joints(session), session.timebase, context.offsets()
+    joints = context.detections.joints(session)
+    fitter = PersonFitter(session.cameras, session.timebase, joints, context.config, context.offsets())
     feet = list(context.records(FIT, FittedFeet))
     points = [feet[number % len(feet)].points[number // len(feet)] for number in range(len(people.tracks))]
-    floor = floor_under([points[number] for number in feet[0].on_floor or ()], timebase.frame_rate_hz)
+    floor = floor_under([points[number] for number in feet[0].on_floor or ()], session.timebase.frame_rate_hz)
     path = context.scratch / "states.npz"
     path.write_bytes(*context.interim(FIT, slice(task.index, task.index + 1)))
     states = RecordArchive(path)  # one of them at a time is in memory
     on_share, numbers = context.on_share(task), range(len(people.tracks))[STAGE.people(task)]
     finished = [
-        finish_person(
+        fitter.finish(
             FittedPerson(states.read(FitState, place), points[number]),
             people.tracks[number],
             people.observations[number],
-            session.cameras,
-            timebase,
-            joints,
-            context.config,
-            offsets,
             floor,
             on_person,
         )
