@@ -58,7 +58,7 @@ def _rays_in(seen: Observations, cameras: Sequence[Camera], joints: JointSet) ->
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitState:
-    """State of a person's fit after ``SkeletonFit.motion``, without the observations: ``SkeletonFit.resumed``."""
+    """State of a person's fit after ``SkeletonFit.motion``, without the observations, for ``SkeletonFit.resumed``."""
 
     track: Track3D  # Positions at the start of the fit
     motion: SkeletonMotion
