@@ -363,7 +363,7 @@ class LiveBody:
 
     @property
     def is_learning(self) -> bool:
-        """Whether there are instants enough from which bones can be learnt by ``learn_a_step``."""
+        """True if the person was seen often enough, and ``learn_a_step`` has not learnt the bones yet."""
         return self._learning is not None
 
     def learn_a_step(self) -> None:

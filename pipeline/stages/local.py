@@ -26,7 +26,7 @@ from pipeline.export.results import OnFile, WrittenResults, no_file, not_written
 from pipeline.job_choices import CalibrationChoices
 from pipeline.paths import StrPath
 from pipeline.preflight.verdict import require_cameras
-from pipeline.progress import OnProgress, Progress, silent
+from pipeline.progress import OnProgress, silent
 from pipeline.providers import ProviderName
 from pipeline.rules import config_problems, require
 from pipeline.runtime.child_processes import ProcessPool
@@ -34,6 +34,7 @@ from pipeline.runtime.packages.storage import sha256_of
 from pipeline.stages.association import clustering_parameters, tracking_parameters
 from pipeline.stages.code import stage_codes
 from pipeline.stages.context import Context, Origin
+from pipeline.stages.counter import UnitCounter
 from pipeline.stages.output_folder import OutputFolder, output_folder
 from pipeline.stages.overlapped import overlapped
 from pipeline.stages.plan import STAGE_BY_NAME, STAGES, PlannedStage, followers, plan
@@ -386,36 +387,9 @@ def _read(folder: OutputFolder, task: Task) -> bytes:
     return content
 
 
-class _Counter:
-    """Reports progress of a stage."""
-
-    def __init__(self, stage: PlannedStage, on_progress: OnProgress) -> None:
-        self._stage, self._on_progress = stage.name, on_progress
-        self._total = stage.num_units
-        self._reused = self._whole = 0
-        self._units = dict[int, int]()  # Units of each task at hand
-        self._report()
-
-    def on_unit(self, task: Task) -> None:
-        """Count a unit of a task at hand. The number of units of a task is a good guess before it has run."""
-        self._units[task.index] = min(self._units.get(task.index, 0) + 1, task.num_units)
-        self._report()
-
-    def finish(self, task: Task, is_reused: bool) -> None:
-        """Count a whole task."""
-        self._units.pop(task.index, None)
-        self._whole += task.num_units
-        self._reused += task.num_units if is_reused else 0
-        self._report()
-
-    def _report(self) -> None:
-        done = self._whole + sum(self._units.values())
-        self._on_progress(Progress(self._stage, done, self._total, self._reused))
-
-
 def _run_stage(job: _Job, stage: PlannedStage, on_progress: OnProgress) -> list[Path]:
     """Run the tasks of a stage that have no outputs yet, and list the result files that they made."""
-    counter = _Counter(stage, on_progress)
+    counter = UnitCounter(stage, on_progress)
     needs_interim = _needs_interim(job, stage)
     missing = []
     for task in stage.tasks:
