@@ -3,7 +3,7 @@
 ``pose_keypoints_2d`` of a person has x, y and score of 25 (BODY_25), 18 (COCO-18) or 17 (COCO-17) joints;
 ``hand_left_keypoints_2d`` and ``hand_right_keypoints_2d`` have those of 21 points, the wrist first, or nothing.
 Pose2Sim puts the points of RTMPose in ``pose_keypoints_2d``, in their own order: 17, 26 (Halpe) or 133
-(COCO-WholeBody, with hands); a person that a camera does not see is an empty object. Formats:
+(COCO-WholeBody, with hands); a person that a camera does not see is an empty object or has an empty list. Formats:
 https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html,
 https://github.com/perfanalytics/pose2sim (poseEstimation.py, personAssociation.py)
 """
@@ -29,7 +29,7 @@ _BY_LENGTH = {3 * count: layout for count, layout in OPENPOSE_LAYOUTS.items()}
 
 def read_frame(content: Any) -> People:
     """Read the people of a frame with at least one detected joint of the body."""
-    listed = [person for person in content["people"] if person != {}]
+    listed = [person for person in content["people"] if person != {} and person[_BODY] != []]
     bodies = [person[_BODY] for person in listed]
     check_number(bodies)
     # People of zeros are dropped as lists: converting hundreds of them to arrays would take milliseconds a frame.

@@ -104,7 +104,9 @@ def test_points_of_rtmpose_in_the_form_of_openpose(tmp_path: Path, count: int, l
     folder = tmp_path / "cam01_json"
     folder.mkdir()
     unseen = pose2sim(count) | {"pose_keypoints_2d": [0.0] * 3 * count}
-    for number, people_of_frame in enumerate(([pose2sim(count), {}], [{}], [unseen])):
+    # A frame of Pose2Sim's demonstration of several people has such a person, of whom nothing was found.
+    absent = pose2sim(count) | {"pose_keypoints_2d": []}
+    for number, people_of_frame in enumerate(([pose2sim(count), {}, absent], [{}], [unseen], [absent])):
         content = json.dumps({"version": 1.3, "people": people_of_frame})
         (folder / f"cam01_{number:06d}.json").write_text(content)
     problems: list[Problem] = []
@@ -114,7 +116,7 @@ def test_points_of_rtmpose_in_the_form_of_openpose(tmp_path: Path, count: int, l
     layout_points, joints = LAYOUTS[layout].points, LAYOUTS[layout].joints
     found = positions(contents, 0, joints.names)
     assert found == {name: 10.0 * layout_points.index(name) for name in joints.names}
-    assert [len(contents.frames[number]) for number in range(3)] == [1, 0, 0]
+    assert [len(contents.frames[number]) for number in range(4)] == [1, 0, 0, 0]
     assert joint_set_of({people_of_frame.shape[1] for people_of_frame in contents.frames.values()} - {0}) == joints
 
 
