@@ -25,8 +25,9 @@ _POSE, _OF_FRAME = 900, 80
 # Of a person in a frame: points of the feet; and until the job ends the state of the fit, without and of each joint.
 _FEET, _STATE, _STATE_OF_JOINT = 75, 600, 40
 _FIELDS_OF_FRAME: Mapping[str, int] = {"openpose-mobilenet-thin": 17_000, "human-pose-estimation-0001": 5_800}
-# With fingers a skeleton has so many times as many joints.
-_WITH_FINGERS = 2.0
+# With fingers a skeleton has so many times as many joints, and a task takes as many times the memory. Bodies without
+# them have at most so many joints.
+_WITH_FINGERS, _MOST_OF_BODY = 2.0, 25
 
 # Bytes of result files: of a take and a person, of a person's frame, and of a joint in it.
 _METRICS_OF_TAKE, _METRICS_OF_PERSON = 12_000, 12_000
@@ -41,9 +42,9 @@ _RECORDED_OF_JOINT = 235
 # Formats of characters, and bytes of a frame of their motion.
 _OF_CHARACTERS, _CHARACTER_OF_FRAME = frozenset({"bvh", "glb", "fbx"}), 1_000
 
-# Memory of a worker process at work on a full HD video, and of each joint that a task on the whole session holds; the
-# latter is the limit that ``tests/worker/test_stage_memory.py`` holds all stages to.
-_PROCESS_BYTES, _MEMORY_OF_JOINT = 300 * 2**20, 70
+# Memory of a worker process at work on a full HD video; of each detected joint, and of each person in a frame, that a
+# task on the whole session holds. ``tests/worker/test_stage_memory.py`` holds all stages to the latter.
+_PROCESS_BYTES, _MEMORY_OF_JOINT, _MEMORY_OF_PERSON = 300 * 2**20, 65, 5_000
 
 
 class _FileBytes(NamedTuple):
@@ -139,13 +140,33 @@ def foreseen_memory(preflight: Preflight, config: ReconstructionConfig) -> Fores
     counted = [camera for camera in preflight.cameras if camera.num_bodies is not None]
     if counted:
         num_joints = float(sum((camera.num_bodies or 0) * (camera.num_joints or 0) for camera in counted))
+        of_body = max(camera.num_joints or 0 for camera in counted)
+        # In the frames of the camera that sees most of them.
+        num_people = float(max(camera.num_bodies or 0 for camera in counted))
     else:
         wanted = len(config.frames or range(preflight.timebase.num_frames)) / max(1, preflight.timebase.num_frames)
         of_body = _NUM_JOINTS[detected_joints(config)] if config.detector == "auto" else _OF_ONE_NETWORK
         num_frames = wanted * sum(camera.num_frames for camera in preflight.cameras)
         num_joints = _ASSUMED_PEOPLE * _SEEING * num_frames * of_body
-    whole_bytes = _PROCESS_BYTES + round(_MEMORY_OF_JOINT * num_joints)
+        num_people = _ASSUMED_PEOPLE * wanted * preflight.timebase.num_frames
+    whole_bytes = _PROCESS_BYTES + memory_of_people(num_joints, num_people, of_body)
     return ForeseenMemory(whole_bytes if counted else _PROCESS_BYTES, whole_bytes)
+
+
+def memory_of_people(num_joints: float, num_people: float, of_body: int) -> int:
+    """Bytes of everybody in a task on the whole session.
+
+    Parameters
+    ----------
+    num_joints
+        Joints that were detected in all frames of all cameras.
+    num_people
+        People in all frames of the session.
+    of_body
+        Joints of a body, fingers included.
+    """
+    times = _WITH_FINGERS if of_body > _MOST_OF_BODY else 1.0
+    return round(times * (_MEMORY_OF_JOINT * num_joints + _MEMORY_OF_PERSON * num_people))
 
 
 def space_of(
@@ -176,7 +197,7 @@ def space_of(
     num_joints, num_people, num_views = _of_people(cameras, counted, sum(map(len, stretches)), config)
     rows = num_people * num_worked
     people_bytes = rows * num_joints * (_TRACK + _VIEW * num_views)
-    turns = _WITH_FINGERS if num_joints >= _NUM_JOINTS["whole"] else 1.0
+    turns = _WITH_FINGERS if num_joints > _MOST_OF_BODY else 1.0
     fit_bytes = rows * (turns * _POSE + _FEET + num_joints * (_FITTED if config.smoothing == "fit" else _SMOOTHED))
     output_bytes = 2 * people_bytes + fit_bytes + 5_000 * (num_people + 1)
     if config.method == "clustering":

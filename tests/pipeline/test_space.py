@@ -112,7 +112,8 @@ def test_memory_of_tasks_on_the_whole_session_grows_with_its_joints(session: Key
     preflight = preflight_of(session)
     num_joints = sum(detections.score.size for detections in session.detections.values())
     memory = foreseen_memory(preflight, ReconstructionConfig())
-    assert memory.whole_bytes == 300 * 2**20 + 70 * num_joints
+    num_people = max(len(detections.frame) for detections in session.detections.values())
+    assert memory.whole_bytes == 300 * 2**20 + 65 * num_joints + 5_000 * num_people
     # Every task on keypoints holds all of them; of videos only those on the whole session do.
     assert memory.of_cut("ranges") == memory.of_cut("whole") == memory.of_cut("people") == memory.whole_bytes
     uncounted = [replace(camera, num_bodies=None, num_joints=None) for camera in preflight.cameras]

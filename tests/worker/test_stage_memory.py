@@ -1,4 +1,4 @@
-"""Memory of the stages for each joint of a long session of keypoints."""
+"""Memory of the stages for the joints and people of a long session of keypoints: no more than is foreseen."""
 
 import hashlib
 import json
@@ -18,7 +18,8 @@ from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.data.detections import Detections
 from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.simulation.scenes import Joints, find_scene, record
+from pipeline.space import memory_of_people
 from worker.chunk import Work
 from worker.execution import run_chunk
 from worker.jobs.files.artifacts import LocalArtifacts, record_key
@@ -28,12 +29,11 @@ from worker.jobs.spec import JobSpec
 
 SESSION_ID = "0190"
 PAYLOAD = {"camera": None, "start_frame": 0, "stop_frame": 1, "chunk_frames": 1}
-MAX_BYTES_A_JOINT = 70  # a worker with 25 million joints then needs less than 1.7 GiB beside code and kernels
 
 
-def long_session(num_joints: int) -> KeypointSession:
+def long_session(num_joints: int, joints: Joints) -> KeypointSession:
     """Session of two people in four cameras with a number of joints, or a few more."""
-    once = record(replace(find_scene("room"), cast=Cast(2, (3.0, 3.0)), duration_s=8.0), seed=4)
+    once = record(replace(find_scene("room"), cast=Cast(2, (3.0, 3.0)), duration_s=8.0), seed=4, joints=joints)
     num_once = once.timebase.num_frames
     num_repeats = -(-num_joints // (2 * sum(one.score.size for one in once.detections.values())))
     detections, times = {}, {}
@@ -93,17 +93,20 @@ def peak_bytes(folder: Path, stage: str) -> int:
 
 
 @pytest.mark.benchmark
+@pytest.mark.parametrize(("joints", "sizes"), [("body", (500_000, 2_500_000)), ("whole", (1_000_000, 4_000_000))])
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems count other memory")
-def test_a_joint_takes_little_memory_in_every_stage(tmp_path: Path) -> None:
+def test_every_stage_takes_the_memory_that_is_foreseen(tmp_path: Path, joints: Joints, sizes: tuple[int, int]) -> None:
     stages_in_order = ("check_session", "associate", "identify", "fit", "hold_feet", "export")
-    num_joints, peaks = [], []
-    for number, wanted in enumerate((500_000, 2_500_000)):
+    foreseen, peaks = [], []
+    for number, wanted in enumerate(sizes):
         folder = tmp_path / str(number)
         folder.mkdir()
-        session = long_session(wanted)
+        session = long_session(wanted, joints)
         (folder / "record").write_bytes(encode_keypoints(session))
-        num_joints.append(sum(one.score.size for one in session.detections.values()))
+        num_joints = sum(one.score.size for one in session.detections.values())
+        num_people = 2 * session.timebase.num_frames
+        foreseen.append(memory_of_people(num_joints, num_people, len(session.joints.names)))
         peaks.append([peak_bytes(folder, stage) for stage in stages_in_order])
-    growth = (np.diff(peaks, axis=0)[0] / np.diff(num_joints)).round(1).tolist()
+    growth = (np.diff(peaks, axis=0)[0] / np.diff(foreseen)).round(2).tolist()
     by_stage = dict(zip(stages_in_order, growth, strict=True))
-    assert max(growth) < MAX_BYTES_A_JOINT, json.dumps(by_stage)
+    assert max(growth) < 1.0, json.dumps(by_stage)
