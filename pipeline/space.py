@@ -165,8 +165,12 @@ def memory_of_people(num_joints: float, num_people: float, of_body: int) -> int:
     of_body
         Joints of a body, fingers included.
     """
-    times = _WITH_FINGERS if of_body > _MOST_OF_BODY else 1.0
-    return round(times * (_MEMORY_OF_JOINT * num_joints + _MEMORY_OF_PERSON * num_people))
+    return round(_times_of_fingers(of_body) * (_MEMORY_OF_JOINT * num_joints + _MEMORY_OF_PERSON * num_people))
+
+
+def _times_of_fingers(num_joints: float) -> float:
+    """Factor of the fingers that may be among the joints of a body."""
+    return _WITH_FINGERS if num_joints > _MOST_OF_BODY else 1.0
 
 
 def space_of(
@@ -197,7 +201,7 @@ def space_of(
     num_joints, num_people, num_views = _of_people(cameras, counted, sum(map(len, stretches)), config)
     rows = num_people * num_worked
     people_bytes = rows * num_joints * (_TRACK + _VIEW * num_views)
-    turns = _WITH_FINGERS if num_joints > _MOST_OF_BODY else 1.0
+    turns = _times_of_fingers(num_joints)
     fit_bytes = rows * (turns * _POSE + _FEET + num_joints * (_FITTED if config.smoothing == "fit" else _SMOOTHED))
     output_bytes = 2 * people_bytes + fit_bytes + 5_000 * (num_people + 1)
     if config.method == "clustering":

@@ -103,7 +103,7 @@ def test_every_stage_takes_the_memory_that_is_foreseen(tmp_path: Path, joints: J
         folder.mkdir()
         session = long_session(wanted, joints)
         (folder / "record").write_bytes(encode_keypoints(session))
-        num_joints = sum(one.score.size for one in session.detections.values())
+        num_joints = sum(detections.score.size for detections in session.detections.values())
         num_people = 2 * session.timebase.num_frames
         foreseen.append(memory_of_people(num_joints, num_people, len(session.joints.names)))
         peaks.append([peak_bytes(folder, stage) for stage in stages_in_order])
