@@ -148,8 +148,10 @@ class Normal:
         of_lengths = diags_array(damping * of_links[num_blocks * size :])
         diagonal = block_diag([bsr_array((blocks, numbers[:-1], numbers)), of_lengths])
         matrix = csc_array(diagonal + self.coupling)
-        # The matrix is positive definite: pivots of the diagonal are safe, and others would fill it.
-        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        # The matrix is positive definite: pivots of the diagonal are safe, and others would fill it. Its columns are so
+        # sparse that panels of several are slower than single ones (38 and 15 ms for 500 bodies).
+        options = {"SymmetricMode": True}
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, panel_size=1, options=options)
         return lambda right: np.asarray(factors.solve(np.ascontiguousarray(right)))
 
 

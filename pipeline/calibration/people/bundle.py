@@ -45,6 +45,10 @@ _MIN_GROUP = 10
 _MAX_ERROR = 0.03
 # Time for which an error of a detector lasts, beside those that last for the whole take.
 _LASTING_S = 1.0
+# Largest number of steps of a search, and the step that ends it: of angles in radians, of positions in distances of two
+# cameras, of logarithms of focal lengths, and of coefficients. What is left to gain is a hundredth of the standard
+# deviations.
+_MAX_STEPS, _SMALL_STEP = 30, 3e-6
 # Priors where intrinsics are guessed: logarithm of the focal length, first radial coefficient.
 _FOCAL_SIGMA, _K1_SIGMA = 0.25, 0.15
 
@@ -134,7 +138,9 @@ def _adjust(
         tuple(cameras), free, sigma, observations, Loss.CAUCHY, links, read_only(lengths_m),
         read_only(np.full(len(lengths_m), np.inf)),
     )  # fmt: skip
-    adjusted = adjust(problem, FreePoints(read_only(xyz_m[is_known])), max_steps=30)
+    small_step = np.full_like(sigma, _SMALL_STEP)
+    points = FreePoints(read_only(xyz_m[is_known]))
+    adjusted = adjust(problem, points, max_steps=_MAX_STEPS, small_step=small_step)
     num_seen = (bodies.seen() & np.isfinite(xyz_m).all(-1)[:, None]).sum((0, 2))
     fitting = read_only(np.bincount(camera, minlength=len(cameras)) / np.maximum(num_seen, 1))
     return _Fit(problem, adjusted, body, joint, fitting)
