@@ -5,8 +5,8 @@ from pathlib import Path
 
 from pydantic import Field, IPvAnyNetwork, ValidationInfo, field_validator
 
+from pipeline.config import DEFAULT_CHUNK_FRAMES
 from pipeline.runtime.child_processes import module_command
-from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.settings import StorageSettings
 from worker.telemetry.logs import LogLevel
 
@@ -181,7 +181,17 @@ class Settings(StorageSettings):
         le=36_500,
         description="Time for which results are kept; without it until they are deleted.",
     )
-    chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of a chunk of a camera.")
+    chunk_frames: int = Field(
+        default=DEFAULT_CHUNK_FRAMES,
+        gt=0,
+        description="Output frames of a chunk of a camera, before any network was run.",
+    )
+    chunk_s: float = Field(
+        default=10.0,
+        ge=0,
+        description="Time that networks shall take for a chunk: by the measured speed a new session gets a quarter, a "
+        "half, twice to sixteen times CHUNK_FRAMES, and every camera at least four chunks. 0: always CHUNK_FRAMES.",
+    )
 
     preflight_command: tuple[str, ...] = Field(
         default=tuple(module_command("pipeline.capture.preflight")),

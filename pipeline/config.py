@@ -282,6 +282,9 @@ class JobChoices(MotionChoices):
     ] = False
 
 
+DEFAULT_CHUNK_FRAMES = 100
+
+
 @dataclass(frozen=True, slots=True)
 class ReconstructionConfig(JobChoices):
     """Configuration of one reconstruction; the result does not depend on the last two fields.
@@ -315,7 +318,7 @@ class ReconstructionConfig(JobChoices):
     chunk_frames: Annotated[
         int,
         About("Frames of a chunk", "Frames of a camera in one chunk; results do not depend on it.", minimum=1),
-    ] = 100
+    ] = DEFAULT_CHUNK_FRAMES
     processes: Annotated[
         int, About("Processes", "Number of processes; results do not depend on it.", minimum=1, maximum=64)
     ] = 1

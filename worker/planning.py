@@ -10,13 +10,16 @@ from pipeline.edits import PeopleEdit
 from pipeline.job_choices import VisualChoices
 from pipeline.space import foreseen_memory
 from pipeline.stages.code import stage_codes
-from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, STAGE_BY_NAME, PlannedStage, plan
+from pipeline.stages.plan import STAGE_BY_NAME, PlannedStage, plan
 from pipeline.stages.stage import SessionFacts, Task
 from worker.jobs.model.characters import JobCharacter
 from worker.jobs.model.jobs import JobRecord, Making, config_of
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
 from worker.jobs.spec import JobSpec
+
+# Lengths of chunks as multiples of the default one, and the fewest ranges of a camera that are left by longer ones.
+_LENGTHS, _FEWEST_RANGES = (0.25, 0.5, 1, 2, 4, 8, 16), 4
 
 
 @runtime_checkable
@@ -31,11 +34,15 @@ class PlannableSession(Protocol):
     def preflight(self) -> Preflight:
         """Result of the check of its files."""
 
+    @property
+    def chunk_frames(self) -> int:
+        """Frames of a camera in a chunk of each of its jobs."""
+
 
 def plan_job(
     session: PlannableSession,
     spec: JobSpec,
-    chunk_frames: int = DEFAULT_CHUNK_FRAMES,
+    chunk_frames: int | None = None,
     codes: Mapping[str, str] | None = None,
     making: Making | None = None,
     edits: tuple[PeopleEdit, ...] = (),
@@ -45,12 +52,12 @@ def plan_job(
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
-    ``codes`` are digests of the stages' code, by default this process's for the execution provider of networks with the
-    identity ``provider``; ``making``, ``edits``, ``revision`` and ``character`` are as in
-    ``worker.jobs.model.jobs.JobRecord``.
+    ``chunk_frames`` are those of the session by default. ``codes`` are digests of the stages' code, by default this
+    process's for the execution provider of networks with the identity ``provider``. ``making``, ``edits``, ``revision``
+    and ``character`` are as in ``worker.jobs.model.jobs.JobRecord``.
     """
     config = config_of(spec, making, edits, revision, character)
-    stages = plan(session_facts(session), config, codes or stage_codes(provider), chunk_frames)
+    stages = plan(session_facts(session), config, codes or stage_codes(provider), chunk_frames or session.chunk_frames)
     memory = foreseen_memory(session.preflight, config)
     return tuple(
         StagePlan(
@@ -63,9 +70,28 @@ def plan_job(
     )
 
 
-def plan_visuals(
-    session: PlannableSession, job: JobRecord, chunk_frames: int = DEFAULT_CHUNK_FRAMES
-) -> tuple[StagePlan, ...]:
+def chunk_length(preflight: Preflight, frame_s: float, chunk_s: float, default: int) -> int:
+    """Length of the chunks of a new session for the measured speed of networks, in output frames.
+
+    Parameters
+    ----------
+    frame_s
+        Time that networks take for a frame of a camera.
+    chunk_s
+        Time that they shall take for a chunk of the fastest camera.
+    default
+        Length of which a quarter, a half, or twice to sixteen times is chosen. Long chunks leave every camera four of
+        them, so that several workers have some.
+    """
+    rate_hz = max(camera.frame_rate_hz for camera in preflight.cameras)
+    wanted = chunk_s * preflight.timebase.frame_rate_hz / (frame_s * rate_hz)
+    lengths = [max(1, int(default * factor)) for factor in _LENGTHS]
+    most = max(default, preflight.timebase.num_frames // _FEWEST_RANGES)
+    fitting = [length for length in lengths if length <= min(wanted, most)]
+    return max(fitting, default=lengths[0])
+
+
+def plan_visuals(session: PlannableSession, job: JobRecord, chunk_frames: int | None = None) -> tuple[StagePlan, ...]:
     """Plan of the job that makes overlay videos, the report and the recording of an edited job anew."""
     return plan_job(
         session,
@@ -80,7 +106,7 @@ def plan_visuals(
 
 
 def plan_again(
-    session: PlannableSession, job: JobRecord, chunk_frames: int = DEFAULT_CHUNK_FRAMES, provider: str = ""
+    session: PlannableSession, job: JobRecord, chunk_frames: int | None = None, provider: str = ""
 ) -> tuple[StagePlan, ...]:
     """Plan of a job that is there already, for an execution provider; see ``plan_job``."""
     return plan_job(

@@ -21,7 +21,6 @@ import structlog
 
 from pipeline.runtime.priorities import raise_descriptor_limit
 from pipeline.stages.code import stage_codes
-from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.errors import Conflict, DamagedDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
@@ -50,8 +49,6 @@ class Reaper:
         Wakes a worker; ``False`` if the broker does not respond.
     lease_s
         See ``WorkerSettings``.
-    chunk_frames
-        Output frames of a chunk of a job that is planned again.
     visuals_rest_s
         Time after the last edit of a job's people at which its visuals are made anew; 0: never.
     """
@@ -63,11 +60,10 @@ class Reaper:
         disk: DiskSpace,
         publish: Callable[[], bool],
         lease_s: float,
-        chunk_frames: int = DEFAULT_CHUNK_FRAMES,
         visuals_rest_s: float = 0.0,
     ) -> None:
         self._store, self._artifacts, self._disk, self._publish = store, artifacts, disk, publish
-        self._lease_s, self._chunk_frames, self._visuals_rest_s = lease_s, chunk_frames, visuals_rest_s
+        self._lease_s, self._visuals_rest_s = lease_s, visuals_rest_s
         # After an outage of the database, workers have the time of a lease to renew theirs.
         self._leases_kept_until_s = -math.inf
         self._is_database_away = False
@@ -119,7 +115,7 @@ class Reaper:
         for job_id in self._store.plans.unclaimable():
             job = self._store.jobs.get(job_id)
             session = self._store.sessions.get(job.session_id)
-            stages = plan_again(session, job, self._chunk_frames, provider)
+            stages = plan_again(session, job, provider=provider)
             if self._store.plans.replace(job_id, stages):
                 log.info("job_planned_again", job=job_id)
                 self._publish()
@@ -129,7 +125,7 @@ class Reaper:
             return
         for job_id in self._store.visuals.due(self._visuals_rest_s):
             job = self._store.jobs.get(job_id)
-            stages = plan_visuals(self._store.sessions.get(job.session_id), job, self._chunk_frames)
+            stages = plan_visuals(self._store.sessions.get(job.session_id), job)
             with contextlib.suppress(Conflict, NotFound):  # it was edited or deleted since
                 self._store.visuals.add(job_id, stages, job.revision)
                 log.info("visuals_queued", job=job_id)
@@ -162,9 +158,7 @@ def main() -> None:
     artifacts = settings.open_artifacts()
     disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    reaper = Reaper(
-        store, artifacts, disk, queue.publish, settings.lease_s, settings.chunk_frames, settings.visuals_rest_s
-    )
+    reaper = Reaper(store, artifacts, disk, queue.publish, settings.lease_s, settings.visuals_rest_s)
     exit_code = 0
     try:
         _wait_for_schema(store, settings.reap_interval_s)

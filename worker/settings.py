@@ -14,7 +14,6 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from pipeline.providers import ProviderChoice
 from pipeline.requirements import Schema, requirement
-from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.secret_files import S3_KEYS, FileVariableError, file_variable
@@ -230,12 +229,6 @@ class WorkerSettings(StorageSettings):
         default=False,
         description="Whether a worker with a GPU takes chunks of networks alone, as long as ready workers without a "
         "GPU run the others; otherwise it takes them first.",
-    )
-    chunk_frames: int = Field(
-        default=DEFAULT_CHUNK_FRAMES,
-        gt=0,
-        description="Output frames of a chunk of a camera, for jobs that are planned again after an upgrade; use the "
-        "API's value.",
     )
     provider: ProviderChoice = Field(
         default="auto",

@@ -26,22 +26,18 @@ def begun_calibration(
     The block gets the open transaction and the job. A worker is woken after it.
     """
     content, making, provider = checked.content, checked.choices(), services.store.workers.provider()
-    chunk_frames = services.settings.chunk_frames
     if isinstance(content, ReadFile):
         raise TypeError("a file is a calibration already")
     if isinstance(content, Session):
         services.disk.require_room()
-        stages = plan_job(content, JobSpec(), chunk_frames, making=making, provider=provider)
+        stages = plan_job(content, JobSpec(), making=making, provider=provider)
         with records.transaction() as work:
             yield work, _begin(services, work, checked, content.id, stages)
     else:
         with stored(services, content) as new:
-            stages = plan_job(new, JobSpec(), chunk_frames, making=making, provider=provider)
+            stages = plan_job(new, JobSpec(), making=making, provider=provider)
             with records.transaction() as work:
-                work.uploads.use(new.upload_ids)
-                work.sessions.add(
-                    new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256, "calibration"
-                )
+                new.add_to(work, "calibration")
                 yield work, _begin(services, work, checked, new.id, stages)
     # When the broker is away, the reaper publishes later.
     services.queue.publish()

@@ -29,7 +29,6 @@ def planned(
     return plan_job(
         session,
         spec,
-        services.settings.chunk_frames,
         character=None if moved is None else moved[1],
         provider=services.store.workers.provider(),
     )
@@ -49,8 +48,7 @@ def session_and_job(
         with stored(services, checked) as new:
             stages = planned(services, new, spec, moved)
             with records.transaction() as work:
-                work.uploads.use(new.upload_ids)
-                work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
+                new.add_to(work)
                 retention_s = services.settings.retention_s
                 job = work.jobs.add(new.id, spec, stages, retention_s, tracing.current(), moved=moved)
                 queue_proxies(work, services, new)
@@ -70,7 +68,7 @@ def queue_proxies(work: TenantRecords, services: Services, session: Session | Ne
     if capture.is_blurred or capture.session.videos_deleted_at is not None:
         return
     making = ProxyChoices(cameras)
-    stages = plan_job(session, JobSpec(), services.settings.chunk_frames, making=making)
+    stages = plan_job(session, JobSpec(), making=making)
     work.jobs.add(session.id, JobSpec(), stages, None, tracing.current(), making)
 
 

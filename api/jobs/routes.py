@@ -245,7 +245,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
             raise unprocessable(errors)
         services.disk.require_room()
         provider = services.store.workers.provider(job.provider)
-        stages = plan_again(session, job, services.settings.chunk_frames, provider)
+        stages = plan_again(session, job, provider=provider)
         with idempotent.records.transaction() as work:
             answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()
@@ -271,7 +271,7 @@ def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: Idempoten
         job = idempotent.records.jobs.get(job_id)
         services.disk.require_room()
         session = idempotent.records.sessions.get(job.session_id)
-        stages = plan_visuals(session, job, services.settings.chunk_frames)
+        stages = plan_visuals(session, job)
         with idempotent.records.transaction() as work:
             made = work.visuals.add(job_id, stages, job.revision, tracing.current())
             answer = idempotent.store(work, _accepted(made))

@@ -156,5 +156,4 @@ def _received(path: Path) -> ReceivedFile:
 
 def _store(services: Services, records: TenantRecords, checked: CheckedSession) -> str:
     with stored(services, checked) as new, records.transaction() as work:
-        session = work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
-    return session.id
+        return new.add_to(work).id

@@ -87,7 +87,6 @@ def edit_job_people(
     stages = plan_job(
         session,
         job.spec,
-        services.settings.chunk_frames,
         edits=edits.edits,
         revision=job.revision + 1,
         character=job.character,

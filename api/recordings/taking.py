@@ -257,8 +257,7 @@ def _add(
             work.recordings.use_take(recording.id, take.number, session_id=job.session_id, job_id=job.id)
             return idempotent.store(work, _made(job.session_id, job.id, checked, videos))
     with stored(services, checked) as new, idempotent.records.transaction() as work:
-        work.uploads.use(new.upload_ids)
-        session = work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
+        session = new.add_to(work)
         work.recordings.use_take(recording.id, take.number, session_id=session.id)
         return idempotent.store(work, _made(session.id, None, checked, videos))
 

@@ -51,10 +51,11 @@ from pipeline.problem_codes.requests import (
 )
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
-from worker.jobs.model.sessions import InputFile, Session
+from worker.jobs.model.sessions import InputFile, Purpose, Session
 from worker.jobs.outages import is_perhaps_recorded
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
+from worker.planning import chunk_length
 
 # Kinds of files that differ from the name of the form's part.
 _KINDS = {VIDEOS: "video", INTRINSICS: CALIBRATION}
@@ -123,6 +124,21 @@ class NewSession:
     upload_ids: tuple[str, ...]
     metadata: Mapping[str, Any]
     record_sha256: str
+    chunk_frames: int
+
+    def add_to(self, work: TenantRecords, purpose: Purpose = "capture") -> Session:
+        """Record the session, and that its uploads are used, in an open transaction."""
+        work.uploads.use(self.upload_ids)
+        return work.sessions.add(
+            self.name,
+            self.files,
+            self.preflight,
+            self.id,
+            self.metadata,
+            self.record_sha256,
+            purpose,
+            self.chunk_frames,
+        )
 
 
 async def check(request: HTTPConnection, services: Services, records: TenantRecords, sent: Sent) -> CheckedSession:
@@ -218,6 +234,7 @@ def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
                 upload_ids=checked.upload_ids,
                 metadata=checked.manifest.metadata,
                 record_sha256=record_sha256,
+                chunk_frames=_chunk_frames(services, checked),
             )
         except Exception as error:
             if is_perhaps_recorded(error):
@@ -226,6 +243,13 @@ def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
         undo.pop_all()
     for upload_id in checked.upload_ids:
         services.uploads.remove(upload_id)
+
+
+def _chunk_frames(services: Services, checked: CheckedSession) -> int:
+    """Frames of a camera in a chunk of a new session; of keypoints, which no network looks at, as in the settings."""
+    default, chunk_s = services.settings.chunk_frames, services.settings.chunk_s
+    frame_s = None if checked.form.keypoints or not chunk_s else services.store.speeds.frame_s()
+    return default if frame_s is None else chunk_length(checked.preflight, frame_s, chunk_s, default)
 
 
 def _parsed(sent: Sent) -> Arrival:

@@ -36,9 +36,7 @@ State = Annotated[JobState | None, Query(description="Only sessions whose newest
 def _add_session(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session and record it."""
     with stored(services, checked) as new, idempotent.records.transaction() as work:
-        work.uploads.use(new.upload_ids)
-        session = work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
-        return idempotent.store(work, _created(Capture(session)))
+        return idempotent.store(work, _created(Capture(new.add_to(work))))
 
 
 _CREATE = """\

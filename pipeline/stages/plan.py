@@ -18,7 +18,7 @@ from importlib import import_module
 from itertools import islice
 from typing import Any
 
-from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
+from pipeline.config import DEFAULT_CHUNK_FRAMES, FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
 from pipeline.edits import document_of, without_names
 from pipeline.job_choices import ProxyChoices
 from pipeline.stages.stage import SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
@@ -60,7 +60,6 @@ STAGES: tuple[Stage, ...] = tuple(import_module(f"{__package__}.{module}").STAGE
 
 STAGE_BY_NAME: Mapping[str, Stage] = {stage.name: stage for stage in STAGES}
 
-DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
 MAX_TASKS = 20_000
 """Largest number of tasks of a stage. Each is a row of the service's database, and a job is read from all its rows."""
 

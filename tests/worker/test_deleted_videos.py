@@ -37,7 +37,7 @@ def filled(bench: RunnerBench) -> RunnerBench:
 
 
 def reaper(bench: RunnerBench) -> Reaper:
-    return Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir, 0), lambda: True, 20.0, CHUNK_FRAMES, 0.001)
+    return Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir, 0), lambda: True, 20.0, 0.001)
 
 
 def inputs(bench: RunnerBench) -> list[str]:

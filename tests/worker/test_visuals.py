@@ -224,7 +224,7 @@ def test_they_are_refused_without_need(bench: RunnerBench, done: JobRecord) -> N
 def test_the_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRecord) -> None:
     def reaped(rest_s: float) -> list[JobRecord]:
         disk = DiskSpace(bench.data_dir, 0)
-        Reaper(bench.store, bench.artifacts, disk, lambda: True, 20.0, CHUNK_FRAMES, rest_s).reap()
+        Reaper(bench.store, bench.artifacts, disk, lambda: True, 20.0, rest_s).reap()
         return bench.store.jobs.page(kind="visuals")
 
     assert reaped(1e-9) == []  # nothing was edited

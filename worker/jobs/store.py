@@ -24,6 +24,7 @@ from worker.jobs.repositories.work.leases import MAX_ATTEMPTS, Leases
 from worker.jobs.repositories.work.outputs import Outputs
 from worker.jobs.repositories.work.plans import Plans
 from worker.jobs.repositories.work.removals import Removals
+from worker.jobs.repositories.work.speeds import Speeds
 from worker.jobs.repositories.work.waits import Waits
 from worker.jobs.repositories.work.workers import Workers
 from worker.jobs.tenant_records import Records, TenantRecords
@@ -48,6 +49,7 @@ class JobStore(Records):
         self.waits = Waits(self._database)
         self.outputs = Outputs(self._database)
         self.workers = Workers(self._database)
+        self.speeds = Speeds(self._database)
         # Of the reaper.
         self.plans = Plans(self._database)
         self.removals = Removals(self._database)

@@ -21,7 +21,6 @@ from api.cli.console import JsonOption, emit, reporting
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.parent_watch import tied_to_parent
-from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
@@ -45,7 +44,7 @@ def fill(data_dir: Path, num_jobs: int) -> tuple[JobStore, list[str]]:
     )
     files = [InputFile(f"{name}.mp4", "video", f"inputs/{name}.mp4", 1, "0" * 64) for name in cameras]
     session = store.sessions.add("take", files, preflight, store.sessions.reserve_id())
-    stages = plan_job(session, JobSpec(), DEFAULT_CHUNK_FRAMES)
+    stages = plan_job(session, JobSpec())
     return store, [store.jobs.add(session.id, JobSpec(), stages).id for _ in range(num_jobs)]
 
 

@@ -41,6 +41,7 @@ def session_of(row: Row[Any]) -> Session:
         record_sha256=row.record_sha256,
         purpose=row.purpose,
         videos_deleted_at=row.videos_deleted_at,
+        chunk_frames=row.chunk_frames,
     )
 
 

@@ -21,6 +21,7 @@ from sqlalchemy import (
     Table,
     TypeDecorator,
     UniqueConstraint,
+    true,
 )
 
 
@@ -62,6 +63,7 @@ sessions = Table(
     Column("purpose", String(16), nullable=False, server_default="capture"),  # or "calibration": not listed
     Column("search_name", String, nullable=False, server_default=""),  # name as ``searchable`` makes it
     Column("videos_deleted_at", UtcTimestamp),  # null: the videos are there
+    Column("chunk_frames", Integer, nullable=False, server_default="100"),  # frames of a camera in a chunk of its jobs
     Index(None, "tenant", "id"),
 )
 
@@ -114,12 +116,15 @@ jobs = Table(
     Column("waiting_for", JSON(none_as_null=True)),  # problem of an outage; null: nothing keeps it waiting
     Column("provider", String, nullable=False, server_default=""),  # identity of that of its networks; empty: the CPU
     Column("character", JSON(none_as_null=True)),  # that it moves: id, copy of the file, corrections; null: none
-    Index(None, "session_id", "id"),
+    Index(None, "session_id", "kind", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
     Index(None, "state", "tenant", "precedence", "queued_at"),
     Index(None, "expires_at"),
 )
+# The few jobs that blur faces have an index of their own: no other spec is read for them.
+BLURS_FACES = jobs.c.spec["blur_faces"].as_boolean().is_(true())
+Index("ix_jobs_session_id_blurs", jobs.c.session_id, postgresql_where=BLURS_FACES, sqlite_where=BLURS_FACES)
 
 # A calibration that is made has the id of the job that makes it. It stays when its job or its session is deleted.
 calibrations = Table(

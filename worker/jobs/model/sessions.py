@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Any, Literal
 
 from pipeline.capture.preflight_record import Preflight
+from pipeline.config import DEFAULT_CHUNK_FRAMES
 from worker.jobs.model.jobs import NewestJob
 
 
@@ -55,6 +56,7 @@ class Session:
     purpose: Purpose = "capture"
     # Time at which its videos and their pictures were deleted; ``None``: they are there, or it has keypoints
     videos_deleted_at: datetime | None = None
+    chunk_frames: int = DEFAULT_CHUNK_FRAMES  # Frames of a camera in a chunk of each of its jobs
 
     @property
     def stored_files(self) -> tuple[InputFile, ...]:

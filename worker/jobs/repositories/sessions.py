@@ -7,16 +7,17 @@ from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, false, func, insert, select, true, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, false, func, insert, select, update
 from uuid_utils import uuid7
 
 from pipeline.capture.preflight_record import Preflight
+from pipeline.config import DEFAULT_CHUNK_FRAMES
 from pipeline.job_choices import BLURRED_KIND
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
 from worker.jobs.database.rows import session_of
-from worker.jobs.database.tables import jobs, results, sessions
+from worker.jobs.database.tables import BLURS_FACES, jobs, results, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix, thumbnails_prefix
 from worker.jobs.model.jobs import SIDE_KINDS, NewestJob
@@ -53,6 +54,7 @@ class Sessions:
         metadata: Mapping[str, Any] = _NO_METADATA,
         record_sha256: str | None = None,
         purpose: Purpose = "capture",
+        chunk_frames: int = DEFAULT_CHUNK_FRAMES,
     ) -> Session:
         """Add a session whose files are in the artifact store.
 
@@ -64,7 +66,7 @@ class Sessions:
             JSON object of the client, stored as it is.
         record_sha256
             Digest of the preflight record in the artifact store; ``None``: the record is read without a comparison.
-        purpose
+        purpose, chunk_frames
             See ``worker.jobs.model.sessions.Session``.
 
         Raises
@@ -91,6 +93,7 @@ class Sessions:
                     tenant=access.owner,
                     record_sha256=record_sha256,
                     purpose=purpose,
+                    chunk_frames=chunk_frames,
                 )
             )
             record_event(connection, access.actor, access.owner, AuditAction.SESSION_CREATED, session_id)
@@ -281,7 +284,7 @@ def _captures_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Captu
 
 def blurs_faces() -> ColumnElement[bool]:
     """Condition that a job is a reconstruction that blurs faces."""
-    return (jobs.c.kind == "reconstruction") & jobs.c.spec["blur_faces"].as_boolean().is_(true())
+    return (jobs.c.kind == "reconstruction") & BLURS_FACES
 
 
 def _blurred_videos(connection: Connection, session_ids: Sequence[str]) -> Mapping[str, frozenset[str]]:
