@@ -11,17 +11,19 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import httpx2
-from unearth import Link, PackageFinder
-from unearth.auth import MultiDomainBasicAuth
-from unearth.fetchers import Fetcher, PyPIClient
 
 from pipeline.errors import ModelError
 from pipeline.runtime.child_processes import python_command
 from pipeline.runtime.packages.download import OnBytes, download, silent
 from pipeline.runtime.packages.storage import home, sha256_of
+
+# Slow to load, and needed for downloads alone: the API and the workers start without it.
+if TYPE_CHECKING:
+    from unearth import Link, PackageFinder
+    from unearth.fetchers import Fetcher, PyPIClient
 
 _TIMEOUT_S = 30.0
 # Without a handler, Python prints the finder's messages, which contain the indexes' addresses, to stderr.
@@ -76,6 +78,8 @@ def fetch_package(pinned: PinnedFile, on_bytes: OnBytes = silent, settings: PipS
 
 def fetch_url(url: str, sha256: Collection[str], max_bytes: int, on_bytes: OnBytes = silent) -> Path:
     """Download a file from a URL into ``downloads/``; return its path. See ``download``."""
+    from unearth import Link  # noqa: PLC0415
+
     target = downloads() / hashlib.sha256(url.encode()).hexdigest()[:16] / (Link(url).filename or "file")
     with open_client(pip_settings()) as client:
         return download(client, url, target, sha256, max_bytes, on_bytes)
@@ -127,8 +131,11 @@ def _parse_pip_options(listing: str) -> dict[str, str]:
     }
 
 
-def open_client(settings: PipSettings) -> PyPIClient:
+def open_client(settings: PipSettings) -> "PyPIClient":
     """Open an HTTP client with the user's certificates, proxy and stored credentials; it also reads ``file:`` URLs."""
+    from unearth.auth import MultiDomainBasicAuth  # noqa: PLC0415
+    from unearth.fetchers import PyPIClient  # noqa: PLC0415
+
     try:
         return PyPIClient(
             trusted_hosts=settings.trusted_hosts,
@@ -146,7 +153,7 @@ def _index_urls(settings: PipSettings) -> tuple[str, ...]:
     return (*filter(None, [settings.index_url]), *settings.extra_index_urls)
 
 
-def _find(client: PyPIClient, settings: PipSettings, pinned: PinnedFile) -> Link:
+def _find(client: "PyPIClient", settings: PipSettings, pinned: PinnedFile) -> "Link":
     """Find the link of the pinned file at the first index that has it; unreachable indexes are skipped."""
     unreachable = False
     for finder in _finders(client, settings):
@@ -169,10 +176,12 @@ def _find(client: PyPIClient, settings: PipSettings, pinned: PinnedFile) -> Link
     )
 
 
-def _finders(client: PyPIClient, settings: PipSettings) -> Iterator[PackageFinder]:
+def _finders(client: "PyPIClient", settings: PipSettings) -> "Iterator[PackageFinder]":
     """Make a finder for each location of packages, local links first."""
+    from unearth import PackageFinder  # noqa: PLC0415
+
     # Files are read, not installed, so that those of other platforms and Python versions are accepted.
-    finder = partial(PackageFinder, cast(Fetcher, client), ignore_compatibility=True)
+    finder = partial(PackageFinder, cast("Fetcher", client), ignore_compatibility=True)
     for link in settings.find_links:
         yield finder(find_links=[link])
     if settings.no_index:
