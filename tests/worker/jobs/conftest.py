@@ -6,13 +6,17 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import sqlalchemy as sa
 import uuid_utils
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from tests.postgres import POSTGRES_VARIABLE, running_postgres
+from worker.jobs.database.tables import metadata
 from worker.jobs.model.jobs import JobRecord, Result
 from worker.jobs.model.sessions import InputFile
 from worker.jobs.model.work import ChunkPlan, Claim, StagePlan
@@ -75,6 +79,16 @@ class StoreBench:
         with engine.begin() as connection:
             connection.execute(statement)
         engine.dispose()
+
+
+def schema_differences(connection: sa.Connection) -> list[Any]:
+    """What would have to change in a database for it to have the tables and the indexes of its dialect."""
+
+    def is_of_dialect(thing: sa.schema.SchemaItem, *_: object) -> bool:
+        return thing.info.get("dialect") in (None, connection.dialect.name)
+
+    options = {"compare_type": True, "include_object": is_of_dialect}
+    return list(compare_metadata(MigrationContext.configure(connection, opts=options), metadata))
 
 
 def new_session(store: JobStore) -> str:

@@ -79,12 +79,12 @@ def _tenants_in(connection: Connection, state: JobState) -> Sequence[str]:
 def _oldest_with_work(connection: Connection, tenant: str, takes: ColumnElement[bool]) -> str | None:
     """Oldest job of a tenant with a ready chunk, by precedence; running jobs are older than queued ones."""
     ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY, takes)
+    # Looked up job by job until one has a chunk: PostgreSQL makes a join of EXISTS, and reads the whole queue for it.
+    has_ready = ready.limit(1).scalar_subquery().is_not(None)
     found: list[tuple[int, int, str]] = []
     # One state at a time: the index has its jobs in order, so that a long queue is not sorted.
     for place, state in enumerate((JobState.RUNNING, JobState.QUEUED)):
-        of_state = select(jobs.c.precedence, jobs.c.id).where(
-            jobs.c.state == state, jobs.c.tenant == tenant, ready.exists()
-        )
+        of_state = select(jobs.c.precedence, jobs.c.id).where(jobs.c.state == state, jobs.c.tenant == tenant, has_ready)
         oldest = of_state.order_by(jobs.c.precedence, jobs.c.queued_at, jobs.c.id).limit(1)
         found += [(precedence, place, job_id) for precedence, job_id in connection.execute(oldest)]
     return min(found)[-1] if found else None
