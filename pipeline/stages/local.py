@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import json
+import shutil
 import tempfile
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -10,6 +11,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from pipeline.body.installed import load as load_body
 from pipeline.capture.preflight_npz import encode_record
@@ -43,8 +46,8 @@ from pipeline.stages.take import assemble
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import folder_sha256
 
-UNFINISHED = ".new-"
-"""How names of folders begin, beside the results, whose files are not whole; a program that is killed leaves one."""
+# How names of folders begin, beside the results, whose files are not whole, and the file that their processes lock.
+_UNFINISHED, _LOCK = ".new-", "lock"
 _DEFAULTS = ReconstructionConfig()
 # Units of work from which on a pool of processes is started: frames of detection, tens of frames of a fit.
 _UNITS_OF_A_START = 60
@@ -222,16 +225,24 @@ def _scratch_folder(files: "_Destination | None") -> Iterator[Path]:
     is_new = not files.folder.exists()
     try:
         files.folder.mkdir(parents=True, exist_ok=True)
-        scratch = tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=files.folder)
+        scratch = tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=files.folder)
     except OSError as error:
         raise not_written(files.folder, error) from error
     try:
-        with scratch as folder:
+        with scratch as folder, FileLock(Path(folder) / _LOCK, timeout=0):
+            _remove_left(files.folder)
             yield Path(folder)
     finally:
         if is_new:
             with contextlib.suppress(OSError):  # it is not empty
                 files.folder.rmdir()
+
+
+def _remove_left(folder: Path) -> None:
+    """Remove the folders for temporary files whose processes were killed: nobody holds their locks."""
+    for left in folder.glob(f"{_UNFINISHED}*"):
+        with contextlib.suppress(Timeout, OSError), FileLock(left / _LOCK, timeout=0):
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFacts:

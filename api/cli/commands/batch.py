@@ -4,7 +4,6 @@ import contextlib
 import csv
 import io
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -31,7 +30,7 @@ from pipeline.errors import InputError, PipelineError, SessionRefused
 from pipeline.export.person_files import replacing
 from pipeline.export.results import not_written
 from pipeline.quality.report import all_checks
-from pipeline.stages.local import UNFINISHED, reconstruct_to_files
+from pipeline.stages.local import reconstruct_to_files
 
 _TABLE = "batch.csv"
 # Kept in the folder of a take's results: what they were made of, and the take's row of the table.
@@ -112,8 +111,6 @@ def _row(take: TakeSource, choices: _Choices, folder: Path, *, show_bars: bool) 
         return kept
     folder.mkdir(parents=True, exist_ok=True)
     record.unlink(missing_ok=True)
-    for left in folder.glob(f"{UNFINISHED}*"):
-        shutil.rmtree(left, ignore_errors=True)
     try:
         session = take.open(choices.units, choices.pair_by_order, choices.up)
         with StageBars(visible=show_bars) as bars:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from filelock import FileLock
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
@@ -73,6 +74,20 @@ def test_paths_may_be_texts(session: KeypointSession, tmp_path: Path) -> None:
     assert {path.parent for path in made.paths} == {tmp_path / "made"}
     written_later = write_results(first, str(tmp_path / "written"), TRACKING.exports)
     assert {path.parent for path in written_later} == {tmp_path / "written"}
+
+
+@pytest.mark.slow
+def test_what_a_killed_process_left_beside_the_results_is_removed(session: KeypointSession, tmp_path: Path) -> None:
+    cache, out = tmp_path / "cache", tmp_path / "out"
+    reconstruct_to_files(session, out, TRACKING, cache=cache)
+    files = {path.name for path in out.iterdir()}
+    for name in (".new-killed", ".new-at-work"):
+        (out / name).mkdir()
+        (out / name / "person-1.bvh").write_bytes(b"half")
+    with FileLock(out / ".new-at-work" / "lock"):
+        reconstruct_to_files(session, out, TRACKING, cache=cache)
+    assert {path.name for path in out.iterdir()} == files | {".new-at-work"}
+    assert (out / ".new-at-work" / "person-1.bvh").exists()
 
 
 @pytest.mark.slow
