@@ -16,6 +16,7 @@ from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
 from pipeline.data.detections import PafFields
+from pipeline.data.reconstruction import Reconstruction
 from pipeline.data.rigid import Rigid3
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.export.results import write_results
@@ -54,6 +55,17 @@ def disturbed(session: KeypointSession) -> KeypointSession:
     return replace(session, cameras=tuple(cameras))
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Outputs of the stages of ``refined``."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def refined(disturbed: KeypointSession, cache: Path) -> Reconstruction:
+    return reconstruct(disturbed, CONFIG, cache=cache)
+
+
 def furthest(true: Sequence[Camera], found: Sequence[Camera]) -> tuple[float, float]:
     pairs = list(zip(true, align_world(true, found), strict=True))
     return max(turn_deg(*pair) for pair in pairs), max(shift_m(*pair) for pair in pairs)
@@ -61,10 +73,9 @@ def furthest(true: Sequence[Camera], found: Sequence[Camera]) -> tuple[float, fl
 
 @pytest.mark.slow
 def test_a_disturbed_calibration_is_refined_reported_and_written(
-    session: KeypointSession, disturbed: KeypointSession, tmp_path: Path
+    session: KeypointSession, disturbed: KeypointSession, refined: Reconstruction, tmp_path: Path
 ) -> None:
     given = reconstruct(disturbed, replace(CONFIG, refine_calibration="off", force=True))
-    refined = reconstruct(disturbed, CONFIG)
     assert refined.refinement is not None
     assert refined.refinement.refined
     assert furthest(session.cameras, disturbed.cameras)[0] > 0.5
@@ -147,14 +158,13 @@ def test_disturbed_cameras_in_a_tilted_world_come_back(scene: str, seed: int) ->
 
 @pytest.mark.slow
 def test_the_stage_is_reused_and_the_result_does_not_depend_on_the_cut(
-    disturbed: KeypointSession, tmp_path: Path
+    disturbed: KeypointSession, refined: Reconstruction, cache: Path
 ) -> None:
-    first = reconstruct(disturbed, CONFIG, cache=tmp_path)
     seen: list[Progress] = []
-    other = reconstruct(disturbed, replace(CONFIG, smoothing="butterworth"), seen.append, cache=tmp_path)
+    other = reconstruct(disturbed, replace(CONFIG, smoothing="butterworth"), seen.append, cache=cache)
     assert {one.stage for one in seen if one.reused == one.total} >= {REFINE, ASSOCIATE}
     cut = reconstruct(disturbed, replace(CONFIG, chunk_frames=7))
-    for camera, same, again in zip(first.cameras, other.cameras, cut.cameras, strict=True):
+    for camera, same, again in zip(refined.cameras, other.cameras, cut.cameras, strict=True):
         assert (camera.cam_from_world.matrix == same.cam_from_world.matrix).all()
         assert (camera.cam_from_world.matrix == again.cam_from_world.matrix).all()
 
