@@ -116,6 +116,7 @@ jobs = Table(
     Column("waiting_for", JSON(none_as_null=True)),  # problem of an outage; null: nothing keeps it waiting
     Column("provider", String, nullable=False, server_default=""),  # identity of that of its networks; empty: the CPU
     Column("character", JSON(none_as_null=True)),  # that it moves: id, copy of the file, corrections; null: none
+    Index(None, "session_id", "id"),
     Index(None, "session_id", "kind", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),

@@ -10,7 +10,6 @@ down_revision = "0037"
 def upgrade() -> None:
     """Look for a session's jobs by kind and for those that blur faces; have a tenant's queue in its whole order."""
     op.create_index("ix_jobs_session_id_kind_id", "jobs", ["session_id", "kind", "id"])
-    op.drop_index("ix_jobs_session_id_id", "jobs")
     if op.get_context().dialect.name == "postgresql":
         blurs = sa.text("CAST((spec ->> 'blur_faces') AS BOOLEAN) IS true")
         op.create_index("ix_jobs_session_id_blurs", "jobs", ["session_id"], postgresql_where=blurs)
@@ -20,11 +19,10 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Look for a session's jobs by their ids alone, and order a tenant's queue by its times."""
+    """Look for a session's jobs by their ids alone, and have a tenant's queue in the order of its times."""
     order = ["state", "tenant", "precedence", "queued_at"]
     op.create_index("ix_jobs_state_tenant_precedence_queued_at", "jobs", order)
     op.drop_index("ix_jobs_state_tenant_precedence_queued_at_id", "jobs")
     if op.get_context().dialect.name == "postgresql":
         op.drop_index("ix_jobs_session_id_blurs", "jobs")
-    op.create_index("ix_jobs_session_id_id", "jobs", ["session_id", "id"])
     op.drop_index("ix_jobs_session_id_kind_id", "jobs")
