@@ -120,7 +120,7 @@ jobs = Table(
     Index(None, "session_id", "kind", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
-    Index(None, "state", "tenant", "precedence", "queued_at", "id"),
+    Index(None, "state", "tenant", "precedence", "queued_at"),
     Index(None, "expires_at"),
 )
 # The few jobs that blur faces have an index of their own: no other spec is read for them. Backups read SQLite's files
