@@ -42,7 +42,6 @@ class PlannableSession(Protocol):
 def plan_job(
     session: PlannableSession,
     spec: JobSpec,
-    chunk_frames: int | None = None,
     codes: Mapping[str, str] | None = None,
     making: Making | None = None,
     edits: tuple[PeopleEdit, ...] = (),
@@ -52,12 +51,12 @@ def plan_job(
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
-    ``chunk_frames`` are those of the session by default. ``codes`` are digests of the stages' code, by default this
-    process's for the execution provider of networks with the identity ``provider``. ``making``, ``edits``, ``revision``
-    and ``character`` are as in ``worker.jobs.model.jobs.JobRecord``.
+    ``codes`` are digests of the stages' code, by default this process's for the execution provider of networks with the
+    identity ``provider``; ``making``, ``edits``, ``revision`` and ``character`` are as in
+    ``worker.jobs.model.jobs.JobRecord``.
     """
     config = config_of(spec, making, edits, revision, character)
-    stages = plan(session_facts(session), config, codes or stage_codes(provider), chunk_frames or session.chunk_frames)
+    stages = plan(session_facts(session), config, codes or stage_codes(provider), session.chunk_frames)
     memory = foreseen_memory(session.preflight, config)
     return tuple(
         StagePlan(
@@ -91,12 +90,11 @@ def chunk_length(preflight: Preflight, frame_s: float, chunk_s: float, default: 
     return max(fitting, default=lengths[0])
 
 
-def plan_visuals(session: PlannableSession, job: JobRecord, chunk_frames: int | None = None) -> tuple[StagePlan, ...]:
+def plan_visuals(session: PlannableSession, job: JobRecord) -> tuple[StagePlan, ...]:
     """Plan of the job that makes overlay videos, the report and the recording of an edited job anew."""
     return plan_job(
         session,
         job.spec,
-        chunk_frames,
         making=VisualChoices(),
         edits=job.edits,
         revision=job.revision,
@@ -105,14 +103,11 @@ def plan_visuals(session: PlannableSession, job: JobRecord, chunk_frames: int | 
     )
 
 
-def plan_again(
-    session: PlannableSession, job: JobRecord, chunk_frames: int | None = None, provider: str = ""
-) -> tuple[StagePlan, ...]:
+def plan_again(session: PlannableSession, job: JobRecord, provider: str = "") -> tuple[StagePlan, ...]:
     """Plan of a job that is there already, for an execution provider; see ``plan_job``."""
     return plan_job(
         session,
         job.spec,
-        chunk_frames,
         making=job.making,
         edits=job.edits,
         revision=job.revision,

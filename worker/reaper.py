@@ -115,7 +115,7 @@ class Reaper:
         for job_id in self._store.plans.unclaimable():
             job = self._store.jobs.get(job_id)
             session = self._store.sessions.get(job.session_id)
-            stages = plan_again(session, job, provider=provider)
+            stages = plan_again(session, job, provider)
             if self._store.plans.replace(job_id, stages):
                 log.info("job_planned_again", job=job_id)
                 self._publish()

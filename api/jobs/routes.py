@@ -245,7 +245,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
             raise unprocessable(errors)
         services.disk.require_room()
         provider = services.store.workers.provider(job.provider)
-        stages = plan_again(session, job, provider=provider)
+        stages = plan_again(session, job, provider)
         with idempotent.records.transaction() as work:
             answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()

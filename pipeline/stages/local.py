@@ -3,7 +3,6 @@
 import contextlib
 import hashlib
 import json
-import shutil
 import tempfile
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -11,8 +10,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-
-from filelock import FileLock, Timeout
 
 from pipeline.body.installed import load as load_body
 from pipeline.capture.preflight_npz import encode_record
@@ -41,13 +38,12 @@ from pipeline.stages.counter import UnitCounter
 from pipeline.stages.output_folder import OutputFolder, output_folder
 from pipeline.stages.overlapped import overlapped
 from pipeline.stages.plan import STAGE_BY_NAME, STAGES, PlannedStage, followers, plan
+from pipeline.stages.scratch_folder import scratch_folder
 from pipeline.stages.stage import DETECT, EXPORT, LOOK, WRITE, ResultFile, SessionFacts, Task
 from pipeline.stages.take import assemble
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import folder_sha256
 
-# How names of folders begin, beside the results, whose files are not whole, and the file that their processes lock.
-_UNFINISHED, _LOCK = ".new-", "lock"
 _DEFAULTS = ReconstructionConfig()
 # Units of work from which on a pool of processes is started: frames of detection, tens of frames of a fit.
 _UNITS_OF_A_START = 60
@@ -209,40 +205,10 @@ def _planned(
     with contextlib.ExitStack() as stack:
         outputs = stack.enter_context(output_folder(cache))
         interim = stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))
-        scratch = stack.enter_context(_scratch_folder(files))
+        scratch = stack.enter_context(scratch_folder(None if files is None else files.folder))
         codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else stage_codes(current_provider().identity)
         stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name in wanted]
         yield _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), scratch, files, _Pool(stack))
-
-
-@contextlib.contextmanager
-def _scratch_folder(files: "_Destination | None") -> Iterator[Path]:
-    """Folder for temporary files: beside the result files, which get their names by a move on one disk."""
-    if files is None:
-        with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
-            yield Path(folder)
-        return
-    is_new = not files.folder.exists()
-    try:
-        files.folder.mkdir(parents=True, exist_ok=True)
-        scratch = tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=files.folder)
-    except OSError as error:
-        raise not_written(files.folder, error) from error
-    try:
-        with scratch as folder, FileLock(Path(folder) / _LOCK, timeout=0):
-            _remove_left(files.folder)
-            yield Path(folder)
-    finally:
-        if is_new:
-            with contextlib.suppress(OSError):  # it is not empty
-                files.folder.rmdir()
-
-
-def _remove_left(folder: Path) -> None:
-    """Remove the folders for temporary files whose processes were killed: nobody holds their locks."""
-    for left in folder.glob(f"{_UNFINISHED}*"):
-        with contextlib.suppress(Timeout, OSError), FileLock(left / _LOCK, timeout=0):
-            shutil.rmtree(left, ignore_errors=True)
 
 
 def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFacts:

@@ -99,8 +99,8 @@ def queue_jobs(store: JobStore) -> dict[str, int]:
         for _ in range(number):
             session_id = records.sessions.reserve_id()
             file = InputFile("left.mp4", "video", f"sessions/{session_id}/inputs/left.mp4", 1, "a" * 64)
-            session = records.sessions.add("take", [file], preflight, session_id)
-            records.jobs.add(session.id, JobSpec(), plan_job(session, JobSpec(), CHUNK_FRAMES, codes))
+            session = records.sessions.add("take", [file], preflight, session_id, chunk_frames=CHUNK_FRAMES)
+            records.jobs.add(session.id, JobSpec(), plan_job(session, JobSpec(), codes))
     return numbers
 
 

@@ -205,7 +205,7 @@ class RunnerBench:
         self.passed_on += 1
 
     def create_job(self, retention_s: float | None = None, spec: JobSpec = JobSpec()) -> JobRecord:  # noqa: B008 - frozen
-        stages = plan_job(self.session, spec, CHUNK_FRAMES)
+        stages = plan_job(self.session, spec)
         return self.store.jobs.add(self.session.id, spec, stages, retention_s)
 
     def result(self, job_id: str, name: str = "person-1.bvh") -> bytes:
@@ -235,7 +235,7 @@ def new_session(store: JobStore) -> Session:
         timebase=PreflightTimebase(0.0, 25.0, NUM_FRAMES),
         stretches=(range(NUM_FRAMES),),
     )
-    return store.sessions.add("take", files, preflight, session_id)
+    return store.sessions.add("take", files, preflight, session_id, chunk_frames=CHUNK_FRAMES)
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,6 @@ import pytest
 from pipeline.stages.stage import ASSOCIATE, DETECT, EXPORT, FIT, HOLD, IDENTIFY, Output
 from tests.cases import slow_but
 from tests.worker.conftest import (
-    CHUNK_FRAMES,
     RESULT,
     RunnerBench,
     associate,
@@ -147,7 +146,7 @@ def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(ben
     assert "disk" in (found.problem.hint or "")
     assert len(runs) == MAX_ATTEMPTS
     bench.stages[ASSOCIATE] = associate
-    bench.store.jobs.retry(job.id, plan_job(bench.session, JobSpec(), CHUNK_FRAMES))
+    bench.store.jobs.retry(job.id, plan_job(bench.session, JobSpec()))
     bench.runner().work(60.0)
     assert bench.result(job.id) == RESULT
 

@@ -10,7 +10,7 @@ from pipeline.edits import Remove
 from pipeline.errors import InputError
 from pipeline.stages.plan import STAGES
 from pipeline.stages.stage import BLUR, DETECT, LOOK, OVERLAY, PROXY, RECORD, REDETECT, REDETECT_AGAIN, Output
-from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench, fail_with
+from tests.worker.conftest import RESULT, RunnerBench, fail_with
 from worker.chunk import Work
 from worker.execution import KeptSession
 from worker.jobs.backup.contents import files_of_rows
@@ -60,7 +60,7 @@ def done(bench: RunnerBench, spec: JobSpec = ONCE) -> JobRecord:
 
 def edit(bench: RunnerBench, job: JobRecord) -> None:
     revision = bench.store.jobs.get(job.id).revision + 1
-    stages = plan_job(bench.session, job.spec, CHUNK_FRAMES, edits=FIRST, revision=revision)
+    stages = plan_job(bench.session, job.spec, edits=FIRST, revision=revision)
     bench.store.jobs.edit(job.id, FIRST, stages)
 
 
@@ -158,7 +158,7 @@ def test_an_edit_that_failed_is_retried_without_videos(filled: RunnerBench) -> N
     failed = filled.store.jobs.get(job.id)
     assert failed.state is JobState.FAILED
     filled.stages["export"] = export
-    filled.store.jobs.retry(job.id, plan_again(filled.session, failed, CHUNK_FRAMES))
+    filled.store.jobs.retry(job.id, plan_again(filled.session, failed))
     filled.runner().work(60.0)
     assert filled.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
@@ -184,7 +184,7 @@ def test_a_retry_that_needs_videos_is_refused(filled: RunnerBench) -> None:
     reaper(filled).reap()
     record = filled.store.jobs.get(failed.id)
     with pytest.raises(VideosDeleted):
-        filled.store.jobs.retry(failed.id, plan_again(filled.session, record, CHUNK_FRAMES))
+        filled.store.jobs.retry(failed.id, plan_again(filled.session, record))
     assert filled.store.jobs.get(failed.id).state is JobState.FAILED
 
 
@@ -193,7 +193,7 @@ def test_people_of_other_code_are_not_edited(filled: RunnerBench) -> None:
     job = done(filled)
     reaper(filled).reap()
     newer = {stage.name: "f" * 64 for stage in STAGES}
-    stages = plan_job(filled.session, job.spec, CHUNK_FRAMES, newer, edits=FIRST, revision=1)
+    stages = plan_job(filled.session, job.spec, newer, edits=FIRST, revision=1)
     with pytest.raises(VideosDeleted):
         filled.store.jobs.edit(job.id, FIRST, stages)
     assert filled.store.jobs.get(job.id).state is JobState.SUCCEEDED
@@ -209,7 +209,7 @@ def test_overlays_of_edits_are_not_drawn_and_nobody_tries_for_ever(filled: Runne
     assert (record.has_old_visuals, record.has_videos) == (True, False)
     assert filled.store.visuals.due(0.0) == []
     with pytest.raises(VideosDeleted):
-        filled.store.visuals.add(job.id, plan_visuals(filled.session, record, CHUNK_FRAMES), 1)
+        filled.store.visuals.add(job.id, plan_visuals(filled.session, record), 1)
     # The earlier video stays.
     assert filled.result(job.id, "overlay-left.mp4") == b"video of " + RESULT
 
@@ -221,7 +221,7 @@ def test_a_report_of_edits_is_written_on_request_without_pictures(filled: Runner
     filled.runner().work(60.0)
     record = filled.store.jobs.get(job.id)
     assert filled.store.visuals.due(0.0) == []
-    filled.store.visuals.add(job.id, plan_visuals(filled.session, record, CHUNK_FRAMES), 1)
+    filled.store.visuals.add(job.id, plan_visuals(filled.session, record), 1)
     filled.runner().work(60.0)
     assert filled.result(job.id, "report.html").startswith(b"report of ")
 

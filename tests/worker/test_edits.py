@@ -12,7 +12,7 @@ from pipeline.findings import Finding
 from pipeline.problem_codes.warnings import NOBODY_FOUND
 from pipeline.stages.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, REFIT, WRITE, Output, ResultFile
 from tests.cases import slow_but
-from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, RunnerBench
+from tests.worker.conftest import FOUND, RESULT, RunnerBench
 from worker.chunk import StoppedError, Work
 from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import results_prefix
@@ -32,7 +32,7 @@ def done(bench: RunnerBench) -> JobRecord:
 
 
 def edit(bench: RunnerBench, job: JobRecord, *edits: PeopleEdit, codes: dict[str, str] | None = None) -> JobRecord:
-    stages = plan_job(bench.session, job.spec, CHUNK_FRAMES, codes, edits=edits)
+    stages = plan_job(bench.session, job.spec, codes, edits=edits)
     return bench.store.jobs.edit(job.id, edits, stages, job.revision)
 
 
@@ -189,7 +189,7 @@ def test_files_stay_if_an_edit_comes_to_nothing(bench: RunnerBench, done: JobRec
     assert bench.result(done.id) == RESULT
 
     bench.stages[EXPORT] = whole
-    bench.store.jobs.retry(done.id, plan_job(bench.session, job.spec, CHUNK_FRAMES, edits=job.edits))
+    bench.store.jobs.retry(done.id, plan_job(bench.session, job.spec, edits=job.edits))
     assert bench.result(done.id) == RESULT
     bench.runner().work(60.0)
     assert bench.result(done.id) == expected(FIRST)
@@ -216,7 +216,7 @@ def test_edits_take_no_share_of_other_tenants(bench: RunnerBench, done: JobRecor
     session = store.of("other").sessions.add(
         "theirs", bench.session.files, bench.session.preflight, store.sessions.reserve_id()
     )
-    theirs = store.of("other").jobs.add(session.id, done.spec, plan_job(session, done.spec, CHUNK_FRAMES))
+    theirs = store.of("other").jobs.add(session.id, done.spec, plan_job(session, done.spec))
     edit(bench, done, FIRST)
     again = bench.create_job()
     taken = []
@@ -257,7 +257,7 @@ def test_a_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) 
 
 def test_another_version_computes_what_differs(bench: RunnerBench, done: JobRecord) -> None:
     """After an upgrade that changed the code of `identify`, everything from there on is run again."""
-    old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, CHUNK_FRAMES, edits=(FIRST,))}
+    old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, edits=(FIRST,))}
     queued = edit(bench, done, FIRST, codes=old | {IDENTIFY: "new"})
     states = {stage.name: stage.state for stage in queued.stages}
     assert (states[DETECT], states[IDENTIFY], states[FIT]) == ("done", "ready", "waiting")

@@ -20,7 +20,7 @@ from pipeline.providers import Provider
 from pipeline.runtime.parent_watch import tied_to_parent
 from pipeline.stages.code import stage_codes
 from tests.waiting import is_alive, wait_for
-from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench, new_session, open_bench
+from tests.worker.conftest import RESULT, RunnerBench, new_session, open_bench
 from worker.jobs.database.totals import Total
 from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import FINISHED, JobState
@@ -220,7 +220,7 @@ def test_a_worker_passes_on_a_message_for_work_that_needs_a_gpu(service: SmallSt
     codes = tuple(sorted(stage_codes(gpu.identity).values()))
     ready = WorkerStatus("gpu:1", WorkerState.READY, "A worker works", codes=codes, provider=gpu)
     service.bench.store.workers.report(ready)
-    stages = plan_job(service.bench.session, JobSpec(), CHUNK_FRAMES, provider=gpu.identity)
+    stages = plan_job(service.bench.session, JobSpec(), provider=gpu.identity)
     job = service.bench.store.jobs.add(service.bench.session.id, JobSpec(), stages)
     with valkey.Valkey(unix_socket_path=str(service.data_dir / "broker" / "socket")) as broker:
         service.publish()

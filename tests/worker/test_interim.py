@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.stages.stage import DETECT, FIT, IDENTIFY, Output
 from tests.cases import slow_but
-from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench, detect, fit, identify
+from tests.worker.conftest import RESULT, RunnerBench, detect, fit, identify
 from worker.chunk import StoppedError, Work
 from worker.jobs.backup.create import create_backup
 from worker.jobs.files.removals import remove_files
@@ -54,7 +54,7 @@ def stages(bench: RunnerBench) -> Stages:
 def run(bench: RunnerBench, **choices: object) -> JobRecord:
     """Run a job with some choices to its end."""
     spec = JobSpec.model_validate(choices)
-    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, CHUNK_FRAMES))
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec))
     bench.runner().work(60.0)
     return bench.store.jobs.get(job.id)
 
@@ -140,7 +140,7 @@ def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: RunnerBenc
     assert job.state is JobState.FAILED
     bench.stages[IDENTIFY] = stages.identify
     stages.forget()
-    bench.store.jobs.retry(job.id, plan_job(bench.session, job.spec, CHUNK_FRAMES))
+    bench.store.jobs.retry(job.id, plan_job(bench.session, job.spec))
     remove_files(bench.store.removals, bench.artifacts)
     assert left(bench) == []
     bench.runner().work(60.0)
@@ -162,7 +162,7 @@ def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: Runne
     bench.stages[IDENTIFY] = broken
     job = run(bench)
     bench.stages[IDENTIFY] = late
-    bench.store.jobs.retry(job.id, plan_job(bench.session, job.spec, CHUNK_FRAMES))
+    bench.store.jobs.retry(job.id, plan_job(bench.session, job.spec))
     bench.runner().work(60.0)
     assert bench.result(job.id) == RESULT
     *_, attempt = bench.store.jobs.attempts(job.id)

@@ -80,13 +80,13 @@ def keys(
 ) -> dict[str, list[str]]:
     return {
         stage.name: [chunk.output_key for chunk in stage.chunks]
-        for stage in plan_job(session, spec or JobSpec(), chunk_frames, codes)
+        for stage in plan_job(replace(session, chunk_frames=chunk_frames), spec or JobSpec(), codes)
     }
 
 
 @given(num_frames=st.integers(1, 2000), chunk_frames=st.integers(1, 300))
 def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int, chunk_frames: int) -> None:
-    chunks = list(plan_job(make_session(num_frames), JobSpec(), chunk_frames)[1].chunks)
+    chunks = list(plan_job(make_session(num_frames, chunk_frames=chunk_frames), JobSpec())[1].chunks)
     assert [chunk.index for chunk in chunks] == list(range(len(chunks)))
     for camera in ("0", "1"):
         of_camera = [chunk for chunk in chunks if chunk.payload["camera"] == camera]
@@ -97,7 +97,7 @@ def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int
 
 
 def test_the_stages_and_their_sizes() -> None:
-    stages = plan_job(make_session(60), JobSpec(), 25)
+    stages = plan_job(make_session(60, chunk_frames=25), JobSpec())
     assert [(stage.name, len(list(stage.chunks))) for stage in stages] == [
         (LOOK, 2),
         (DETECT, 6),
@@ -119,7 +119,8 @@ def test_the_stages_and_their_sizes() -> None:
 
 @pytest.mark.parametrize(("num_frames", "num_parts"), [(20, 1), (49, 1), (50, 2), (100, 4), (90_000, 4)])
 def test_long_takes_are_fitted_in_parts(num_frames: int, num_parts: int) -> None:
-    sizes = {stage.name: len(list(stage.chunks)) for stage in plan_job(make_session(num_frames), JobSpec(), 250)}
+    stages = plan_job(make_session(num_frames, chunk_frames=250), JobSpec())
+    sizes = {stage.name: len(list(stage.chunks)) for stage in stages}
     assert (sizes[FIT], sizes[HOLD], sizes[IDENTIFY]) == (num_parts, num_parts, 1)
 
 
@@ -144,7 +145,7 @@ CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
 def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
-    _, detect, _, lengths, poses, *_ = stages = plan_job(make_session(60), CLUSTERING, 25)
+    _, detect, _, lengths, poses, *_ = stages = plan_job(make_session(60, chunk_frames=25), CLUSTERING)
     assert [stage.name for stage in stages] == [
         *(LOOK, DETECT, CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT),
     ]
@@ -191,7 +192,7 @@ def test_keys_of_clusterings_reduces_do_not_depend_on_the_cut(chunk_frames: int)
 
 
 def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
-    chunks = plan_job(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[1].chunks
+    chunks = plan_job(make_session(50, rates_hz=(50.0, 25.0, 30.0), chunk_frames=50), JobSpec())[1].chunks
     assert [chunk.unit_count for chunk in chunks] == [50, 25, 30]
 
 
@@ -314,7 +315,7 @@ def test_of_the_frames_that_are_wanted_each_is_there_once(
     start = data.draw(st.integers(0, num_frames - 1))
     stop = data.draw(st.integers(start + 1, num_frames))
     session, spec = make_session(num_frames), JobSpec(method="clustering", frame_range=(start, stop))
-    _, detect, _, _, poses, *_ = plan_job(session, spec, chunk_frames)
+    _, detect, _, _, poses, *_ = plan_job(replace(session, chunk_frames=chunk_frames), spec)
     ranges = [(one.start, one.stop) for one in FrameCut(range(start, stop), (range(num_frames),), chunk_frames)]
     for camera in ("0", "1"):
         payloads = [chunk.payload for chunk in detect.chunks if chunk.payload["camera"] == camera]
@@ -348,7 +349,7 @@ def ranges_of(stage: StagePlan) -> list[tuple[int, int]]:
 
 def test_pauses_have_no_chunks() -> None:
     session = paused(900_000, [[0, 60], [899_950, 900_000]])
-    _, detect, _, lengths, poses, *_ = plan_job(session, CLUSTERING, 25)
+    _, detect, _, lengths, poses, *_ = plan_job(replace(session, chunk_frames=25), CLUSTERING)
     assert (
         ranges_of(detect) == ranges_of(poses) == [(0, 25), (25, 50), (50, 75), (899_950, 899_975), (899_975, 900_000)]
     )
@@ -356,20 +357,20 @@ def test_pauses_have_no_chunks() -> None:
 
 
 def test_stretches_within_one_range_share_its_chunk() -> None:
-    _, detect, *_ = plan_job(paused(1000, [[0, 10], [30, 40], [90, 120]]), JobSpec(), 50)
+    _, detect, *_ = plan_job(replace(paused(1000, [[0, 10], [30, 40], [90, 120]]), chunk_frames=50), JobSpec())
     assert ranges_of(detect) == [(0, 50), (50, 100), (100, 150)]
 
 
 def test_frames_of_a_pause_alone_have_a_chunk_all_the_same() -> None:
-    _, detect, *_ = plan_job(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)), 100)
+    _, detect, *_ = plan_job(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)))
     assert ranges_of(detect) == [(5000, 5100)]
 
 
 def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
     session = make_session(MAX_OUTPUT_FRAMES, rates_hz=(25.0,) * 64)
-    _, detect, *_ = plan_job(session, JobSpec(), 1)
+    _, detect, *_ = plan_job(replace(session, chunk_frames=1), JobSpec())
     assert sum(1 for _ in detect.chunks) <= MAX_TASKS
-    part, *_ = plan_job(session, JobSpec(frame_range=(0, 10_000)), 1)
+    part, *_ = plan_job(replace(session, chunk_frames=1), JobSpec(frame_range=(0, 10_000)))
     assert ranges_of(part)[:-1] == ranges_of(detect)[: len(ranges_of(part)) - 1]  # jobs of a session cut alike
 
 
@@ -377,7 +378,7 @@ def test_a_plan_takes_no_memory() -> None:
     session = make_session(MAX_OUTPUT_FRAMES)
     tracemalloc.start()
     try:
-        stages = plan_job(session, CLUSTERING, 100)
+        stages = plan_job(session, CLUSTERING)
         assert sum(1 for stage in stages for _ in stage.chunks) > 20_000
         assert tracemalloc.get_traced_memory()[1] < 2**20
     finally:

@@ -24,7 +24,6 @@ from pipeline.stages.stage import (
     Output,
 )
 from tests.worker.conftest import (
-    CHUNK_FRAMES,
     NUM_FRAMES,
     RESULT,
     RunnerBench,
@@ -247,7 +246,7 @@ def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_p
 def test_a_message_for_work_of_others_is_passed_on_once(bench: RunnerBench, is_for_all: bool, passed_on: int) -> None:
     gpu = Provider("cuda", "1.31.1", "NVIDIA H200")
     bench.store.workers.report(WorkerStatus("gpu:1", WorkerState.READY, "A worker works", provider=gpu))
-    plan = plan_job(bench.session, JobSpec(), CHUNK_FRAMES, provider=gpu.identity)
+    plan = plan_job(bench.session, JobSpec(), provider=gpu.identity)
     bench.store.jobs.add(bench.session.id, JobSpec(), plan)
     assert bench.runner().work(60.0, is_for_all) == 0
     assert (bench.passed_on, bench.published) == (passed_on, 0)

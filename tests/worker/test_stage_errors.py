@@ -10,7 +10,7 @@ from pipeline.findings import Finding
 from pipeline.problem_codes.sessions import VIDEO_EMPTY, VIDEO_TRUNCATED
 from pipeline.problem_codes.warnings import NOBODY_FOUND
 from pipeline.stages.stage import ASSOCIATE, DETECT, EXPORT, Output
-from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench, detect, export, fail_with
+from tests.worker.conftest import RESULT, RunnerBench, detect, export, fail_with
 from worker.chunk import Work
 from worker.jobs.model.states import JobState
 from worker.jobs.spec import JobSpec
@@ -62,7 +62,7 @@ def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retr
     assert (found.code, found.retryable) == (code, True)
     assert "multicap models install x" in found.detail
     bench.stages[DETECT] = detect
-    bench.store.jobs.retry(job.id, plan_job(bench.session, JobSpec(), CHUNK_FRAMES))
+    bench.store.jobs.retry(job.id, plan_job(bench.session, JobSpec()))
     bench.runner().work(60.0)
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
@@ -105,7 +105,7 @@ def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Ru
     warning = Finding(NOBODY_FOUND, "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(warning,))
     spec = JobSpec(callback_url="https://example.com/hook")
-    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, CHUNK_FRAMES))
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec))
     bench.runner().work(60.0)
     assert bench.store.jobs.get(job.id).result_warnings == (warning,)
     (delivery,) = bench.store.webhooks.pending()

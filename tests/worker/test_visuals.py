@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.edits import PeopleEdit, Remove
 from pipeline.stages.stage import DETECT, EXPORT, OVERLAY, RECORD, REPORT, WRITE, Output
-from tests.worker.conftest import CHUNK_FRAMES, RESULT, RunnerBench
+from tests.worker.conftest import RESULT, RunnerBench
 from worker.chunk import Work
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.disk import DiskSpace
@@ -47,7 +47,7 @@ def run(bench: RunnerBench) -> list[str]:
 
 def edit(bench: RunnerBench, job_id: str, *edits: PeopleEdit) -> JobRecord:
     job = bench.store.jobs.get(job_id)
-    stages = plan_job(bench.session, job.spec, CHUNK_FRAMES, edits=edits, revision=job.revision + 1)
+    stages = plan_job(bench.session, job.spec, edits=edits, revision=job.revision + 1)
     return bench.store.jobs.edit(job_id, edits, stages)
 
 
@@ -62,7 +62,7 @@ def edited(bench: RunnerBench, job_id: str, *edits: PeopleEdit) -> JobRecord:
 
 def make_visuals(bench: RunnerBench, job_id: str) -> JobRecord:
     job = bench.store.jobs.get(job_id)
-    return bench.store.visuals.add(job_id, plan_visuals(bench.session, job, CHUNK_FRAMES), job.revision)
+    return bench.store.visuals.add(job_id, plan_visuals(bench.session, job), job.revision)
 
 
 def listed(bench: RunnerBench, job_id: str) -> dict[str, int]:
@@ -197,7 +197,7 @@ def test_a_failed_job_can_be_retried_or_asked_for_again(bench: RunnerBench, done
     assert listed(bench, done.id)[PAGE] == 0
     bench.stages[REPORT] = function
     failed = bench.store.jobs.get(again.id)
-    bench.store.jobs.retry(again.id, plan_visuals(bench.session, failed, CHUNK_FRAMES))
+    bench.store.jobs.retry(again.id, plan_visuals(bench.session, failed))
     bench.runner().work(60.0)
     remove_files(bench.store.removals, bench.artifacts)
     assert listed(bench, done.id) == {"person-1.bvh": 1, VIDEO: 1, PAGE: 1}
@@ -213,7 +213,7 @@ def test_they_are_refused_without_need(bench: RunnerBench, done: JobRecord) -> N
     bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
     with pytest.raises(Conflict, match="revision 1 now, not 0"):
-        bench.store.visuals.add(done.id, plan_visuals(bench.session, job, CHUNK_FRAMES), 0)
+        bench.store.visuals.add(done.id, plan_visuals(bench.session, job), 0)
     plain = bench.create_job()
     bench.runner().work(60.0)
     edited(bench, plain.id, FIRST)

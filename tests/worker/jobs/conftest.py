@@ -82,7 +82,7 @@ class StoreBench:
 
 
 def schema_differences(connection: sa.Connection) -> list[Any]:
-    """What would have to change in a database for it to have the tables and the indexes of its dialect."""
+    """Changes after which a database would have the tables, and the indexes of its dialect."""
 
     def is_of_dialect(thing: sa.schema.SchemaItem, *_: object) -> bool:
         return thing.info.get("dialect") in (None, connection.dialect.name)

@@ -6,7 +6,7 @@ import ssl
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
@@ -72,7 +72,7 @@ def receiver() -> Iterator[Receiver]:
 def end_job(bench: RunnerBench, url: str) -> JobRecord:
     """Run a job with a callback URL to its end."""
     spec = JobSpec(callback_url=url)
-    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, 1000))
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(replace(bench.session, chunk_frames=1000), spec))
     bench.runner().work(60.0)
     return bench.store.jobs.get(job.id)
 

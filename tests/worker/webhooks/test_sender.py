@@ -3,6 +3,7 @@
 import itertools
 import json
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -48,7 +49,8 @@ def test_a_job_without_a_callback_url_sends_nothing(bench: RunnerBench) -> None:
 def test_every_end_sends_a_message(bench: RunnerBench, receiver: Receiver, end: str, state: str) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     spec = JobSpec(callback_url=receiver.url)
-    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, 1000), retention_s=-1.0)
+    stages = plan_job(replace(bench.session, chunk_frames=1000), spec)
+    job = bench.store.jobs.add(bench.session.id, spec, stages, retention_s=-1.0)
     if end == "cancel":
         bench.store.jobs.cancel(job.id)
     else:
