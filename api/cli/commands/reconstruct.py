@@ -100,7 +100,9 @@ def command(
     calibration: Annotated[Path, typer.Option(help="Calibration file: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
     videos: VideosOption = None,
-    more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
+    more_videos: Annotated[
+        list[Path] | None, typer.Argument(metavar="[VIDEOS]...", help="Videos, as of --videos.", show_default=False)
+    ] = None,
     offset: OffsetOption = None,
     rate: RateOption = None,
     clock: Annotated[
@@ -157,11 +159,11 @@ def command(
             tracking=parameters(tracking or [], "alpha_3d_m=0.2"),
             clustering=parameters(clustering or [], "tau2=0.25"),
         )
-        check_sources(videos, keypoints, timestamps, offset, rate)
+        footage = [*(videos or []), *(more_videos or [])]
+        check_sources(footage or None, keypoints, timestamps, offset, rate)
         if keypoints is None:
             take_provider(provider)
         moved = _character(character, bones)
-        footage = [*(videos or []), *(more_videos or [])]
         session = open_source(
             footage,
             keypoints,

@@ -91,13 +91,18 @@ def test_version() -> None:
 
 
 def test_videos_can_be_named_one_by_one(tmp_path: Path) -> None:
-    """The shell turns ``--videos *.mp4`` into one value and loose arguments."""
+    """The shell turns ``--videos *.mp4`` into one value and loose arguments; the option may be left out."""
     arguments = [str(tmp_path / name) for name in ("a.mp4", "b.mp4", "b.mov")]
     result = runner.invoke(app, ["reconstruct", "--calibration=c.toml", "--out=out", "--json", "--videos", *arguments])
     assert result.exit_code == 2
     codes = [(problem["code"], problem["file"]) for problem in json.loads(result.stdout)["problems"]]
     assert [file for code, file in codes if code == "video_missing"] == ["a.mp4", "b.mp4", "b.mov"]
     assert ("duplicate_video", "b") in codes
+    loose = runner.invoke(app, ["reconstruct", "--calibration=c.toml", "--out=out", "--json", *arguments])
+    assert loose.stdout == result.stdout
+    both = ["reconstruct", "--calibration=c.toml", "--out=out", "--json", "--keypoints=points", *arguments]
+    (problem,) = json.loads(runner.invoke(app, both).stdout)["problems"]
+    assert problem["message"] == "A session has either videos or keypoints."
 
 
 @pytest.mark.parametrize(
