@@ -23,6 +23,7 @@ from pipeline.runtime.memory import limit_memory
 from pipeline.runtime.priorities import lower_priority
 from worker import tasks
 from worker.jobs.queue import TASK_NAME, Queue, transport_options
+from worker.process.pool import release_sockets_of_parent
 from worker.process.presence import Presence
 from worker.process.scratch import remove_abandoned
 from worker.settings import WorkerSettings
@@ -103,6 +104,7 @@ def _report_loading(**_: object) -> None:
 
 
 def _load(**_: object) -> None:
+    release_sockets_of_parent()
     limit_memory(WorkerSettings().memory_bytes)
     presence = tasks.start_presence()
     worker_process_shutdown.connect(lambda exitcode, **_: _unload(presence, exitcode), weak=False)

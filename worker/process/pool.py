@@ -1,9 +1,15 @@
-"""Celery's pool of forked processes with a faster shutdown."""
+"""Celery's pool of forked processes with a faster shutdown, and what its children must not keep of their parent."""
 
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from billiard.pool import CLOSE, RUN
 from celery.concurrency.prefork import TaskPool
+
+_LAST_STREAM = 2
 
 
 class PromptPool(TaskPool):  # type: ignore[misc]  # Celery has no types
@@ -21,3 +27,19 @@ class PromptPool(TaskPool):  # type: ignore[misc]  # Celery has no types
             self._pool.close()
             self._pool.join()
             self._pool = None
+
+
+def release_sockets_of_parent() -> None:
+    """Put ``/dev/null`` in place of the sockets that this process, which was just forked, has of its parent.
+
+    A child that replaces a lost one inherits the connections to the broker. As long as it holds one that both ends have
+    closed since, as when the broker restarts, Linux reports it to the parent again and again, which then does nothing
+    but ask. The numbers stay taken: objects of the parent that close them later close no file of this process.
+    Standard streams stay, which may be sockets of a journal.
+    """
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in [int(entry.name) for entry in Path("/dev/fd").iterdir()]:
+        with suppress(OSError):  # the folder itself was open
+            if number > _LAST_STREAM and stat.S_ISSOCK(os.fstat(number).st_mode):
+                os.dup2(nothing, number, inheritable=False)
+    os.close(nothing)

@@ -5,9 +5,11 @@ for the bits of a marker. A grid grows from saddle to saddle (Geiger et al. 2012
 calibration using a single shot"); saddles inside markers do not continue a grid.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -34,12 +36,17 @@ _MAX_MISS_SQUARES, _MIN_AGREEMENT = 0.28, 0.6
 _MIN_SIDE = 3
 # Steps along a row and a column that are nearly parallel tell no grid.
 _MIN_SINE = 0.05
-# Cells around, each way, from which the place of the next one is predicted.
-_AROUND = 2
+# Steps to the cells around from which the place of the next one is predicted, two each way.
+_STEPS = tuple((x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0))
+# Sets of such cells whose equations are kept: grids meet the same ones again and again.
+_MAX_CONTINUATIONS = 4096
 # Distance from a homography of the whole grid, in squares, from which on a saddle is no corner of the board.
 _HOMOGRAPHY_SQUARES = 0.2
 
+_NONE = -1  # Number of no saddle
+
 _Cell = tuple[int, int]
+_Numbers = int | Int[np.ndarray, "..."]
 
 
 class _Saddles(NamedTuple):
@@ -103,46 +110,61 @@ def _saddles(gray: UInt8[np.ndarray, "height width"]) -> _Saddles | None:
 
 def _separate(saddles: _Saddles) -> list[dict[_Cell, int]]:
     """Grids that grow from the strongest saddles, the largest first: saddles by column and row."""
-    tree = KDTree(saddles.xy_px)
     grown: list[dict[_Cell, int]] = []
     used: set[int] = set()
-    for seed in range(min(_NUM_SEEDS, len(saddles.xy_px))):
-        if seed in used:
+    for seed, (right, down) in enumerate(_beside_seeds(saddles).tolist()):
+        if seed in used or _NONE in (right, down):
             continue
-        cells = _grown(saddles, tree, seed)
+        cells = _grown(saddles, {(0, 0): seed, (1, 0): right, (0, 1): down})
         if len(cells) >= _MIN_SIDE**2:
             grown.append(cells)
             used |= set(cells.values())
     return sorted(grown, key=len, reverse=True)[:_MAX_GRIDS]
 
 
-def _grown(saddles: _Saddles, tree: KDTree, seed: int) -> dict[_Cell, int]:
-    """Grow a grid from a saddle."""
-    along, across = saddles.edges[seed]
-    sign = float(np.sign(along @ saddles.hessian[seed] @ across))
-    right = _next(saddles, tree, seed, along, across)
-    down = _next(saddles, tree, seed, across, along)
-    if right is None or down is None:
-        return {}
-    cells: dict[_Cell, int] = {(0, 0): seed, (1, 0): right, (0, 1): down}
+def _beside_seeds(saddles: _Saddles) -> Int[np.ndarray, "seeds 2"]:
+    """Saddle next to each seed along each of its two edges, either way: the nearest whose squares are exchanged.
+
+    ``_NONE`` where there is none.
+    """
+    num_seeds, xy_px = _NUM_SEEDS, saddles.xy_px
+    distance_px, number = KDTree(xy_px).query(xy_px[:num_seeds], min(_NUM_NEIGHBOURS, len(xy_px)))
+    distance_px, number = distance_px[:, 1:], number[:, 1:]  # a seed is its own nearest saddle
+    edges, strength = saddles.edges[:num_seeds], saddles.strength[:num_seeds]
+    along, across = edges[:, :1], edges[:, 1:]
+    # Where the seed is bright, its neighbour is dark.
+    wanted = -_side(saddles, np.arange(len(edges))[:, None], along, across)
+    is_next = wanted * _agreement(saddles, number, along, across) >= _MIN_AGREEMENT
+    is_next &= saddles.strength[number] >= _MIN_STRENGTH * strength[:, None]
+    towards_px = np.abs(np.einsum("skx,sex->sek", xy_px[number] - xy_px[:num_seeds, None], edges))
+    is_next = is_next[:, None] & (towards_px >= _MIN_COSINE * distance_px[:, None])
+    nearest = np.take_along_axis(number[:, None], is_next.argmax(-1)[..., None], axis=-1)[..., 0]
+    return np.where(is_next.any(-1), nearest, _NONE)
+
+
+def _grown(saddles: _Saddles, cells: dict[_Cell, int]) -> dict[_Cell, int]:
+    """Grow a grid from a saddle at (0, 0) and those beside it."""
+    xy_px, seed = saddles.xy_px, cells[0, 0]
+    sign = float(_side(saddles, seed, *saddles.edges[seed]))
     used = set(cells.values())
     waiting = deque(_around(cells, list(cells)))
     while waiting:
         cell = waiting.popleft()
-        if cell in cells or (expected := _expected(saddles.xy_px, cells, cell)) is None:
+        if cell in cells or (expected := _expected(xy_px, cells, cell)) is None:
             continue
         place_px, along, across = expected
-        side_px = min(np.linalg.norm(along), np.linalg.norm(across))
-        distance_px, number = tree.query(place_px)
-        if distance_px > _MAX_MISS_SQUARES * side_px or number in used:
+        off_px = xy_px - place_px
+        number = int(np.einsum("sx,sx->s", off_px, off_px).argmin())
+        side_px = min(math.hypot(*along), math.hypot(*across))
+        if math.hypot(*off_px[number]) > _MAX_MISS_SQUARES * side_px or number in used:
             continue
         if saddles.strength[number] < _MIN_STRENGTH * saddles.strength[seed]:
             continue
         wanted = sign if sum(cell) % 2 == 0 else -sign
-        if wanted * _agreement(saddles, int(number), along, across) < _MIN_AGREEMENT:
+        if wanted * _agreement(saddles, number, along, across) < _MIN_AGREEMENT:
             continue
-        cells[cell] = int(number)
-        used.add(int(number))
+        cells[cell] = number
+        used.add(number)
         waiting.extend(_around(cells, [cell]))
     return cells
 
@@ -153,43 +175,46 @@ def _around(cells: dict[_Cell, int], some: list[_Cell]) -> list[_Cell]:
     return [cell for cell in beside if cell not in cells]
 
 
-def _next(saddles: _Saddles, tree: KDTree, seed: int, along: np.ndarray, across: np.ndarray) -> int | None:
-    """Nearest saddle along an edge, either way, whose dark squares are where those of the seed are bright."""
-    wanted = -np.sign(along @ saddles.hessian[seed] @ across)
-    distances_px, numbers = tree.query(saddles.xy_px[seed], min(_NUM_NEIGHBOURS, len(saddles.xy_px)))
-    for distance_px, number in zip(distances_px[1:], numbers[1:], strict=True):
-        towards = saddles.xy_px[number] - saddles.xy_px[seed]
-        if abs(towards @ along) < _MIN_COSINE * distance_px:
-            continue
-        if saddles.strength[number] < _MIN_STRENGTH * saddles.strength[seed]:
-            continue
-        if wanted * _agreement(saddles, int(number), along, across) >= _MIN_AGREEMENT:
-            return int(number)
-    return None
+def _curvature(saddles: _Saddles, number: _Numbers, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Mixed second derivative of saddles along two directions of the last axis."""
+    hessian = saddles.hessian[number]
+    mixed = along[..., 0] * across[..., 1] + along[..., 1] * across[..., 0]
+    xx, yy = along[..., 0] * across[..., 0], along[..., 1] * across[..., 1]
+    return np.asarray(hessian[..., 0, 0] * xx + hessian[..., 0, 1] * mixed + hessian[..., 1, 1] * yy)
 
 
-def _agreement(saddles: _Saddles, number: int, along: np.ndarray, across: np.ndarray) -> float:
-    """Agreement of a saddle's edges with steps of a grid: 1 or -1 where they run along it, 0 where they are turned.
+def _side(saddles: _Saddles, number: _Numbers, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Side on which saddles are bright, 1 or -1."""
+    return np.sign(_curvature(saddles, number, along, across))
 
-    The sign tells the side on which the saddle is bright.
+
+def _agreement(saddles: _Saddles, number: _Numbers, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Agreement of saddles' edges with steps of a grid: 1 or -1 where they run along it, 0 where they are turned.
+
+    The sign tells the side on which a saddle is bright. The last axis of the steps is x and y.
     """
-    area = abs(along[0] * across[1] - along[1] * across[0])
-    if area < _MIN_SINE * np.linalg.norm(along) * np.linalg.norm(across):
-        return 0.0
-    return float(along @ saddles.hessian[number] @ across / (saddles.strength[number] * area))
+    area = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0])
+    is_grid = area >= _MIN_SINE * np.hypot(along[..., 0], along[..., 1]) * np.hypot(across[..., 0], across[..., 1])
+    curvature = _curvature(saddles, number, along, across)
+    return np.where(is_grid, curvature / (saddles.strength[number] * np.where(is_grid, area, 1.0)), 0.0)
 
 
 def _expected(
     xy_px: Float[np.ndarray, "saddles 2"], cells: dict[_Cell, int], cell: _Cell
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+) -> Float[np.ndarray, "3 2"] | None:
     """Place of a cell's corner as the cells around it continue, and the steps along a row and down a column there."""
     x, y = cell
-    near = [(a - x, b - y, number) for (a, b), number in cells.items() if max(abs(a - x), abs(b - y)) <= _AROUND]
-    if len(near) < 3:
+    near = tuple(step for step in _STEPS if (x + step[0], y + step[1]) in cells)
+    if (continued := _continuation(near)) is None:
         return None
-    design = np.array([(1.0, a, b) for a, b, _ in near])
-    solution, _, rank, _ = np.linalg.lstsq(design, xy_px[[number for *_, number in near]], rcond=1e-9)
-    return (solution[0], solution[1], solution[2]) if rank == 3 else None
+    return continued @ xy_px[[cells[x + dx, y + dy] for dx, dy in near]]
+
+
+@lru_cache(_MAX_CONTINUATIONS)
+def _continuation(near: tuple[_Cell, ...]) -> Float[np.ndarray, "3 near"] | None:
+    """Matrix from corners this many cells away to a cell's corner and its steps; ``None`` if they are on one line."""
+    design = np.array([(1.0, *step) for step in near])
+    return np.linalg.pinv(design) if len(near) >= 3 and np.linalg.matrix_rank(design) == 3 else None
 
 
 def _grid(saddles: _Saddles, cells: dict[_Cell, int], factor: float) -> SquareGrid | None:
