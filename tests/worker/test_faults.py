@@ -192,6 +192,19 @@ def test_a_killed_child_costs_nothing_but_time(service: SmallStageService) -> No
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
     assert service.bench.result(job.id) == RESULT
     wait_for(lambda: len(service.worker_children()) == 2)
+    # A connection to the broker that the new child kept would keep the main process busy once the broker restarts.
+    main = sockets(service.part("--worker"))
+    assert main
+    wait_for(lambda: not any(sockets(child) & main for child in service.worker_children()))
+
+
+def sockets(process: psutil.Process) -> set[str]:
+    """Sockets that a process has open, as the kernel names them."""
+    opened = set()
+    for entry in Path(f"/proc/{process.pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
+            opened.add(os.readlink(entry))
+    return {name for name in opened if name.startswith("socket:")}
 
 
 def test_an_idle_worker_does_the_work_of_a_paused_one_long_before_its_lease_ends(data_dir: Path) -> None:
