@@ -203,7 +203,7 @@ def sockets(process: psutil.Process) -> set[str]:
     opened = set()
     for entry in Path(f"/proc/{process.pid}/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
-            opened.add(os.readlink(entry))
+            opened.add(str(entry.readlink()))
     return {name for name in opened if name.startswith("socket:")}
 
 
