@@ -136,7 +136,14 @@ class Run:
 
     def is_refused(self) -> bool:
         """Whether the page says why it does not send."""
-        return self.page.get_by_role("region", name="Send").get_by_role("alert").count() > 0
+        return self._refusal().count() > 0
+
+    def refusals(self) -> list[str]:
+        """Reasons for which the page does not send."""
+        return self._refusal().all_inner_texts()
+
+    def _refusal(self) -> Locator:
+        return self.page.get_by_role("region", name="Send").get_by_role("alert")
 
     def choose_stored(self, name: str) -> None:
         """Choose a calibration; not before the list of them is there."""
@@ -319,7 +326,7 @@ def used(
 
 def assert_sent_as_shown(served: Served, run: Run, num_bytes: dict[str, int], meant: str | None) -> None:
     """Compare what was sent, if anything was, once the request that was kept back has its answer."""
-    assert run.was_held, run.kept
+    assert run.was_held, (run.kept, run.refusals())
     assert len(run.bodies[SESSIONS]) <= 1, run.kept
     if run.is_sent():
         assert_shown(served, run, num_bytes, meant)

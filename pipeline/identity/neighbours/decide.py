@@ -5,7 +5,7 @@ neighbour's if the places at which all other views expect the neighbour's limb e
 the person's own. It is taken from the person's observation, and given to the neighbour's where that lacks the joint.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from pipeline.identity.neighbours.places import (
     Window,
     expected_without,
     near_neighbours,
+    present,
     scale_px_per_m,
     window_of,
 )
@@ -37,8 +38,9 @@ _CLEARLY = 0.6
 _ROUGHLY = 0.2
 # Expected places get better when limbs have gone to their owners.
 _NUM_ROUNDS = 2
-# Frames that are worked on at once, to bound the memory.
-_BLOCK = 512
+# Frames that are worked on at once, to bound the memory: fewer where many people are, of which all pairs are looked at.
+_BLOCK, _MIN_BLOCK = 512, 8
+_MAX_PAIRS = 4_000_000
 _FACE = COCO_17.names[: COCO_17.index("left_shoulder")]
 
 
@@ -92,9 +94,7 @@ def _taken(
     stop = max(track.start_frame + track.num_frames for track, _ in persons)
     margin = int(np.ceil(REACH_S * timebase.frame_rate_hz)) + 2
     taken: list[TakenJoint] = []
-    for start in range(first, stop, _BLOCK):
-        block = range(start, min(start + _BLOCK, stop))
-        frames = range(max(first, block.start - margin), min(stop, block.stop + margin))
+    for block, frames in _blocks(persons, range(first, stop), margin):
         window = window_of(persons, frames)
         near = near_neighbours(window, cameras)
         near[..., : block.start - frames.start] = False
@@ -109,6 +109,21 @@ def _taken(
                 expected_m = view.expected_m(at_stake[..., rows], rows, timebase.frame_rate_hz)
                 taken += view.taken(at_stake[..., rows], rows, expected_m, frames[rows].start)
     return taken
+
+
+def _blocks(persons: Sequence[Person], whole: range, margin: int) -> Iterator[tuple[range, range]]:
+    """Blocks of frames that are worked on at once, each with the frames around that are needed for it."""
+    start = whole.start
+    while start < whole.stop:
+        size = _BLOCK
+        while True:
+            block = range(start, min(start + size, whole.stop))
+            frames = range(max(whole.start, block.start - margin), min(whole.stop, block.stop + margin))
+            if size == _MIN_BLOCK or len(present(persons, frames)) ** 2 * len(frames) <= _MAX_PAIRS:
+                break
+            size //= 2
+        yield block, frames
+        start = block.stop
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,9 +29,14 @@ class Window(NamedTuple):
         return len(self.person)
 
 
+def present(persons: Sequence[Person], frames: range) -> list[int]:
+    """Positions of the people who are there in a range of output frames."""
+    return [k for k, (track, _) in enumerate(persons) if _life(track.start_frame, track.num_frames, frames)]
+
+
 def window_of(persons: Sequence[Person], frames: range) -> Window:
     """Cut the output frames of a range out of everybody's tracks and observations."""
-    there = [k for k, (track, _) in enumerate(persons) if _life(track.start_frame, track.num_frames, frames)]
+    there = present(persons, frames)
     num_cameras, num_joints = persons[0][1].score.shape[1:]
     shape = len(there), len(frames), num_cameras, num_joints
     xyz_m = np.full((*shape[:2], num_joints, 3), np.nan)

@@ -13,6 +13,7 @@ from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
 from pipeline.identity.neighbours import decide
 from pipeline.identity.neighbours.decide import return_limbs
+from pipeline.identity.neighbours.places import present
 from pipeline.joints import COCO_17, JointSet
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from pipeline.stages.association import Association
@@ -91,9 +92,21 @@ def test_a_neighbour_whom_a_view_lacks_gets_the_limb() -> None:
 def test_the_result_does_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, persons = crowded()
     whole = returned(simulation, persons)
-    monkeypatch.setattr(decide, "_BLOCK", 23)
+    monkeypatch.setattr(decide, "_BLOCK", 46)
+    monkeypatch.setattr(decide, "_MAX_PAIRS", len(persons) ** 2 * 60)
     for (_, seen), (_, in_blocks) in zip(whole, returned(simulation, persons), strict=True):
         np.testing.assert_array_equal(seen.points_px, in_blocks.points_px)
+
+
+def test_blocks_are_shorter_the_more_pairs_of_people_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, persons = crowded()
+    whole = range(max(track.start_frame + track.num_frames for track, _ in persons))
+    assert list(decide._blocks(persons, whole, 5)) == [(whole, whole)]
+    most = len(persons) ** 2 * 40
+    monkeypatch.setattr(decide, "_MAX_PAIRS", most)
+    blocks = list(decide._blocks(persons, whole, 5))
+    assert [frame for block, _ in blocks for frame in block] == list(whole)
+    assert all(len(present(persons, frames)) ** 2 * len(frames) <= most for _, frames in blocks)
 
 
 def test_somebody_alone_is_returned_as_is() -> None:
