@@ -7,7 +7,7 @@ from pathlib import Path
 
 import av
 import pytest
-from playwright.sync_api import Locator, Page, ViewportSize, expect
+from playwright.sync_api import Locator, Page, Route, ViewportSize, expect
 
 from tests.e2e.browsing import opened
 from tests.e2e.captures import keypoint_capture, two_videos
@@ -97,6 +97,25 @@ def test_the_page_of_a_running_job_shows_its_progress_at_once(
     finally:
         for process in tree:
             process.resume()
+
+
+def test_a_calibration_is_read_when_others_have_been_checked(served: Served, videos: dict[str, Path]) -> None:
+    refusals = [{"code": "too_many_checks", "detail": "Too many of your sessions are being checked at once."}]
+
+    def refuse(route: Route) -> None:
+        if route.request.method == "POST" and refusals:
+            route.fulfill(status=429, json=refusals.pop())
+        else:
+            route.continue_()
+
+    with opened(f"{served.client.base_url}#/new", PHONE, allowed=("429 (Too Many",)) as page:
+        page.route("**/v1/calibrations", refuse)
+        expect(send(page)).to_be_visible(timeout=180_000)
+        choose(page, *videos.values())
+        refused = page.get_by_role("region", name="Send").get_by_role("alert")
+        expect(refused).to_contain_text("Too many of your sessions are being checked at once.")
+        expect(page.locator(".chosen b")).to_be_visible(timeout=180_000)
+        expect(refused).to_have_count(0)
 
 
 @pytest.mark.slow

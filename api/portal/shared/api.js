@@ -1,5 +1,8 @@
 // Requests to the service, by the browser's session or by the link that the page was opened with.
 
+// Refusals until others of the caller's own requests are answered.
+const BUSY = ["too_many_at_once", "too_many_checks"];
+
 export class RequestProblem extends Error {
   // body: a problem of RFC 9457, or null if the service did not answer.
   constructor(body, status = 0) {
@@ -10,8 +13,8 @@ export class RequestProblem extends Error {
     this.status = status;
   }
 
-  // Whether the service, or what it needs, could not be reached: the same request may succeed later.
-  get isAway() { return [0, 502, 503, 504].includes(this.status); }
+  // Whether the service, or what it needs, could not be reached or was busy: the same request may succeed later.
+  get isAway() { return [0, 502, 503, 504].includes(this.status) || BUSY.includes(this.code); }
 }
 
 let link = null;
