@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from pipeline.capture.session import open_session
@@ -14,7 +15,7 @@ from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
 from pipeline.stages.local import reconstruct
 from tests.e2e.serving import NUM_PROCESSES, Served, serving
-from tests.waiting import is_alive
+from tests.waiting import is_alive, wait_for
 
 # Frames of the sample of which the quick tests need the detections.
 NUM_FIRST = 20
@@ -55,6 +56,16 @@ def first_results(beginning: Reconstruction, tmp_path_factory: pytest.TempPathFa
     return folder
 
 
+def is_at_rest(running: Served) -> bool:
+    """Whether a service has its own processes alone."""
+    try:
+        words = [process.cmdline() for process in running.tree()]
+    except psutil.NoSuchProcess:
+        return False
+    # Tests with live captures leave the server from which they are forked.
+    return len(words) == NUM_PROCESSES + sum("pipeline.live.server" in line for line in words)
+
+
 @pytest.fixture(scope="session")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """Running service; after the tests Ctrl-C must end all of its processes."""
@@ -62,9 +73,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         pytest.skip("only Linux ties children to their parents")
     with serving(tmp_path_factory.mktemp("data")) as running:
         yield running
+        wait_for(lambda: is_at_rest(running))  # checks of files that nobody waits for any more end first
         tree = running.tree()
-        # Tests with live captures leave the server from which they are forked.
-        num_servers = sum("pipeline.live.server" in process.cmdline() for process in tree)
     assert running.process.returncode == 0
-    assert len(tree) == NUM_PROCESSES + num_servers
     assert not any(is_alive(one) for one in tree)
