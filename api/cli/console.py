@@ -34,6 +34,7 @@ from rich.text import Text
 from pipeline.errors import InputError, PipelineError, SessionRefused
 from pipeline.findings import Finding, worst_first
 from pipeline.problem_codes.commands import INTERRUPTED
+from pipeline.problem_codes.jobs import MEMORY_LIMIT
 from pipeline.progress import Progress
 from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME
@@ -171,6 +172,9 @@ def _interruptible() -> Iterator[None]:
                 signal.signal(number, handler)
 
 
+_NO_MEMORY = "There is not enough memory for this. Close other programs, or take fewer frames or cameras at once."
+
+
 @contextmanager
 def reporting(as_json: bool, what_is_left: Callable[[], str] = str) -> Iterator[None]:
     """Turn errors of the pipeline, and interruptions, into clear words and the documented exit codes.
@@ -197,11 +201,12 @@ def reporting(as_json: bool, what_is_left: Callable[[], str] = str) -> Iterator[
             if isinstance(error, SessionRefused):
                 console.print(error.advice)
         raise typer.Exit(EXIT_BAD_INPUT) from error
-    except PipelineError as error:
+    except (PipelineError, MemoryError) as error:
+        code, sentence = (error.code, str(error)) if isinstance(error, PipelineError) else (MEMORY_LIMIT, _NO_MEMORY)
         if as_json:
-            emit({"problems": [{"code": error.code, "message": str(error)}]})
+            emit({"problems": [{"code": code, "message": sentence}]})
         else:
-            _print_error(str(error))
+            _print_error(sentence)
         raise typer.Exit(EXIT_FAILED) from error
 
 

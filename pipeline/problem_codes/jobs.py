@@ -37,8 +37,8 @@ WORKER_LOST = JOBS.code(
 )
 MEMORY_LIMIT = JOBS.code(
     "memory_limit",
-    ("job",),
-    "A chunk needs more memory than a worker may use.",
+    ("job", "command"),
+    "A chunk needs more memory than a worker may use, or a command more than there is.",
     "Use fewer frames, or have the operator raise `MULTICAP_MEMORY_BYTES`.",
 )
 INPUT_DAMAGED = JOBS.code(

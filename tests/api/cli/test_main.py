@@ -13,11 +13,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from api.cli.commands import keys
 from api.cli.commands.reconstruct import print_summary
-from api.cli.console import print_table
+from api.cli.console import print_table, reporting
 from api.cli.main import COMMANDS, app
 from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
@@ -351,6 +352,16 @@ def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("narrow")
+@pytest.mark.parametrize("as_json", [False, True])
+def test_too_little_memory_is_told_without_a_stack_trace(as_json: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(typer.Exit) as left, reporting(as_json):
+        bytearray(2**62)
+    assert left.value.exit_code == 1
+    printed = capsys.readouterr()
+    said = json.loads(printed.out)["problems"][0]["message"] if as_json else printed.err
+    assert "There is not enough memory for this." in said
+
+
 def test_a_table_is_a_line_a_row_with_every_cell_whole(capsys: pytest.CaptureFixture[str]) -> None:
     long = "x" * 300
     print_table(("name", "what it is"), [("a", long), ("\u6771\u4eac", ""), ("b[red]c[/]", ":smile:")])
