@@ -42,6 +42,8 @@ from pipeline.stages.plan import STAGE_BY_NAME
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 
+_NO_MEMORY = "There is not enough memory for this. Close other programs, or take fewer frames or cameras at once."
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 Item = TypeVar("Item")
@@ -170,9 +172,6 @@ def _interruptible() -> Iterator[None]:
         for number, handler in before.items():
             if signal.getsignal(number) is interrupt:
                 signal.signal(number, handler)
-
-
-_NO_MEMORY = "There is not enough memory for this. Close other programs, or take fewer frames or cameras at once."
 
 
 @contextmanager
