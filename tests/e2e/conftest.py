@@ -57,7 +57,7 @@ def first_results(beginning: Reconstruction, tmp_path_factory: pytest.TempPathFa
 
 
 def is_at_rest(running: Served) -> bool:
-    """Whether a service has its own processes alone."""
+    """Return whether a service has its own processes alone."""
     try:
         words = [process.cmdline() for process in running.tree()]
     except psutil.NoSuchProcess:

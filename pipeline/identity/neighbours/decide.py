@@ -38,7 +38,8 @@ _CLEARLY = 0.6
 _ROUGHLY = 0.2
 # Expected places get better when limbs have gone to their owners.
 _NUM_ROUNDS = 2
-# Frames that are worked on at once, to bound the memory: fewer where many people are, of which all pairs are looked at.
+# Frames that are worked on at once, to bound the memory. Crowds get shorter blocks, down to the smallest, with at most
+# so many pairs of people over all frames.
 _BLOCK, _MIN_BLOCK = 512, 8
 _MAX_PAIRS = 4_000_000
 _FACE = COCO_17.names[: COCO_17.index("left_shoulder")]

@@ -132,7 +132,7 @@ def _beside_seeds(saddles: _Saddles) -> Int[np.ndarray, "seeds 2"]:
     distance_px, number = distance_px[:, 1:], number[:, 1:]  # a seed is its own nearest saddle
     edges, strength = saddles.edges[:num_seeds], saddles.strength[:num_seeds]
     along, across = edges[:, :1], edges[:, 1:]
-    # Where the seed is bright, its neighbour is dark.
+    # Neighbours are dark on the side on which the seed is bright.
     wanted = -_side(saddles, np.arange(len(edges))[:, None], along, across)
     is_next = wanted * _agreement(saddles, number, along, across) >= _MIN_AGREEMENT
     is_next &= saddles.strength[number] >= _MIN_STRENGTH * strength[:, None]
