@@ -37,6 +37,7 @@ PLACES_HZ = RATE_HZ / HOLD
 NUM_CAMERAS = 4
 MOVED, MOVED_PX = "cam_1", 80  # 8 degrees
 WATCHED_S = 2.0
+BEGINNINGS = 5
 
 
 def video_of(name: str) -> Path:
@@ -68,13 +69,19 @@ def seen_phases(joined: Sequence[Phone]) -> dict[str, float]:
 
 
 def begin_together(joined: Sequence[Phone], cameras: Sequence[tuple[str, Path]]) -> dict[str, int]:
-    """Let all cameras show the same moment, as cameras of one room do; return the shifts of their files."""
-    shifts = {name: round(HOLD * places) for name, places in apart(seen_phases(joined)).items()}
-    for name, file in cameras:
-        write_camera(video_of(name), file, RATE_HZ, hold=HOLD, shift=shifts[name])
-    ahead = apart(seen_phases(joined))
-    assert max(abs(places) for places in ahead.values()) <= 0.6 / HOLD, ahead
-    return shifts
+    """Let all cameras show the same moment, as cameras of one room do; return the shifts of their files.
+
+    A browser without a processor reads its file late, and then stands at another moment than before.
+    """
+    shifts = dict.fromkeys(dict(cameras), 0)
+    for _ in range(BEGINNINGS):
+        ahead = apart(seen_phases(joined))
+        if max(abs(places) for places in ahead.values()) <= 0.6 / HOLD:
+            return shifts
+        shifts = {name: shifts[name] + round(HOLD * places) for name, places in ahead.items()}
+        for name, file in cameras:
+            write_camera(video_of(name), file, RATE_HZ, hold=HOLD, shift=shifts[name])
+    pytest.fail(f"cameras that don't begin together, by places: {ahead}")
 
 
 def test_a_calibration_by_phones_serves_takes_until_one_is_moved(
