@@ -4,8 +4,9 @@ The spec of a job, the command line and ``reconstruct`` ask here, so that each r
 are found at once. Values and limits are those that ``pipeline.config`` declares. Standard library only.
 """
 
+import contextlib
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from numbers import Real
 from typing import Any
 
@@ -36,6 +37,22 @@ def require(problems: Iterable[Problem]) -> None:
     """Raise ``InputError`` if there are any problems."""
     if found := tuple(problems):
         raise InputError(found)
+
+
+@contextlib.contextmanager
+def collecting() -> Iterator[Callable[[Callable[[], Any]], Any]]:
+    """Collect the problems of several steps, and raise them together at the end of the block."""
+    problems: list[Problem] = []
+
+    def collect(step: Callable[[], Any]) -> Any:
+        try:
+            return step()
+        except InputError as error:
+            problems.extend(error.problems)
+            return None
+
+    yield collect
+    require(problems)
 
 
 def config_problems(config: ReconstructionConfig, num_frames: int, frame_rate_hz: float) -> Iterator[Problem]:

@@ -20,7 +20,7 @@ from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.specs import FRAME_RANGE
 from pipeline.providers import ProviderChoice, choose_provider
 from pipeline.requirements import requirement
-from pipeline.rules import CONFIG_CHOICES, require, value_problems
+from pipeline.rules import CONFIG_CHOICES, collecting, require, value_problems
 
 
 def _option(choice: Choice) -> Any:
@@ -69,9 +69,6 @@ KeypointsOption = Annotated[
         show_default=False,
     ),
 ]
-TimestampsOption = Annotated[
-    Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
-]
 PairByOrderOption = Annotated[
     bool,
     typer.Option(
@@ -96,23 +93,29 @@ def with_choices(*names: str) -> Callable[[Callable[..., None]], Callable[..., N
 
     The command gets a mapping from the names of the choices to the values as they were typed; ``checked`` checks them.
     """
-    choices = [CONFIG_CHOICES[name] for name in names or CONFIG_CHOICES]
+    return with_options("chosen", [_parameter(CONFIG_CHOICES[name]) for name in names or CONFIG_CHOICES], dict)
+
+
+def with_options(
+    name: str, options: Sequence[inspect.Parameter], value: Callable[[Mapping[str, Any]], object]
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command options in place of the parameter ``name``, which gets their ``value``."""
 
     def decorated(command: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(command, eval_str=True)
         parameters: list[inspect.Parameter] = []
         for parameter in signature.parameters.values():
-            parameters += [_parameter(choice) for choice in choices] if parameter.name == "chosen" else [parameter]
+            parameters += options if parameter.name == name else [parameter]
 
         @functools.wraps(command)
-        def with_options(**values: Any) -> None:
-            chosen = {choice.name: values.pop(choice.name) for choice in choices}
-            command(**values, chosen=chosen)
+        def command_with_options(**values: Any) -> None:
+            typed = {option.name: values.pop(option.name) for option in options}
+            command(**values, **{name: value(typed)})
 
         # Typer reads the names, types and defaults of options from these.
-        with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-        with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        return with_options
+        command_with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        command_with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return command_with_options
 
     return decorated
 
@@ -131,20 +134,20 @@ def _parameter(choice: Choice) -> inspect.Parameter:
     return inspect.Parameter(choice.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def checked(chosen: Mapping[str, Any]) -> ReconstructionConfig:
+def checked(chosen: Mapping[str, Any], *checks: Callable[[], None]) -> ReconstructionConfig:
     """Check the values of the options that ``with_choices`` made; other choices have their defaults.
 
     Raises ``InputError`` if choices may not have their values, or a range of frames can't be read; it lists all of
-    them.
+    them, and what ``checks`` of other options raise.
     """
     values: dict[str, Any] = {}
-    problems: list[Problem] = []
-    for name, value in chosen.items():
-        try:
-            values[name] = _typed(CONFIG_CHOICES[name], value)
-        except InputError as error:
-            problems += error.problems
-    require([*problems, *value_problems(values)])
+    with collecting() as collect:
+        for name, value in chosen.items():
+            if (typed := collect(functools.partial(_typed, CONFIG_CHOICES[name], value))) is not None:
+                values[name] = typed
+        collect(lambda: require(value_problems(values)))
+        for check in checks:
+            collect(check)
     return ReconstructionConfig(**values)
 
 
@@ -172,7 +175,7 @@ def _frame_range(text: str | None) -> tuple[int, int] | None:
 
 def known_units(name: str | None) -> Units | None:
     """Check the name of a unit; ``InputError`` if there is none of that name."""
-    return None if name is None else cast(Units, _known(UNKNOWN_UNITS, "units", name, tuple(UNITS_M)))
+    return None if name is None else cast(Units, _known(UNKNOWN_UNITS, "unit", "units", name, tuple(UNITS_M)))
 
 
 def take_provider(name: str | None) -> None:
@@ -181,23 +184,25 @@ def take_provider(name: str | None) -> None:
     Raises ``InputError`` if there is none of that name; says so if the CPU runs the networks instead.
     """
     if name is not None:
-        choose_provider(cast(ProviderChoice, _known(UNKNOWN_PROVIDER, "provider", name, get_args(ProviderChoice))))
+        choose_provider(
+            cast(ProviderChoice, _known(UNKNOWN_PROVIDER, "provider", "provider", name, get_args(ProviderChoice)))
+        )
     if note := current_provider().note:
         warn(note)
 
 
 def known_up(name: str) -> Up:
     """Check the name of an axis; ``InputError`` if there is none of that name."""
-    return cast(Up, _known(UNKNOWN_AXIS, "axis", name, get_args(Up)))
+    return cast(Up, _known(UNKNOWN_AXIS, "axis", "up", name, get_args(Up)))
 
 
 def known_clock(name: str) -> Clock:
     """Check the name of a clock of videos; ``InputError`` if there is none of that name."""
-    return cast(Clock, _known(UNKNOWN_CLOCK, "clock", name, get_args(Clock)))
+    return cast(Clock, _known(UNKNOWN_CLOCK, "clock", "clock", name, get_args(Clock)))
 
 
-def _known(code: Code, noun: str, name: str, names: Sequence[str]) -> str:
+def _known(code: Code, noun: str, field: str, name: str, names: Sequence[str]) -> str:
     if name not in names:
         hint = f"Use {', '.join(names)}."
-        raise InputError([Problem(code, f"There is no {noun} '{name}'.", hint=hint)])
+        raise InputError([Problem(code, f"There is no {noun} '{name}'.", field=field, hint=hint)])
     return name

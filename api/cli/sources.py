@@ -1,110 +1,155 @@
 """Videos that commands open, with what their options state of them."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+import inspect
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args, get_type_hints
 
 import typer
 
-from pipeline.calibration.contents import Units, Up
-from pipeline.capture.keypoints import open_keypoints
+from api.cli.options import (
+    KeypointRateOption,
+    KeypointsOption,
+    PairByOrderOption,
+    UnitsOption,
+    UpOption,
+    known_clock,
+    known_units,
+    known_up,
+    with_options,
+)
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import CaptureSession, Session, open_session
 from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.commands import PARAMETER_UNREADABLE, SOURCES
 from pipeline.problem_codes.sessions import CAMERA_WITH_TWO_FOLDERS
+from pipeline.rules import collecting, require
 from pipeline.video.images.files import SEQUENCE
 
-VideosOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        metavar="VIDEO|CAMERA=VIDEO",
-        help="Folder with one video of each camera, or the videos; or folders or zips of images. CAMERA= states the "
-        "camera of a video, or of the next part of its recording. Repeatable.",
-        show_default=False,
-    ),
-]
-OffsetOption = Annotated[
-    list[str] | None,
-    typer.Option(metavar="CAMERA=SECONDS", help="Time of a video's first frame on the common clock; repeatable."),
-]
-RateOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="CAMERA=HZ",
-        help="Frames that a camera took in a second, if its video states others, such as slow motion; repeatable.",
-    ),
-]
+
+@dataclass(frozen=True, slots=True)
+class SourceOptions:
+    """Options that state the videos, images or keypoints of a session, as they were typed; ``None``: not given."""
+
+    videos: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="VIDEO|CAMERA=VIDEO",
+            help="Folder with one video of each camera, or the videos; or folders or zips of images. CAMERA= states "
+            "the camera of a video, or of the next part of its recording. Repeatable.",
+            show_default=False,
+        ),
+    ] = None
+    offset: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CAMERA=SECONDS", help="Time of a video's first frame on the common clock; repeatable."),
+    ] = None
+    rate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CAMERA=HZ",
+            help="Frames that a camera took in a second, if its video states others, such as slow motion; repeatable.",
+        ),
+    ] = None
+    clock: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(get_args(Clock)),
+            help="Clock of the videos' first frames: --offset, or what the files state, to which it is added.",
+        ),
+    ] = "declared"
+    keypoints: KeypointsOption = None
+    timestamps: Annotated[
+        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
+    ] = None
+    frame_rate: KeypointRateOption = None
+    pair_by_order: PairByOrderOption = False
+    units: UnitsOption = None
+    up: UpOption = "z"
+
+    def check(self, *, is_optional: bool = False) -> None:
+        """Check that options can be read and go together.
+
+        Raises ``InputError`` with all that are wrong. Neither videos nor keypoints are a problem, unless they are
+        optional.
+        """
+        with collecting() as collect:
+            collect(lambda: known_units(self.units))
+            collect(lambda: known_clock(self.clock))
+            collect(lambda: known_up(self.up))
+            is_given = any((self.videos, self.keypoints, self.timestamps, self.offset, self.rate))
+            if is_given or not is_optional:
+                collect(lambda: require(self._mixed()))
+
+    def _mixed(self) -> Iterator[Problem]:
+        """Problems of options of videos beside those of keypoints."""
+        if (self.videos is None) == (self.keypoints is None):
+            yield Problem(SOURCES, "A session has either videos or keypoints.", hint="Give one of them.")
+        if self.keypoints is None and self.timestamps is not None:
+            message = "Timestamps belong to keypoints; videos have their own times."
+            yield Problem(SOURCES, message, hint="Omit --timestamps.")
+        if self.keypoints is not None and self.offset:
+            message = "Offsets belong to videos; keypoints have timestamps."
+            yield Problem(SOURCES, message, hint="Omit --offset.")
+        if self.keypoints is not None and self.rate:
+            message = "Rates of single cameras belong to videos; keypoints have one rate, or timestamps."
+            yield Problem(SOURCES, message, hint="State it by --frame-rate, and omit --rate.")
+
+    def open(self, calibration: Path) -> Session:
+        """Open keypoints if they are given, else videos; raises ``InputError`` as the functions of both."""
+        return self.open_videos(calibration) if self.keypoints is None else self.open_keypoints(calibration)
+
+    def open_keypoints(self, calibration: Path, *, keeps_poses: bool = True) -> KeypointSession:
+        """Open keypoints; raises ``InputError`` if options can't be read, and as ``pipeline.capture.keypoints``."""
+        return open_keypoints(
+            _keypoint_folder(self.keypoints or ()),
+            calibration,
+            self.timestamps,
+            self.frame_rate,
+            known_units(self.units),
+            pair_by_order=self.pair_by_order,
+            keeps_poses=keeps_poses,
+            up=known_up(self.up),
+        )
+
+    def open_videos(self, calibration: Path | None, *, keeps_poses: bool = True) -> CaptureSession:
+        """Open videos, or images; raises ``InputError`` if options can't be read, and as ``open_session``."""
+        paths, recordings = _footage(self.videos or (), self.offset, self.rate)
+        session = open_session(
+            paths[0] if len(paths) == 1 else paths,
+            calibration,
+            recordings,
+            known_units(self.units),
+            known_clock(self.clock),
+            self.frame_rate,
+            self.pair_by_order,
+            keeps_poses=keeps_poses,
+            up=known_up(self.up),
+        )
+        if self.frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
+            message = "A frame rate belongs to keypoints and to images; videos have their own times."
+            hint = "Omit --frame-rate; state the rate of a camera by --rate."
+            raise InputError([Problem(SOURCES, message, hint=hint)])
+        return session
 
 
-def open_source(
-    videos: Sequence[Path] | None,
-    keypoints: Sequence[Path] | None,
-    calibration: Path,
-    timestamps: Path | None,
-    offset: Sequence[str] | None = None,
-    rate: Sequence[str] | None = None,
-    units: Units | None = None,
-    clock: Clock = "declared",
-    frame_rate: float | None = None,
-    pair_by_order: bool = False,
-    up: Up = "z",
-) -> Session:
-    """Open keypoints if a folder of these is given, else videos; raises ``InputError`` as the functions of both.
-
-    The options are those of ``open_footage`` and ``open_keypoints``, of which ``check_sources`` knows the right ones.
-    """
-    if keypoints is not None:
-        folder = keypoint_folder(keypoints)
-        return open_keypoints(folder, calibration, timestamps, frame_rate, units, pair_by_order=pair_by_order, up=up)
-    return open_footage(videos or [], calibration, offset, rate, units, clock, frame_rate, pair_by_order, up=up)
+def with_source(*, omits: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the options of ``SourceOptions`` in place of its parameter ``source``, but for those it omits."""
+    hints = get_type_hints(SourceOptions, include_extras=True)
+    options = [
+        inspect.Parameter(
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name]
+        )
+        for field in fields(SourceOptions)
+        if field.name not in omits
+    ]
+    return with_options("source", options, lambda typed: SourceOptions(**typed))
 
 
-def open_footage(
-    videos: Sequence[Path],
-    calibration: Path | None,
-    offset: Sequence[str] | None = None,
-    rate: Sequence[str] | None = None,
-    units: Units | None = None,
-    clock: Clock = "declared",
-    frame_rate: float | None = None,
-    pair_by_order: bool = False,
-    keeps_poses: bool = True,
-    up: Up = "z",
-) -> CaptureSession:
-    """Open videos, or images, with what options state of them.
-
-    Parameters
-    ----------
-    videos
-        Files, folders, and ``CAMERA=VIDEO`` of those whose camera is stated.
-    offset, rate
-        ``CAMERA=NUMBER`` of each option.
-    frame_rate
-        Rate of images.
-    pair_by_order, keeps_poses, up
-        See ``open_session``.
-
-    Raises
-    ------
-    InputError
-        If the options can't be read, and as ``open_session``.
-    """
-    paths, recordings = _footage(videos, offset, rate)
-    files = paths[0] if len(paths) == 1 else paths
-    session = open_session(
-        files, calibration, recordings, units, clock, frame_rate, pair_by_order, keeps_poses=keeps_poses, up=up
-    )
-    if frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
-        message = "A frame rate belongs to keypoints and to images; videos have their own times."
-        hint = "Omit --frame-rate; state the rate of a camera by --rate."
-        raise InputError([Problem(SOURCES, message, hint=hint)])
-    return session
-
-
-def keypoint_folder(keypoints: Sequence[Path]) -> Path | Mapping[str, Path]:
+def _keypoint_folder(keypoints: Sequence[Path]) -> Path | Mapping[str, Path]:
     """The folder of all cameras, or the folders by camera that are stated as ``CAMERA=FOLDER``.
 
     Raises ``InputError`` if both are given, or several of one kind for the same.
@@ -151,30 +196,6 @@ def _footage(
     for camera, rate_hz in parameters(rate or [], "cam_2=240").items():
         recordings[camera] = replace(recordings.get(camera, Recording(camera)), frame_rate_hz=rate_hz)
     return paths, list(recordings.values())
-
-
-def check_sources(
-    videos: Sequence[Path] | None,
-    keypoints: Sequence[Path] | None,
-    timestamps: Path | None,
-    offset: Sequence[str] | None,
-    rate: Sequence[str] | None,
-) -> None:
-    """Raise ``InputError`` if options of videos and of keypoints are mixed, or neither is given."""
-    problems = []
-    if (videos is None) == (keypoints is None):
-        problems.append(Problem(SOURCES, "A session has either videos or keypoints.", hint="Give one of them."))
-    if keypoints is None and timestamps is not None:
-        message = "Timestamps belong to keypoints; videos have their own times."
-        problems.append(Problem(SOURCES, message, hint="Omit --timestamps."))
-    if keypoints is not None and offset:
-        message = "Offsets belong to videos; keypoints have timestamps."
-        problems.append(Problem(SOURCES, message, hint="Omit --offset."))
-    if keypoints is not None and rate:
-        message = "Rates of single cameras belong to videos; keypoints have one rate, or timestamps."
-        problems.append(Problem(SOURCES, message, hint="State it by --frame-rate, and omit --rate."))
-    if problems:
-        raise InputError(problems)
 
 
 def parameters(said: Sequence[str], example: str) -> dict[str, float]:

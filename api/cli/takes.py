@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from api.cli.sources import open_source, stated_camera
+from api.cli.sources import SourceOptions, stated_camera
 from pipeline.calibration.contents import Units, Up
 from pipeline.capture.names import natural_key
 from pipeline.capture.session import Session
@@ -39,16 +39,16 @@ class TakeSource:
             hint = f"Put videos, or the folder {_KEYPOINTS}, there."
             raise InputError([Problem(TAKE_EMPTY, "There are neither videos nor keypoints.", hint=hint)])
         rate_hz = None if self.timestamps is not None else self.frame_rate_hz
-        return open_source(
+        options = SourceOptions(
             list(map(Path, self.videos)),
-            None if self.keypoints is None else [self.keypoints],
-            self.calibration,
-            self.timestamps,
-            units=units,
+            keypoints=None if self.keypoints is None else [self.keypoints],
+            timestamps=self.timestamps,
             frame_rate=rate_hz,
             pair_by_order=pair_by_order,
+            units=units,
             up=up,
         )
+        return options.open(self.calibration)
 
     def fingerprint(self) -> str:
         """Digest of the names, sizes and times of change of all files, and of the calibration's content."""

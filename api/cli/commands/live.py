@@ -43,7 +43,7 @@ from pipeline.live.cameras.sources import read_sources
 from pipeline.live.cameras.totals import LiveTotals
 from pipeline.live.vmc import VmcSender
 from pipeline.problem_codes.commands import OUTPUT_EXISTS, PARAMETER_RANGE
-from pipeline.rules import require
+from pipeline.rules import collecting, require
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.warm_up import warm_up
 
@@ -144,22 +144,6 @@ def command(
             _print_summary(run.totals)
         if listener.errors:
             raise listener.errors[0]
-
-
-@contextlib.contextmanager
-def collecting() -> Iterator[Callable[[Callable[[], Any]], Any]]:
-    """Collect the problems of several steps, and raise them together at the end of the block."""
-    problems: list[Problem] = []
-
-    def collect(step: Callable[[], Any]) -> Any:
-        try:
-            return step()
-        except InputError as error:
-            problems.extend(error.problems)
-            return None
-
-    yield collect
-    require(problems)
 
 
 def _vmc_sender(address: str, allow_network: bool) -> VmcSender:

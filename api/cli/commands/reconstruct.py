@@ -4,28 +4,14 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import typer
 
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, users_cache, warn
-from api.cli.options import (
-    KeypointsOption,
-    PairByOrderOption,
-    ProviderOption,
-    TimestampsOption,
-    UnitsOption,
-    UpOption,
-    checked,
-    known_clock,
-    known_units,
-    known_up,
-    take_provider,
-    with_choices,
-)
-from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source, parameters
+from api.cli.options import ProviderOption, checked, take_provider, with_choices
+from api.cli.sources import SourceOptions, parameters, with_source
 from api.cli.space import document, require_space, session_space
-from pipeline.capture.preflight_record import Clock
 from pipeline.character.mapping import read_bone_table
 from pipeline.character.source import CharacterSource
 from pipeline.config import method_warnings
@@ -95,31 +81,14 @@ def _character(path: Path | None, bones: Path | None) -> CharacterSource | None:
 
 
 @with_choices()
+@with_source()
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
-    videos: VideosOption = None,
+    source: SourceOptions,
     more_videos: Annotated[
         list[Path] | None, typer.Argument(metavar="[VIDEOS]...", help="Videos, as of --videos.", show_default=False)
-    ] = None,
-    offset: OffsetOption = None,
-    rate: RateOption = None,
-    clock: Annotated[
-        str,
-        typer.Option(
-            metavar="|".join(get_args(Clock)),
-            help="Clock of the videos' first frames: --offset, or what the files state, to which it is added.",
-        ),
-    ] = "declared",
-    units: UnitsOption = None,
-    up: UpOption = "z",
-    keypoints: KeypointsOption = None,
-    timestamps: TimestampsOption = None,
-    pair_by_order: PairByOrderOption = False,
-    frame_rate: Annotated[
-        float | None,
-        typer.Option(help="Frame rate in Hz: of keypoints without timestamps, or of images."),
     ] = None,
     character: Annotated[
         Path | None,
@@ -154,32 +123,19 @@ def command(
     started_s = time.monotonic()
     paths: list[Path] = []
     with reporting(as_json, lambda: _what_is_left(paths, out)), StageBars(visible=not as_json) as bars:
+        source = replace(source, videos=[*(source.videos or []), *(more_videos or [])] or None)
         config = replace(
-            checked(chosen),
+            checked(chosen, source.check),
             tracking=parameters(tracking or [], "alpha_3d_m=0.2"),
             clustering=parameters(clustering or [], "tau2=0.25"),
         )
-        footage = [*(videos or []), *(more_videos or [])]
-        check_sources(footage or None, keypoints, timestamps, offset, rate)
-        if keypoints is None:
+        if source.keypoints is None:
             take_provider(provider)
         moved = _character(character, bones)
-        session = open_source(
-            footage,
-            keypoints,
-            calibration,
-            timestamps,
-            offset,
-            rate,
-            known_units(units),
-            known_clock(clock),
-            frame_rate,
-            pair_by_order,
-            known_up(up),
-        )
+        session = source.open(calibration)
         for warning in session.warnings:
             warn(warning)
-        sources = (calibration, *([] if timestamps is None else [timestamps]))
+        sources = (calibration, *([] if source.timestamps is None else [source.timestamps]))
         kept = None if no_cache else cache or users_cache()
         require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))
         space = session_space(session, config, character)
@@ -187,7 +143,7 @@ def command(
         written = reconstruct_to_files(
             session, out, config, bars.update, kept, sources=sources, on_file=paths.append, character=moved
         )
-    metrics, warnings = written.metrics, method_warnings(config, keypoints is None)
+    metrics, warnings = written.metrics, method_warnings(config, source.keypoints is None)
     if config.blur_faces and not (config.overlay or config.report or "rerun" in config.exports):
         warnings = (*warnings, "Faces are blurred in --overlay, --report and --exports rerun; none was asked for.")
     if as_json:

@@ -106,6 +106,22 @@ def test_videos_can_be_named_one_by_one(tmp_path: Path) -> None:
     assert problem["message"] == "A session has either videos or keypoints."
 
 
+def test_all_wrong_options_are_reported_at_once() -> None:
+    wrong = ["--profile=slow", "--frames=5", "--units=feet", "--up=w", "--clock=sun", "--timestamps=t.csv"]
+    result = runner.invoke(
+        app, ["reconstruct", "--calibration=c.toml", "--out=out", "--json", *wrong, "--videos=a.mp4"]
+    )
+    problems = json.loads(result.stdout)["problems"]
+    assert [(problem["code"], problem["field"]) for problem in problems] == [
+        ("frame_range", "frame_range"),
+        ("value_not_allowed", "profile"),
+        ("unknown_units", "units"),
+        ("unknown_clock", "clock"),
+        ("unknown_axis", "up"),
+        ("sources", None),
+    ]
+
+
 @pytest.mark.parametrize(
     ("offsets", "found"),
     [

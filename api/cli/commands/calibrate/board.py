@@ -11,8 +11,7 @@ from rich.progress import Progress
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import JsonOption, console, reporting, warn
-from api.cli.options import PairByOrderOption
-from api.cli.sources import OffsetOption, RateOption, VideosOption, open_footage
+from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.source import (
     find_photographs,
@@ -32,15 +31,15 @@ from pipeline.problem_codes.commands import SOURCES
 from pipeline.problem_codes.sessions import CAMERA_UNKNOWN
 
 
+@with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up"))
 def command(
+    *,
     board: Annotated[
         str,
         typer.Option(metavar="BOARD", help=f"{FORMS}. Of a chessboard COLSxROWS are inner corners, else squares."),
     ],
     out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
-    videos: VideosOption = None,
-    offset: OffsetOption = None,
-    rate: RateOption = None,
+    source: SourceOptions,
     timestamps: Annotated[
         Path | None,
         typer.Option(
@@ -54,7 +53,6 @@ def command(
     intrinsics: Annotated[
         Path | None, typer.Option(help="Calibration whose intrinsics are kept; its poses are ignored.")
     ] = None,
-    pair_by_order: PairByOrderOption = False,
     floor_time: Annotated[
         float | None,
         typer.Option(help="Second at which the board lies on the floor. Default: the longest time it lies still."),
@@ -68,16 +66,16 @@ def command(
         found = parse_board(board)
         require_ending(out)
         known_points = read_known_points(world_points) if world_points is not None else ()
-        if (videos is None) == (images is None):
+        if (source.videos is None) == (images is None):
             raise InputError(
                 [Problem(SOURCES, "A board is filmed or photographed.", hint="Give --videos or --images.")]
             )
-        if timestamps is not None and (images is not None or offset or rate):
+        if timestamps is not None and (images is not None or source.offset or source.rate):
             message = "Timestamps are of videos, and hold their offsets and rates."
             raise InputError([Problem(SOURCES, message, hint="Give either --timestamps, or --offset and --rate.")])
         with Progress(console=console, disable=as_json, transient=True) as progress:
-            if videos is not None:
-                session = open_footage(videos, intrinsics, offset, rate, pair_by_order=pair_by_order, keeps_poses=False)
+            if source.videos is not None:
+                session = source.open_videos(intrinsics, keeps_poses=False)
                 for sentence in () if as_json else session.warnings:
                     warn(sentence)
                 if timestamps is not None:

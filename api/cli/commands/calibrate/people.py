@@ -8,18 +8,11 @@ import typer
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import JsonOption, StageBars, reporting, warn
-from api.cli.options import (
-    KeypointRateOption,
-    KeypointsOption,
-    PairByOrderOption,
-    TimestampsOption,
-    checked,
-    with_choices,
-)
-from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, keypoint_folder, open_footage
+from api.cli.options import checked, with_choices
+from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
-from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
 from pipeline.detect.profiles.detection import detection_joints
 from pipeline.errors import InputError, Problem
@@ -33,6 +26,7 @@ _PERCENT = 100
 
 
 @with_choices("profile", "detector")
+@with_source(omits=("clock", "units", "up"))
 def command(
     *,
     stature_m: Annotated[
@@ -46,13 +40,7 @@ def command(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
-    videos: VideosOption = None,
-    offset: OffsetOption = None,
-    rate: RateOption = None,
-    keypoints: KeypointsOption = None,
-    timestamps: TimestampsOption = None,
-    frame_rate: KeypointRateOption = None,
-    pair_by_order: PairByOrderOption = False,
+    source: SourceOptions,
     intrinsics: Annotated[
         Path | None,
         typer.Option(
@@ -68,30 +56,14 @@ def command(
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         require_ending(out)
         known_points = read_known_points(world_points) if world_points is not None else ()
-        check_sources(videos, keypoints, timestamps, offset, rate)
-        _check_sources(keypoints, intrinsics, stature_m)
-        config = checked(chosen)
+        config = checked(chosen, source.check)
+        _check_sources(source.keypoints, intrinsics, stature_m)
         session: CaptureSession | KeypointSession
-        if keypoints is not None and intrinsics is not None:
-            session = open_keypoints(
-                keypoint_folder(keypoints),
-                intrinsics,
-                timestamps,
-                frame_rate,
-                pair_by_order=pair_by_order,
-                keeps_poses=False,
-            )
+        if source.keypoints is not None and intrinsics is not None:
+            session = source.open_keypoints(intrinsics, keeps_poses=False)
             detections, joints = session.detections, session.joints
         else:
-            session = open_footage(
-                videos or [],
-                intrinsics,
-                offset,
-                rate,
-                frame_rate=frame_rate,
-                pair_by_order=pair_by_order,
-                keeps_poses=False,
-            )
+            session = source.open_videos(intrinsics, keeps_poses=False)
             detections = detect_people(session, config, bars.update, has_poses=False)
             joints = detection_joints(config)
         for sentence in () if as_json else session.warnings:

@@ -2,25 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import typer
 
 from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
 from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, emit, reporting, show_findings, warn
-from api.cli.options import (
-    KeypointRateOption,
-    KeypointsOption,
-    PairByOrderOption,
-    TimestampsOption,
-    UnitsOption,
-    UpOption,
-    checked,
-    known_units,
-    known_up,
-    with_choices,
-)
-from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source
+from api.cli.options import checked, with_choices
+from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.session import Session
 from pipeline.config import ReconstructionConfig
@@ -34,45 +24,24 @@ from pipeline.stages.local import reconstruct
 
 
 @with_choices("profile", "detector")
+@with_source(omits=("clock",))
 def command(
     *,
     file: FileArgument,
-    videos: VideosOption = None,
-    offset: OffsetOption = None,
-    rate: RateOption = None,
-    keypoints: KeypointsOption = None,
-    timestamps: TimestampsOption = None,
-    frame_rate: KeypointRateOption = None,
-    pair_by_order: PairByOrderOption = False,
-    units: UnitsOption = None,
-    up: UpOption = "z",
+    source: SourceOptions,
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
 ) -> None:
     """Check a calibration: lenses, places, unit, up axis and common views; with videos or keypoints also people."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        if any((videos, keypoints, timestamps, offset, rate)):
-            check_sources(videos, keypoints, timestamps, offset, rate)
-        config = replace(checked(chosen), smoothing="none")
-        unit, axis = known_units(units), known_up(up)
+        config = replace(checked(chosen, partial(source.check, is_optional=True)), smoothing="none")
         cameras: Sequence[Camera] = ()
         try:
-            contents = read(file, units, up)
+            contents = read(file, source.units, source.up)
             cameras = contents.cameras
             session: Session | None = None
-            if keypoints is not None or videos is not None:
-                session = open_source(
-                    videos,
-                    keypoints,
-                    file,
-                    timestamps,
-                    offset,
-                    rate,
-                    unit,
-                    frame_rate=frame_rate,
-                    pair_by_order=pair_by_order,
-                    up=axis,
-                )
+            if source.keypoints is not None or source.videos is not None:
+                session = source.open(file)
         except InputError as error:
             findings = [*check_cameras(cameras)] if cameras else []
             findings += [from_problem(problem) for problem in error.problems]

@@ -10,19 +10,8 @@ import typer
 
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
 from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, console, emit, reporting, show_findings
-from api.cli.options import (
-    KeypointRateOption,
-    KeypointsOption,
-    PairByOrderOption,
-    TimestampsOption,
-    UnitsOption,
-    UpOption,
-    checked,
-    known_units,
-    known_up,
-    with_choices,
-)
-from api.cli.sources import OffsetOption, RateOption, VideosOption, check_sources, open_source
+from api.cli.options import checked, with_choices
+from api.cli.sources import SourceOptions, with_source
 from api.cli.space import document, sentence, session_space
 from pipeline.capture.pictures.look import look_at_pictures
 from pipeline.capture.session import CaptureSession, Session
@@ -39,18 +28,11 @@ from pipeline.synchronization.session import clock_findings, on_measured_clocks
 
 
 @with_choices("profile", "detector", "sync")
+@with_source(omits=("clock",))
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file, see docs/formats.md.")],
-    videos: VideosOption = None,
-    offset: OffsetOption = None,
-    rate: RateOption = None,
-    keypoints: KeypointsOption = None,
-    timestamps: TimestampsOption = None,
-    pair_by_order: PairByOrderOption = False,
-    frame_rate: KeypointRateOption = None,
-    units: UnitsOption = None,
-    up: UpOption = "z",
+    source: SourceOptions,
     chosen: Mapping[str, Any],
     thumbnails: Annotated[
         Path | None,
@@ -63,23 +45,10 @@ def command(
     With --sync auto the clocks are measured first, from people in all frames, and the people are checked on them.
     """
     with reporting(as_json):
-        check_sources(videos, keypoints, timestamps, offset, rate)
-        choices = checked(chosen)
+        choices = checked(chosen, source.check)
         config = replace(choices, smoothing="none", sync="declared")
-        unit, axis = known_units(units), known_up(up)
         try:
-            session = open_source(
-                videos,
-                keypoints,
-                calibration,
-                timestamps,
-                offset,
-                rate,
-                unit,
-                frame_rate=frame_rate,
-                pair_by_order=pair_by_order,
-                up=axis,
-            )
+            session = source.open(calibration)
         except InputError as error:
             findings, space = [from_problem(problem) for problem in error.problems], None
         else:

@@ -10,7 +10,7 @@ import typer
 from api.cli.commands.evaluate.shared import shown
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import KeypointsOption, checked, with_choices
-from api.cli.sources import open_source
+from api.cli.sources import SourceOptions
 from pipeline.evaluation.datasets.panoptic import (
     CAMERAS,
     EVERY,
@@ -41,13 +41,9 @@ def command(
         config = replace(checked(chosen), force=True)
         names = tuple(name.strip() for name in cameras.split(",") if name.strip())
         sequence = load_panoptic(data, names, every, has_footage=keypoints is None)
-        session = open_source(
-            sequence.footage,
-            keypoints,
-            sequence.calibration,
-            None,
-            frame_rate=FRAME_RATE_HZ if keypoints or sequence.has_images else None,
-        )
+        rate_hz = FRAME_RATE_HZ if keypoints or sequence.has_images else None
+        source = SourceOptions(list(sequence.footage), keypoints=keypoints, frame_rate=rate_hz)
+        session = source.open(sequence.calibration)
         take = reconstruct(session, config, bars.update)
         scores = score_panoptic(take.tracks, take.joints, take.timebase, sequence, frame_times(session, sequence))
     if as_json:

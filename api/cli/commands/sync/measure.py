@@ -9,19 +9,8 @@ import typer
 
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
 from api.cli.console import EXIT_FAILED, JsonOption, StageBars, emit, print_table, reporting, warn
-from api.cli.options import (
-    KeypointRateOption,
-    KeypointsOption,
-    PairByOrderOption,
-    TimestampsOption,
-    UnitsOption,
-    UpOption,
-    checked,
-    known_units,
-    known_up,
-    with_choices,
-)
-from api.cli.sources import RateOption, VideosOption, check_sources, open_source
+from api.cli.options import checked, with_choices
+from api.cli.sources import SourceOptions, with_source
 from pipeline.data.cameras import Synchronization
 from pipeline.errors import PipelineError
 from pipeline.synchronization.document import sound_document, sync_document
@@ -29,17 +18,11 @@ from pipeline.synchronization.report import error_pictures
 
 
 @with_choices("profile", "detector")
+@with_source(omits=("offset", "clock"))
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file of the cameras.")],
-    videos: VideosOption = None,
-    rate: RateOption = None,
-    keypoints: KeypointsOption = None,
-    timestamps: TimestampsOption = None,
-    pair_by_order: PairByOrderOption = False,
-    frame_rate: KeypointRateOption = None,
-    units: UnitsOption = None,
-    up: UpOption = "z",
+    source: SourceOptions,
     chosen: Mapping[str, Any],
     report: Annotated[
         Path | None, typer.Option(help="Folder for sync.json, and a plot of each camera's error over its offset.")
@@ -52,19 +35,8 @@ def command(
     certain: the reasons say what to do.
     """
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        check_sources(videos, keypoints, timestamps, None, rate)
-        config = checked(chosen)
-        session = open_source(
-            videos,
-            keypoints,
-            calibration,
-            timestamps,
-            rate=rate,
-            units=known_units(units),
-            frame_rate=frame_rate,
-            pair_by_order=pair_by_order,
-            up=known_up(up),
-        )
+        config = checked(chosen, source.check)
+        session = source.open(calibration)
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
             warn(sentence)

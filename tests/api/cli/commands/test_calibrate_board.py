@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from api.cli.commands.calibrate.board import timed
 from api.cli.main import app
-from api.cli.sources import open_footage
+from api.cli.sources import SourceOptions
 from pipeline.capture.session import CaptureSession
 from pipeline.errors import InputError
 from tests.pipeline.media import write_video
@@ -20,7 +20,7 @@ TIMES_S = {"left": [0.0, 0.17, 0.32, 0.51], "right": [0.01, 0.16, 0.34, 0.5]}
 def session(tmp_path: Path) -> CaptureSession:
     for camera in TIMES_S:
         write_video(tmp_path / f"{camera}.mp4", 4)
-    return open_footage([tmp_path], None, keeps_poses=False)
+    return SourceOptions([tmp_path]).open_videos(None, keeps_poses=False)
 
 
 def table(path: Path, cameras: tuple[str, ...]) -> Path:

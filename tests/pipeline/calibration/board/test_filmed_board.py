@@ -8,7 +8,7 @@ import pytest
 from rich.progress import Progress
 
 from api.cli.commands.calibrate.board import in_videos
-from api.cli.sources import open_footage
+from api.cli.sources import SourceOptions
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.intrinsics import calibrate_intrinsics
 from pipeline.calibration.board.spec import parse_board
@@ -34,7 +34,7 @@ def moved_onto(points_m: np.ndarray, onto_m: np.ndarray) -> np.ndarray:
 @needs("boards")
 def test_a_board_on_webcams_gives_each_camera_its_own_lens_and_names_the_late_camera() -> None:
     folder = folder_of("boards")
-    session = open_footage([folder], None, keeps_poses=False)
+    session = SourceOptions([folder]).open_videos(None, keeps_poses=False)
     with Progress(disable=True) as progress:
         views = list(in_videos(session, BOARD, progress))
     assert [len(of_camera) > 35 for of_camera in views] == [True] * 4
