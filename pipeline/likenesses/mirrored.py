@@ -60,8 +60,10 @@ def find_mirror(first: Track3D, second: Track3D, joints: JointSet, frame_rate_hz
     """
     start = max(first.start_frame, second.start_frame)
     stop = min(first.start_frame + first.num_frames, second.start_frame + second.num_frames)
+    if stop - start < _MIN_S * frame_rate_hz:
+        return None
     body = [name for name in joints.names if name not in FINGER_JOINTS and other_side(name) in joints.names]
-    if stop - start < _MIN_S * frame_rate_hz or len(body) < _MIN_JOINTS:
+    if len(body) < _MIN_JOINTS:
         return None
     columns = np.array(joints.indices(tuple(body)))
     others = np.array(joints.indices(tuple(other_side(name) for name in body)))

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from pipeline.data.arrays import no_colours, no_detections
 from pipeline.data.detections import DamagedVideo, Detections, MapGrid, PafFields, PictureChanges
 from pipeline.data.people import Doubt, Leftovers, Observations, People, Poses3D, Track3D
 from pipeline.edits import PersonSpan
+from pipeline.runtime.npz import open_archive
+from pipeline.stages import codec
 from pipeline.stages.association import MeasuredBones
 from pipeline.stages.codec import RecordArchive, decode, encode, save
 from pipeline.stages.people import StoredPeople, write_people
@@ -95,6 +98,16 @@ def test_a_part_is_read_alone(tmp_path: Path) -> None:
     assert archive.find(Floor, "floor") == floor
     assert_equal(archive.read(Track3D, "tracks", 0), track)
     assert RecordArchive(encode(Animation((), (), None))).find(Floor, "floor") is None
+
+
+def test_the_entries_of_an_archive_are_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thousands of people have ten thousands of entries: listing them again for each person took minutes."""
+    write_people(tmp_path / "people", people_of_two_lengths())
+    listed = Mock(wraps=open_archive)
+    monkeypatch.setattr(codec, "open_archive", listed)
+    people = StoredPeople(tmp_path / "people").people
+    assert len([*people.tracks, *people.observations]) == 4
+    listed.assert_called_once_with(tmp_path / "people")
 
 
 def test_an_archive_with_a_pickle_is_refused() -> None:
