@@ -6,8 +6,7 @@ A service without keys serves all clients as the default tenant.
 import contextlib
 import inspect
 import uuid
-from collections.abc import AsyncIterator, Mapping
-from contextlib import AbstractAsyncContextManager
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -225,40 +224,47 @@ async def _authorize(request: Request, caller: Annotated[Caller, Depends(_find_c
     return _require_method(request, caller)
 
 
-def _turn(request: Request, services: Services, caller: Caller) -> AbstractAsyncContextManager[None]:
-    """Turn of the caller, for as long as the route works.
+_Find = Callable[..., Caller | Coroutine[None, None, Caller]]
+
+
+def _in_turn(find: _Find) -> Callable[..., AsyncIterator[Caller]]:
+    """Dependency with the caller of ``find``, whose turn it is for as long as the route works.
 
     Routes that are ``async`` wait for their clients and take no turn: their work has shares of its own.
     """
-    waits_for_client = inspect.iscoroutinefunction(request.scope["endpoint"])
-    return contextlib.nullcontext() if waits_for_client else services.turns.turn(caller.owner)
+
+    async def in_turn(
+        request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(find)]
+    ) -> AsyncIterator[Caller]:
+        waits_for_client = inspect.iscoroutinefunction(request.scope["endpoint"])
+        async with contextlib.nullcontext() if waits_for_client else services.turns.turn(caller.owner):
+            yield caller
+
+    return in_turn
 
 
-async def _any_in_turn(
-    request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_find_caller)]
-) -> AsyncIterator[Caller]:
-    async with _turn(request, services, caller):
-        yield caller
+def _records_of(find: _Find) -> Callable[..., Coroutine[None, None, TenantRecords]]:
+    """Dependency with the records of the tenant of ``find``'s caller, in turn."""
+    in_turn = _in_turn(find)
+
+    async def records(
+        request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(in_turn, scope="function")]
+    ) -> TenantRecords:
+        return _records(request, services, caller)
+
+    return records
+
+
+def _records(request: Request, services: Services, caller: Caller) -> TenantRecords:
+    actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
+    return services.store.of(caller.tenant, services.quotas, actor, caller.phone)
+
+
+_any_in_turn = _in_turn(_find_caller)
 
 
 async def _authorize_admin(caller: Annotated[Caller, Depends(_any_in_turn, scope="function")]) -> Caller:
     return _require(caller, Scope.ADMIN)
-
-
-async def _authorized_in_turn(
-    request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_authorize)]
-) -> AsyncIterator[Caller]:
-    async with _turn(request, services, caller):
-        yield caller
-
-
-async def _records_of(
-    request: Request,
-    services: ServicesDep,
-    caller: Annotated[Caller, Depends(_authorized_in_turn, scope="function")],
-) -> TenantRecords:
-    actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
-    return services.store.of(caller.tenant, services.quotas, actor)
 
 
 def _find_viewer(
@@ -312,29 +318,6 @@ def _find_uploader(
     return request.state.caller
 
 
-async def _uploader_in_turn(
-    request: Request, services: ServicesDep, uploader: Annotated[Caller, Depends(_find_uploader)]
-) -> AsyncIterator[Caller]:
-    async with _turn(request, services, uploader):
-        yield uploader
-
-
-async def _uploads_of(
-    request: Request,
-    services: ServicesDep,
-    caller: Annotated[Caller, Depends(_uploader_in_turn, scope="function")],
-) -> TenantRecords:
-    actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
-    return services.store.of(caller.tenant, services.quotas, actor, caller.phone)
-
-
-async def _viewer_in_turn(
-    request: Request, services: ServicesDep, viewer: Annotated[Caller, Depends(_find_viewer)]
-) -> AsyncIterator[Caller]:
-    async with _turn(request, services, viewer):
-        yield viewer
-
-
 class Viewing:
     """Dependency of a route that links may open: records of the caller's tenant.
 
@@ -348,13 +331,12 @@ class Viewing:
         self,
         request: Request,
         services: ServicesDep,
-        caller: Annotated[Caller, Depends(_viewer_in_turn, scope="function")],
+        caller: Annotated[Caller, Depends(_in_turn(_find_viewer), scope="function")],
     ) -> TenantRecords:
         """Return the records; raise 404 for everything that the caller's link does not open."""
         if caller.link is not None and not self._is_opened(caller.link, request.path_params):
             raise NotFound("The link does not open this.")
-        actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
-        return services.store.of(caller.tenant, services.quotas, actor)
+        return _records(request, services, caller)
 
     def _is_opened(self, link: Link, path: Mapping[str, str]) -> bool:
         ids = {"job_id": link.job_id, "session_id": link.session_id}
@@ -382,6 +364,6 @@ EventsViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.EVENTS))]
 AnyCallerDep = Annotated[Caller, Depends(_any_in_turn, scope="function")]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
 # TenantRecords of the caller's tenant: routes have no other access to sessions and jobs.
-RecordsDep = Annotated[TenantRecords, Depends(_records_of)]
+RecordsDep = Annotated[TenantRecords, Depends(_records_of(_authorize))]
 # Of a phone of a recording the uploads that it sent, and nothing else.
-UploadsDep = Annotated[TenantRecords, Depends(_uploads_of)]
+UploadsDep = Annotated[TenantRecords, Depends(_records_of(_find_uploader))]
