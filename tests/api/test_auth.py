@@ -13,6 +13,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from structlog.testing import capture_logs
 
 from api.app import create_app
 from api.contract.openapi import COMMITTED
@@ -391,14 +392,11 @@ def test_beyond_this_machine_it_listens_with_keys_only(make_settings: Callable[.
         require_keys_if_exposed(exposed, store)  # the only key is not valid, but the service asks for keys
 
 
-def test_the_log_says_who_did_what(
-    guarded: Guarded, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[dict[str, Any]] = []
-    monkeypatch.setattr("api.http.middleware._log.info", lambda event, **fields: seen.append(fields), raising=False)
-    guarded.ask("GET", "/v1/jobs", guarded.mine)
-    guarded.ask("GET", "/v1/jobs", None)
-    known, unknown = seen
+def test_the_log_says_who_did_what(guarded: Guarded) -> None:
+    with capture_logs() as seen:
+        guarded.ask("GET", "/v1/jobs", guarded.mine)
+        guarded.ask("GET", "/v1/jobs", None)
+    known, unknown = (line for line in seen if line["event"] == "request")
     assert known["tenant"] == "mine"
     assert guarded.mine not in str(seen)
     assert "key" not in unknown

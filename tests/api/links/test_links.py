@@ -12,7 +12,7 @@ from typing import Any
 
 import httpx2
 import pytest
-import structlog
+from structlog.testing import capture_logs
 
 from api.contract.openapi import COMMITTED
 from api.settings import Settings
@@ -264,7 +264,7 @@ def test_a_lifetime_by_default_is_within_the_limit(studio: Studio) -> None:
 
 def test_the_log_has_no_secret(studio: Studio) -> None:
     token = studio.token("file", "person-1.bvh")
-    with structlog.testing.capture_logs() as lines:
+    with capture_logs() as lines:
         for path in (f"/v1/jobs/{studio.job_id}/results/person-1.bvh", f"/v1/jobs/{studio.job_id}"):
             studio.open(path, token)
             studio.open(path, token + "x")

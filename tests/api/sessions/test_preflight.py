@@ -13,6 +13,7 @@ from typing import Any
 import httpx2
 import psutil
 import pytest
+from structlog.testing import capture_logs
 
 from api.errors import ApiError
 from api.http.bodies.form import Form, ReceivedFile
@@ -127,20 +128,15 @@ def test_a_check_whose_own_child_fails_is_not_the_files_fault(
     make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The child of the real preflight, which probes a video, is killed; the log has the reason."""
-    logged: list[dict[str, Any]] = []
-    monkeypatch.setattr(
-        "api.sessions.preflight._log.error", lambda event, **fields: logged.append({"event": event} | fields)
-    )
     kill = "import os, sys\nif 'pipeline.video.probe' in sys.orig_argv: os.kill(os.getpid(), 9)\n"
     (tmp_path / "sitecustomize.py").write_text(kill, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    with running(make_settings(preflight_command=Settings().preflight_command)) as live:
+    with capture_logs() as logged, running(make_settings(preflight_command=Settings().preflight_command)) as live:
         matroska = form(2, b"\x1aE\xdf\xa3")
         problem = problem_of(live.client.post("/v1/sessions", files=matroska), 500, "preflight_failed")
         assert live.kept() == []
     assert problem["retryable"]
-    (entry,) = logged
-    assert entry["event"] == "preflight_failed"
+    (entry,) = (line for line in logged if line["event"] == "preflight_failed")
     assert "SIGKILL" in entry["log"]
 
 
