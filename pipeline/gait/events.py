@@ -81,19 +81,20 @@ def _swings_of(points: BodyPoints, foot: int, side: Side) -> list[tuple[float, S
         ahead = way_m / length_m
         before = runs[number - 1][1] if number else 0
         after = runs[number + 1][0] if number + 1 < len(runs) else points.num_frames
+        rows = slice(before, after)  # from the swing before to the one after
         fast = start + np.flatnonzero(speed[start:stop] >= _FAST * speed[start:stop].max())
         off = strike = None
         if start > 0:
-            off = _foot_off(toe_m @ ahead, before, start, int(fast[0]), length_m, rate_hz)
+            off = _foot_off(toe_m[rows] @ ahead, start - before, int(fast[0]) - before, length_m, rate_hz)
         if stop < points.num_frames:
-            strike = _foot_strike(heel_m @ ahead, int(fast[-1]), stop, after, length_m, rate_hz)
+            strike = _foot_strike(heel_m[rows] @ ahead, int(fast[-1]) - before, stop - before, length_m, rate_hz)
         found.append(
             (
                 (start + stop) / 2,
                 Swing(
                     side,
-                    _event("foot_off", points, foot, off),
-                    _event("foot_strike", points, foot, strike),
+                    _event("foot_off", points, foot, before, off),
+                    _event("foot_strike", points, foot, before, strike),
                 ),
             )
         )
@@ -101,42 +102,42 @@ def _swings_of(points: BodyPoints, foot: int, side: Side) -> list[tuple[float, S
 
 
 def _foot_off(
-    along_m: Float[np.ndarray, " frames"], before: int, start: int, fast: int, length_m: float, rate_hz: float
+    along_m: Float[np.ndarray, " rows"], start: int, fast: int, length_m: float, rate_hz: float
 ) -> Corner | None:
     """End of the toe's rest in a window from the stance to the first part of the swing."""
-    rest = np.median(along_m[max(before, start - round(2 * _REST_S * rate_hz)) : start + 1])
+    rest = np.median(along_m[max(0, start - round(2 * _REST_S * rate_hz)) : start + 1])
     gone = np.flatnonzero(along_m[start:] - rest > _WAY * length_m)
     stop = min(start + int(gone[0]) if len(gone) else fast, len(along_m) - 1) + 1
-    first = max(before, start - round(_REST_S * rate_hz))
+    first = max(0, start - round(_REST_S * rate_hz))
     corner = rest_ends(along_m[first:stop], rate_hz, has_speed=False)
     return None if corner is None else corner._replace(row=first + corner.row)
 
 
 def _foot_strike(
-    along_m: Float[np.ndarray, " frames"], fast: int, stop: int, after: int, length_m: float, rate_hz: float
+    along_m: Float[np.ndarray, " rows"], fast: int, stop: int, length_m: float, rate_hz: float
 ) -> Corner | None:
     """Start of the heel's rest in a window from the last part of the swing to the stance."""
-    rest = np.median(along_m[stop - 1 : min(after, stop + round(2 * _REST_S * rate_hz))])
+    rest = np.median(along_m[stop - 1 : stop + round(2 * _REST_S * rate_hz)])
     coming = np.flatnonzero(rest - along_m[:stop] > _WAY * length_m)
     first = int(coming[-1]) if len(coming) else fast
-    last = min(after, stop + round(_REST_S * rate_hz))
+    last = stop + round(_REST_S * rate_hz)
     corner = rest_begins(along_m[first:last], rate_hz, has_speed=False)
     return None if corner is None else corner._replace(row=first + corner.row)
 
 
-def _event(kind: EventKind, points: BodyPoints, foot: int, corner: Corner | None) -> FootEvent | None:
-    """Event at a corner; ``None`` where the foot is not known around it."""
+def _event(kind: EventKind, points: BodyPoints, foot: int, before: int, corner: Corner | None) -> FootEvent | None:
+    """Event at a corner, whose row counts from ``before``; ``None`` where the foot is not known around it."""
     if corner is None:
         return None
-    rate_hz = points.frame_rate_hz
+    rate_hz, row = points.frame_rate_hz, before + corner.row
     around = _AROUND_S * rate_hz
-    rows = slice(max(int(corner.row - around), 0), int(corner.row + around) + 2)
+    rows = slice(max(int(row - around), 0), int(row + around) + 2)
     if points.known[rows, foot].mean() < _KNOWN_SHARE:
         return None
     ankle_s = 0.0 if points.is_marked[foot] else _ANKLE_S
     sigma_s = float(np.sqrt((corner.sigma_rows / rate_hz) ** 2 + _MODEL_S**2 + ankle_s**2))
     likely = float(_normal_within(_TOLERANCE_S / sigma_s))
-    return FootEvent(kind, SIDES[foot], corner.row, sigma_s, float(points.measured[rows, foot].mean()) * likely)
+    return FootEvent(kind, SIDES[foot], row, sigma_s, float(points.measured[rows, foot].mean()) * likely)
 
 
 def _normal_within(z: float) -> float:

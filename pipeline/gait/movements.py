@@ -87,23 +87,17 @@ def _ground_m(points: BodyPoints) -> float:
 def _standing_m(points: BodyPoints, ground_m: float) -> float | None:
     """Height of the standing person's hips above the ankles: the median where legs are straight, feet on the floor."""
     above_m = points.centre_m[:, 2] - points.ankles_m[..., 2].mean(1)
-    low_m = _lowest_m(points).max(1)
+    low_m = points.lowest_m.max(1)
     stands = (above_m > _STRAIGHT * points.leg_m) & points.known.all(1) & (low_m < _FLIGHT_M)
     if stands.sum() < 0.2 * points.frame_rate_hz:
         return None
     return float(np.median(points.centre_m[stands, 2])) - ground_m
 
 
-def _lowest_m(points: BodyPoints) -> Float[np.ndarray, "frames 2"]:
-    """Height of each foot's lower mark above its own standing height."""
-    low_m = np.minimum(points.heels_m[..., 2], points.toes_m[..., 2])
-    return np.asarray(low_m - np.quantile(low_m[points.known.all(1)], 0.1, axis=0))
-
-
 def _jumps(points: BodyPoints, standing_z_m: float) -> list[BodyMovement]:
     rate_hz = points.frame_rate_hz
     toes_m = points.toes_m[..., 2].mean(1)
-    flies = (_lowest_m(points) > _FLIGHT_M).all(1)
+    flies = (points.lowest_m > _FLIGHT_M).all(1)
     jumps = []
     for start, stop in runs_of(np.asarray(flies)):
         lasts = _FLIGHT_S[0] <= (stop - start) / rate_hz <= _FLIGHT_S[1]
@@ -212,7 +206,7 @@ def _is_of_jump(start: int, stop: int, jumps: Sequence[BodyMovement], rate_hz: f
 
 def _feet_stay(points: BodyPoints, rows: slice) -> bool:
     ways_m = np.ptp(points.ankles_m[rows, :, :2], axis=0)
-    low = np.median(_lowest_m(points)[rows]) < 2 * _FLIGHT_M
+    low = np.median(points.lowest_m[rows]) < 2 * _FLIGHT_M
     return bool((np.linalg.norm(ways_m, axis=-1) < _FOOT_STAYS_M).all() and low)
 
 

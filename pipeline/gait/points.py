@@ -1,6 +1,7 @@
 """Points of a person's body that gait and movement are read from, on the ground that the feet stand on."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,7 +15,7 @@ _BODY = tuple(f"{side}_{kind}" for kind in ("ankle", "knee", "hip", "shoulder") 
 _KNOWN_SHARE = 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class BodyPoints:
     """Points of a person in each frame of a track; sides are left and right.
 
@@ -40,17 +41,23 @@ class BodyPoints:
         """Number of frames of the track."""
         return len(self.heels_m)
 
-    @property
+    @cached_property
     def centre_m(self) -> Float[np.ndarray, "frames 3"]:
         """Centre between the hips."""
         return np.asarray(self.hips_m.mean(1))
 
-    @property
+    @cached_property
     def leg_m(self) -> float:
         """Length of a straight leg from hip to ankle: median of thigh and shin."""
         thigh_m = np.linalg.norm(self.hips_m - self.knees_m, axis=-1)
         shin_m = np.linalg.norm(self.knees_m - self.ankles_m, axis=-1)
         return float(np.median((thigh_m + shin_m)[self.known]))
+
+    @cached_property
+    def lowest_m(self) -> Float[np.ndarray, "frames 2"]:
+        """Height of each foot's lower mark above its own standing height."""
+        low_m = np.minimum(self.heels_m[..., 2], self.toes_m[..., 2])
+        return np.asarray(low_m - np.quantile(low_m[self.known.all(1)], 0.1, axis=0))
 
 
 def body_points(track: Track3D, joints: JointSet, frame_rate_hz: float) -> BodyPoints | None:

@@ -6,8 +6,10 @@ steps, and its distance from the line is the width. Times are those of the event
 swing from foot off to the next foot strike, double support while both feet stand.
 """
 
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -69,21 +71,44 @@ def find_strides(points: BodyPoints, swings: Sequence[Swing]) -> tuple[tuple[Str
     strides: list[Stride] = []
     events: list[FootEvent] = []
     num_bouts = 0
-    for bout in _bouts(points, swings):
-        own = _strides_of(points, swings, bout, num_bouts + 1)
+    steps = _Steps.of(swings)
+    for bout in _bouts(points, steps):
+        own = _strides_of(points, steps, bout, num_bouts + 1)
         if not own:
             continue
         num_bouts += 1
         strides += own
-        events += _events_of(swings, bout)
+        events += _events_of(steps, bout)
     return tuple(sorted(strides, key=lambda stride: stride.strike_row)), tuple(sorted(events, key=lambda e: e.row))
 
 
-def _bouts(points: BodyPoints, swings: Sequence[Swing]) -> list[list[FootEvent]]:
+class _Steps(NamedTuple):
+    """Events of swings, to be found without a look at all of them: a long take has thousands."""
+
+    strikes: Mapping[FootEvent, FootEvent | None]  # In order of time, each with the foot off of its swing
+    offs: Mapping[str, Sequence[FootEvent]]  # By side, in order of time
+    cut_off: Sequence[FootEvent]  # Foot offs of swings without a strike
+
+    @classmethod
+    def of(cls, swings: Sequence[Swing]) -> Self:
+        """Events of swings."""
+        strikes = {swing.strike: swing.off for swing in swings if swing.strike is not None}
+        offs = sorted((swing.off for swing in swings if swing.off is not None), key=_row)
+        return cls(
+            {strike: strikes[strike] for strike in sorted(strikes, key=_row)},
+            {side: [off for off in offs if off.side == side] for side in SIDES},
+            [swing.off for swing in swings if swing.off is not None and swing.strike is None],
+        )
+
+
+def _row(event: FootEvent) -> float:
+    return event.row
+
+
+def _bouts(points: BodyPoints, steps: _Steps) -> list[list[FootEvent]]:
     """Runs of alternating foot strikes that carry the body."""
-    strikes = sorted((swing.strike for swing in swings if swing.strike is not None), key=lambda event: event.row)
     bouts: list[list[FootEvent]] = [[]]
-    for strike in strikes:
+    for strike in steps.strikes:
         if bouts[-1] and not _goes_on(points, bouts[-1][-1], strike):
             bouts.append([])
         bouts[-1].append(strike)
@@ -98,16 +123,10 @@ def _goes_on(points: BodyPoints, last: FootEvent, strike: FootEvent) -> bool:
     return strike.side != last.side and in_time and is_upright and bool(points.known[rows].mean() > 0.5)
 
 
-def _events_of(swings: Sequence[Swing], bout: Sequence[FootEvent]) -> list[FootEvent]:
+def _events_of(steps: _Steps, bout: Sequence[FootEvent]) -> list[FootEvent]:
     """Strikes of a bout, and foot offs from just before its first strike to just after its last one."""
-    rows = [strike.row for strike in bout]
-    offs = [
-        swing.off
-        for swing in swings
-        if swing.off is not None
-        and (swing.strike in bout or (swing.strike is None and rows[0] < swing.off.row and _follows(bout, swing.off)))
-    ]
-    return [*bout, *offs]
+    offs = [off for strike in bout if (off := steps.strikes[strike]) is not None]
+    return [*bout, *offs, *(off for off in steps.cut_off if bout[0].row < off.row and _follows(bout, off))]
 
 
 def _follows(bout: Sequence[FootEvent], off: FootEvent) -> bool:
@@ -115,15 +134,15 @@ def _follows(bout: Sequence[FootEvent], off: FootEvent) -> bool:
     return off.side != bout[-1].side and off.row > bout[-2].row
 
 
-def _strides_of(points: BodyPoints, swings: Sequence[Swing], bout: Sequence[FootEvent], number: int) -> list[Stride]:
-    places = [_footprint_m(points, swings, strike) for strike in bout]
+def _strides_of(points: BodyPoints, steps: _Steps, bout: Sequence[FootEvent], number: int) -> list[Stride]:
+    places = [_footprint_m(points, steps.offs[strike.side], strike) for strike in bout]
     strides = []
     for k in range(len(bout) - 2):
         start, other, end = bout[k : k + 3]
-        swing = next((swing for swing in swings if swing.strike is end), None)
-        if swing is None or swing.off is None or not start.row < swing.off.row < end.row:
+        off = steps.strikes[end]
+        if off is None or not start.row < off.row < end.row:
             continue
-        stride = _stride(points, swings, (start, swing.off, other, end), places[k : k + 3], number)
+        stride = _stride(points, steps.strikes[other], (start, off, other, end), places[k : k + 3], number)
         if stride is not None:
             strides.append(stride)
     if not strides:
@@ -142,7 +161,7 @@ def _with_steadiness(stride: Stride, usual_m_s: float, usual_s: float) -> Stride
 
 def _stride(
     points: BodyPoints,
-    swings: Sequence[Swing],
+    other_off: FootEvent | None,
     events: tuple[FootEvent, FootEvent, FootEvent, FootEvent],
     places_m: Sequence[Float[np.ndarray, " 2"]],
     number: int,
@@ -161,7 +180,6 @@ def _stride(
     duration_s = (end.row - start.row) / rate_hz
     stance_s = (off.row - start.row) / rate_hz
     # Double support: from this strike to the other foot's foot off, and from the other strike to this foot off.
-    other_off = next((swing.off for swing in swings if swing.strike is other), None)
     overlaps_s = [(off.row - other.row) / rate_hz]
     if other_off is not None:
         overlaps_s.append((other_off.row - start.row) / rate_hz)
@@ -189,24 +207,23 @@ def _stride(
     )
 
 
-def _footprint_m(points: BodyPoints, swings: Sequence[Swing], strike: FootEvent) -> Float[np.ndarray, " 2"]:
+def _footprint_m(points: BodyPoints, offs: Sequence[FootEvent], strike: FootEvent) -> Float[np.ndarray, " 2"]:
     """Place of the heel on the ground in the first part of the stance that a strike begins."""
     foot = SIDES.index(strike.side)
-    later = [
-        swing.off.row
-        for swing in swings
-        if swing.side == strike.side and swing.off is not None and swing.off.row > strike.row
-    ]
     # A stance that the take cuts off, or in which the person stops.
-    stop = min([*later, strike.row + 0.6 * points.frame_rate_hz, points.num_frames - 1.0])
+    ends = [strike.row + 0.6 * points.frame_rate_hz, points.num_frames - 1.0]
+    if (number := bisect_right(offs, strike.row, key=_row)) < len(offs):
+        ends.append(offs[number].row)
+    stop = min(ends)
     first, last = (strike.row + share * (stop - strike.row) for share in _FLAT)
     rows = slice(int(np.ceil(first)), max(int(last), int(np.ceil(first))) + 1)
     return np.asarray(np.median(points.heels_m[rows, foot, :2], axis=0))
 
 
 def _at(path_m: Float[np.ndarray, "frames 2"], row: float) -> Float[np.ndarray, " 2"]:
-    rows = np.arange(len(path_m))
-    return np.array([np.interp(row, rows, axis) for axis in path_m.T])
+    first = int(row)
+    around_m = path_m[first : first + 2]
+    return np.array([np.interp(row - first, np.arange(len(around_m)), axis) for axis in around_m.T])
 
 
 def _angle(first: Float[np.ndarray, " 2"], second: Float[np.ndarray, " 2"]) -> float:
