@@ -6,6 +6,7 @@ in a row. Heel and toe of a foot whose marks are known stand by the same rule, e
 heel strike is the start of the heel's contact, and toe off the end of the toe's.
 """
 
+from bisect import bisect
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -147,15 +148,17 @@ def _likelihood(
 
 
 def _without_brief(contacts: Sequence[FootContact], frame_rate_hz: float) -> Sequence[FootContact]:
-    """Contacts of one foot without brief ones beside long ones: feet slip as they land."""
+    """Contacts of one foot, in order, without brief ones beside long ones: feet slip as they land."""
     brief, room = _LONG_S * frame_rate_hz, _BESIDE_S * frame_rate_hz
     long = [contact.rows for contact in contacts if contact.num_frames >= brief]
+    starts = [rows.start for rows in long]
 
     def is_beside(contact: FootContact) -> bool:
-        gaps = (max(rows.start - contact.rows.stop, contact.rows.start - rows.stop) for rows in long)
-        return contact.num_frames < brief and any(gap <= room for gap in gaps)
+        number = bisect(starts, contact.start_frame)
+        neighbours = long[max(number - 1, 0) : number + 1]
+        return any(max(rows.start - contact.rows.stop, contact.start_frame - rows.stop) <= room for rows in neighbours)
 
-    return [contact for contact in contacts if not is_beside(contact)]
+    return [contact for contact in contacts if contact.num_frames >= brief or not is_beside(contact)]
 
 
 def _split_stance(

@@ -46,7 +46,7 @@ class FootPoints:
         """Positions of the point of a contact on its ground during the contact (metres)."""
         foot = SIDES.index(contact.side)
         point_m = self.ankles_m[:, foot] if contact.part == "foot" else self.parts_m[:, foot, PARTS.index(contact.part)]
-        return (point_m - self.support.ground_m)[contact.rows]
+        return point_m[contact.rows] - self.support.ground_m[contact.rows]
 
 
 def foot_points(fitted: SkeletonFit, motion: SkeletonMotion, joints: JointSet) -> FootPoints:

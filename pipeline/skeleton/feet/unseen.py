@@ -106,5 +106,9 @@ def _by_contact(
     if not stances:
         return lies
     frames = np.arange(len(lies))
-    away = np.array([np.maximum(np.maximum(rows.start - frames, frames - rows.stop + 1), 0) for rows in stances])
-    return np.array([lies[rows].mean() > 0.5 for rows in stances])[away.argmin(0)]
+    starts, stops = np.array([(rows.start, rows.stop) for rows in stances]).T
+    # Feet without toes stand as a whole: one stance follows the other.
+    before = np.maximum(np.searchsorted(starts, frames, side="right") - 1, 0)
+    after = np.minimum(before + 1, len(stances) - 1)
+    is_nearer = starts[after] - frames < np.maximum(frames - stops[before] + 1, starts[before] - frames)
+    return np.array([lies[rows].mean() > 0.5 for rows in stances])[np.where(is_nearer, after, before)]
