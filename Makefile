@@ -179,7 +179,8 @@ test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones 
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
 test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests
-	$(PYTEST) -m "$(DESELECTED) and slow"
+	$(PYTEST) -m "$(DESELECTED) and slow and not real_time"
+	$(PYTEST) -n 0 -m "real_time and slow" tests/e2e
 
 verify-accuracy: test-data browser  ## Measure the accuracies that the documentation states again, of which the slow tests have a case or two
 	$(PYTEST) -m accuracy tests/pipeline tests/e2e

@@ -17,7 +17,7 @@ from tests.e2e.phones import phones, write_camera
 from tests.e2e.serving import Served
 from tests.waiting import wait_for
 
-pytestmark = [pytest.mark.xdist_group("phones"), needs("rendered"), pytest.mark.slow]
+pytestmark = [needs("rendered"), pytest.mark.slow, pytest.mark.real_time]
 
 OUTAGE = {
     **{"type": "problem", "code": "database_unavailable", "detail": "The database does not answer.", "hint": None},

@@ -29,7 +29,7 @@ from tests.e2e.phone_takes import (
 from tests.e2e.phones import Phone, phones, write_camera
 from tests.e2e.serving import Served
 
-pytestmark = [pytest.mark.xdist_group("phones"), needs("rendered"), pytest.mark.slow]
+pytestmark = [needs("rendered"), pytest.mark.slow, pytest.mark.real_time]
 
 RATE_HZ = 12
 HOLD = 2  # frames of each place: the people move at a quarter of their speed
@@ -37,7 +37,7 @@ PLACES_HZ = RATE_HZ / HOLD
 NUM_CAMERAS = 4
 MOVED, MOVED_PX = "cam_1", 80  # 8 degrees
 WATCHED_S = 2.0
-BEGINNINGS = 5
+BEGINNINGS = 3
 
 
 def video_of(name: str) -> Path:

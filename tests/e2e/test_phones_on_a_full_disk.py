@@ -13,7 +13,7 @@ from tests.e2e.phones import phones, write_camera
 from tests.e2e.serving import Served, serving
 from tests.small_disk import fill, small_disk
 
-pytestmark = [needs("rendered"), pytest.mark.slow]
+pytestmark = [needs("rendered"), pytest.mark.slow, pytest.mark.real_time]
 
 FULL = "The service's disk is full."
 
