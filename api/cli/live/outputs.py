@@ -156,14 +156,16 @@ class KeptKeypoints(LiveListener):
             return
         number = self._num_frames.get(camera.name, 0)
         path = self._folder / "keypoints" / camera.name / f"frame_{number:012d}_keypoints.json"
-        content = encode_frame(frame.points_px, frame.score, self._joints)
+        # Written beside the folders of cameras and moved: a killed command leaves no part of a frame among others.
+        part, content = self._folder / ".part", encode_frame(frame.points_px, frame.score, self._joints)
         with _writing(self._folder.name):
             # The time first: readers pass over a time without a frame, but not over a frame without a time.
             self._write_times([(camera.name, number, repr(frame.time_s))])
             try:
-                path.write_bytes(content)
+                part.write_bytes(content)
+                part.replace(path)
             except OSError:
-                path.unlink(missing_ok=True)
+                part.unlink(missing_ok=True)
                 raise
         self._num_frames[camera.name] = number + 1
 
