@@ -73,7 +73,7 @@ class SourceOptions:
     def check(self, *, is_optional: bool = False) -> None:
         """Check that options can be read and go together.
 
-        Raises ``InputError`` with all that are wrong. Neither videos nor keypoints are a problem, unless they are
+        Raises ``InputError`` with all that are wrong. Without videos and keypoints it raises too, unless they are
         optional.
         """
         with collecting() as collect:

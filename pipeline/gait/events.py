@@ -125,11 +125,11 @@ def _foot_strike(
     return None if corner is None else corner._replace(row=first + corner.row)
 
 
-def _event(kind: EventKind, points: BodyPoints, foot: int, before: int, corner: Corner | None) -> FootEvent | None:
-    """Event at a corner, whose row counts from ``before``; ``None`` where the foot is not known around it."""
+def _event(kind: EventKind, points: BodyPoints, foot: int, first_row: int, corner: Corner | None) -> FootEvent | None:
+    """Event at a corner, whose row counts from ``first_row``; ``None`` where the foot is not known around it."""
     if corner is None:
         return None
-    rate_hz, row = points.frame_rate_hz, before + corner.row
+    rate_hz, row = points.frame_rate_hz, first_row + corner.row
     around = _AROUND_S * rate_hz
     rows = slice(max(int(row - around), 0), int(row + around) + 2)
     if points.known[rows, foot].mean() < _KNOWN_SHARE:
