@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.data.cameras import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.fisheye import angle_limit_rad
-from pipeline.geometry.kernels import BLOCK_JOINTS, POINT_DTYPE, VIEW_DTYPE
+from pipeline.geometry.kernels import BLOCK_JOINTS, POINT_DTYPE, VECTOR_JOINTS, VIEW_DTYPE, count_vectors
 from pipeline.runtime.jit import kernel, record_dtype, zero_records
 
 
@@ -54,7 +54,8 @@ def _add_errors(here, view, p, m, d):
     m00, m01, m02, m10, m11, m12 = m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2]
     k1, k2, p1, p2, k3, k4, k5, k6 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
     s1, s2, s3, s4 = d[8], d[9], d[10], d[11]
-    for k in range(view.weight.shape[0]):
+    num_lanes = VECTOR_JOINTS * here.num_vectors
+    for k in range(num_lanes):
         x, y, z = here.xyz_m[0, k], here.xyz_m[1, k], here.xyz_m[2, k]
         depth = p20 * x + p21 * y + p22 * z + p23
         over = 1.0 / depth
@@ -76,7 +77,8 @@ def _add_errors(here, view, p, m, d):
 @no_type_check
 def _add_fisheye_errors(here, view, p, m, d, limit_rad):
     """Project the joints into a camera with a fisheye lens (``fisheye.py``), and add their errors."""
-    for k in range(view.weight.shape[0]):
+    num_lanes = VECTOR_JOINTS * here.num_vectors
+    for k in range(num_lanes):
         x, y, z = here.xyz_m[0, k], here.xyz_m[1, k], here.xyz_m[2, k]
         depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
         over = 1.0 / depth if depth > 1e-6 else np.nan
@@ -101,6 +103,7 @@ def _add_fisheye_errors(here, view, p, m, d, limit_rad):
 def _reproject_block(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views, start, stop):
     """Reproject the joints from ``start`` to before ``stop``, as ``reproject_frame`` does."""
     here, view = lenses.points[0], lenses.views[0]
+    here.num_vectors = count_vectors(stop - start)
     here.cost[:] = 0.0
     here.views[:] = 0.0
     here.weight_sum[:] = 0.0

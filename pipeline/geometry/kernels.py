@@ -2,7 +2,8 @@
 
 ``triangulation.py`` is the triangulation in plain NumPy; read it first. Tests compare both. Joints are computed in
 blocks. Intermediate values of a block are stored in records whose arrays have its joints last, with a length that is
-known at compile time, so that loops over joints are vectorised and compiled once for all numbers of joints.
+known at compile time, so that loops over joints are vectorised and compiled once for all numbers of joints. A loop
+takes as many vectors as the joints fill: a body without feet fills five of the seven of a block.
 """
 
 from typing import NamedTuple, no_type_check
@@ -14,7 +15,10 @@ from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
 from pipeline.runtime.jit import kernel, record_dtype, zero_records
 
 BLOCK_JOINTS = 28
-"""Joints that are computed together; a body with feet is one block."""
+"""Joints that are computed together, a multiple of ``VECTOR_JOINTS``; a body with feet is one block."""
+
+VECTOR_JOINTS = 4
+"""Joints of a vector; the compiler knows that no joints remain behind the vectors."""
 
 _NUM_NORMAL = 9
 # The guess for a joint is its median over so many frames on each side.
@@ -44,6 +48,7 @@ POINT_DTYPE = record_dtype(
     ("cost", np.float64, (BLOCK_JOINTS,)),
     ("kept_cost", np.float64, (BLOCK_JOINTS,)),
     ("weight_sum", np.float64, (BLOCK_JOINTS,)),
+    ("num_vectors", np.int64),  # vectors that have joints
 )
 """Record of the triangulation of a block of joints from all cameras."""
 
@@ -77,6 +82,13 @@ def make_solver(image_from_world: np.ndarray, min_weight: float) -> Solver:
 
 @kernel
 @no_type_check
+def count_vectors(num_joints):
+    """Count the vectors that joints of a block fill, the last one perhaps in part."""
+    return (num_joints + VECTOR_JOINTS - 1) // VECTOR_JOINTS
+
+
+@kernel
+@no_type_check
 def _fill_rows(solver, flat_px, weights, start, stop):
     """Compute the rows of the views that have a joint of a block, and their norms (Chen et al. 2020, eq. 7-9 and 11).
 
@@ -84,6 +96,9 @@ def _fill_rows(solver, flat_px, weights, start, stop):
     only zeros to all sums.
     """
     num_views = 0
+    num_vectors = count_vectors(stop - start)
+    num_lanes = VECTOR_JOINTS * num_vectors
+    solver.points[0].num_vectors = num_vectors
     for c in range(len(weights)):
         num_used = 0.0
         for k in range(start, stop):
@@ -99,7 +114,7 @@ def _fill_rows(solver, flat_px, weights, start, stop):
         for k in range(stop - start):
             view.px[0, k], view.px[1, k] = flat_px[c, 2 * (start + k)], flat_px[c, 2 * (start + k) + 1]
             view.weight[k] = weights[c, start + k]
-        for k in range(view.weight.shape[0]):
+        for k in range(num_lanes):
             u, v, w = view.px[0, k], view.px[1, k], view.weight[k]
             used = (w > 0) & (w >= solver.min_weight) & (u + v == u + v)
             w = w if used else 0.0
@@ -142,11 +157,12 @@ def _reweigh(views, point, scale_m, far_m):
     square is stored in ``off2``, the number of views farther than ``far_m`` in ``num_far``. Computing the largest
     distance instead would need masked stores, which are slow.
     """
+    num_lanes = VECTOR_JOINTS * point.num_vectors
     scale2, far2 = scale_m * scale_m, far_m * far_m
     point.num_far[:] = 0.0
     for c in range(len(views)):
         view = views[c]
-        for k in range(view.base2.shape[0]):
+        for k in range(num_lanes):
             x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
             first = view.rows[0, k] * x + view.rows[1, k] * y + view.rows[2, k] * z + view.rows[3, k]
             second = view.rows[4, k] * x + view.rows[5, k] * y + view.rows[6, k] * z + view.rows[7, k]
@@ -163,11 +179,12 @@ def _reweigh(views, point, scale_m, far_m):
 @no_type_check
 def _solve(views, point):
     """Minimise ``|| (w o A) X~ ||`` (eq. 10) by Cramer's rule; NaN for fewer than two views or parallel rays."""
+    num_lanes = VECTOR_JOINTS * point.num_vectors
     point.normal[:] = 0.0
     point.views[:] = 0.0
     for c in range(len(views)):
         view = views[c]
-        for k in range(view.weight.shape[0]):
+        for k in range(num_lanes):
             weight = view.weight[k]
             point.views[k] += 1.0 if weight > 0 else 0.0
             point.normal[0, k] += weight * view.normal[0, k]
@@ -179,7 +196,7 @@ def _solve(views, point):
             point.normal[6, k] += weight * view.normal[6, k]
             point.normal[7, k] += weight * view.normal[7, k]
             point.normal[8, k] += weight * view.normal[8, k]
-    for k in range(point.views.shape[0]):
+    for k in range(num_lanes):
         a, b, c, d = point.normal[0, k], point.normal[1, k], point.normal[2, k], point.normal[3, k]
         e, f = point.normal[4, k], point.normal[5, k]
         x, y, z = point.normal[6, k], point.normal[7, k], point.normal[8, k]
@@ -199,11 +216,12 @@ def _solve(views, point):
 @no_type_check
 def _measure_cost(views, point, scale_m):
     """Compute the Geman-McClure cost of the point; infinite where the point is unknown."""
+    num_lanes = VECTOR_JOINTS * point.num_vectors
     scale2 = scale_m * scale_m
     point.cost[:] = 0.0
     for c in range(len(views)):
         view = views[c]
-        for k in range(view.base2.shape[0]):
+        for k in range(num_lanes):
             x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
             first = view.rows[0, k] * x + view.rows[1, k] * y + view.rows[2, k] * z + view.rows[3, k]
             second = view.rows[4, k] * x + view.rows[5, k] * y + view.rows[6, k] * z + view.rows[7, k]
@@ -241,7 +259,8 @@ def _triangulate_alone(views, point, scales_m, disputed_m):
     _solve(views, point)
     _reweigh(views, point, scales_m[-1], scales_m[-2])
     num_far = 0.0
-    for k in range(point.num_far.shape[0]):
+    num_lanes = VECTOR_JOINTS * point.num_vectors
+    for k in range(num_lanes):
         num_far += point.num_far[k]
     if num_far > 0:
         _anneal(views, point, scales_m)
@@ -256,12 +275,13 @@ def _triangulate_alone(views, point, scales_m, disputed_m):
 def _anneal(views, point, scales_m):
     """Decrease the scale step by step; a joint begins with the first scale below its largest distance."""
     worst2 = 0.0
+    num_lanes = VECTOR_JOINTS * point.num_vectors
     point.worst2[:] = 0.0
-    for k in range(point.worst2.shape[0]):
+    for k in range(num_lanes):
         for axis in range(3):
             point.kept_m[axis, k] = point.xyz_m[axis, k]
     for c in range(len(views)):
-        for k in range(point.worst2.shape[0]):
+        for k in range(num_lanes):
             point.worst2[k] = max(point.worst2[k], views[c].off2[k])
             worst2 = max(worst2, views[c].off2[k])
     for step in range(len(scales_m) - 1):
@@ -269,7 +289,7 @@ def _anneal(views, point, scales_m):
             continue
         _reweigh(views, point, scales_m[step], np.inf)
         _solve(views, point)
-        for k in range(point.worst2.shape[0]):
+        for k in range(num_lanes):
             needed = point.worst2[k] > scales_m[step] * scales_m[step]
             for axis in range(3):
                 point.xyz_m[axis, k] = point.xyz_m[axis, k] if needed else point.kept_m[axis, k]

@@ -37,7 +37,7 @@ def test_other_arrays_compile_no_kernel_and_change_nothing(kind: str) -> None:
         np.testing.assert_array_equal(one, two)
 
 
-@pytest.mark.parametrize("num_joints", [BLOCK_JOINTS, BLOCK_JOINTS + 1, 2 * BLOCK_JOINTS + 7])
+@pytest.mark.parametrize("num_joints", [1, 17, BLOCK_JOINTS, BLOCK_JOINTS + 1, 2 * BLOCK_JOINTS + 7])
 def test_each_joint_is_computed_as_if_it_were_alone(num_joints: int) -> None:
     rng = np.random.default_rng(num_joints)
     matrices, points_px = rng.normal(size=(4, 3, 4)), rng.uniform(0.0, 100.0, (6, 4, num_joints, 2))
