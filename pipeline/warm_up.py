@@ -37,7 +37,7 @@ JOINT_SETS = (COCO_17, WHOLE_BODY)
 """A joint set of each padded size. Fingers are not tracked: the size of ``WHOLE_BODY`` is that with heels and toes."""
 
 # Functions of Multicap that the warm-up compiles, each counted for every size of joint set that it is called with.
-NUM_COMPILED = 99
+NUM_COMPILED = 100
 # Multicap's functions are in packages under this one: `pipeline.`, or `multicap.pipeline.` in the wheel.
 _OWN_MODULES = f"{__package__}."
 
