@@ -100,20 +100,21 @@ def _fill_rows(solver, flat_px, weights, start, stop):
     num_lanes = VECTOR_JOINTS * num_vectors
     solver.points[0].num_vectors = num_vectors
     for c in range(len(weights)):
+        view, p = solver.views[num_views], solver.image_from_world[c]
         num_used = 0.0
-        for k in range(start, stop):
-            num_used += 1.0 if weights[c, k] > 0 else 0.0
+        for k in range(stop - start):
+            view.weight[k] = weights[c, start + k]
+            num_used += 1.0 if view.weight[k] > 0 else 0.0
         if num_used == 0:
             continue
-        view, p = solver.views[num_views], solver.image_from_world[c]
         num_views += 1
         p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
         p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
         p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
-        view.weight[:] = 0.0
         for k in range(stop - start):
             view.px[0, k], view.px[1, k] = flat_px[c, 2 * (start + k)], flat_px[c, 2 * (start + k) + 1]
-            view.weight[k] = weights[c, start + k]
+        for k in range(stop - start, num_lanes):
+            view.weight[k] = 0.0
         for k in range(num_lanes):
             u, v, w = view.px[0, k], view.px[1, k], view.weight[k]
             used = (w > 0) & (w >= solver.min_weight) & (u + v == u + v)
