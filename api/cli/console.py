@@ -210,6 +210,15 @@ def reporting(as_json: bool, what_is_left: Callable[[], str] = str) -> Iterator[
 
 
 @contextmanager
+def writing(name: object) -> Iterator[None]:
+    """Turn an error of the disk into a ``PipelineError`` that says what can't be written, a file or folder, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise PipelineError(f"{name} can't be written: {error.strerror or error}.") from error
+
+
+@contextmanager
 def byte_bar(label: str, visible: bool) -> Iterator[Callable[[int, int], None]]:
     """A progress bar of bytes, until the end of the block; to be told how many are done, of how many."""
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())

@@ -15,7 +15,7 @@ import typer
 from jaxtyping import Float
 
 from api.cli.commands.reconstruct import print_summary
-from api.cli.console import StageBars, console, reporting
+from api.cli.console import StageBars, console, reporting, writing
 from api.cli.served import served
 from pipeline.body import installed as bodies
 from pipeline.capture.session import CaptureSession, open_session
@@ -62,6 +62,8 @@ def command(
     """Start the service, send it the sample capture, download BVH, JSON and metrics, and draw pictures."""
     started_s = time.monotonic()
     with reporting(as_json=False), tempfile.TemporaryDirectory(prefix="multicap-") as data_dir:
+        with writing(out):
+            out.mkdir(parents=True, exist_ok=True)
         models.install_networks(JobSpec().config)
         bodies.install()
         sample = samples.install()
@@ -72,9 +74,11 @@ def command(
             job = client.submit("Sample capture", videos, sample.calibration)
             with StageBars(visible=True) as bars:
                 job = client.follow(job, bars.update_job)
-            paths = client.download(job, out)
-            skeletons, metrics = (json.loads((out / name).read_bytes()) for name in ("skeletons.json", "metrics.json"))
-            paths += write_overlays(open_session(videos, sample.calibration), skeletons, out)
+            with writing(out):
+                paths = client.download(job, out)
+                documents = ((out / name).read_bytes() for name in ("skeletons.json", "metrics.json"))
+                skeletons, metrics = map(json.loads, documents)
+                paths += write_overlays(open_session(videos, sample.calibration), skeletons, out)
             print_summary(metrics)
             console.print(f"{len(videos)} cameras, {time.monotonic() - started_s:.0f} s in all.")
             console.print(f"Results are in {out}/:")

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from api.cli.console import JsonOption, console, emit, reporting
-from pipeline.errors import PipelineError
+from api.cli.console import JsonOption, console, emit, reporting, writing
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import SCENES, known_joints, simulate
 
@@ -24,13 +23,11 @@ def command(
     """Write a simulated scene: keypoint folders, timestamps and calibration for `reconstruct`, and the truth."""
     with reporting(as_json):
         simulation = simulate(scene, seed, views, known_joints(joints))
-        try:
+        with writing(out):
             for name, content in simulation_files(simulation):
                 path = out / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
-        except OSError as error:
-            raise PipelineError(f"The files can't be written to {out}: {error.strerror}.") from error
     if as_json:
         emit({"path": str(out)})
         return

@@ -12,7 +12,7 @@ from typing import IO, Any
 
 from rich.status import Status
 
-from api.cli.console import console
+from api.cli.console import console, writing
 from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.writing import encode_frame
 from pipeline.data.cameras import Camera
@@ -120,7 +120,7 @@ class JsonLines(LiveListener):
         self._write({"type": "ended", **totals.document()})
 
     def _write(self, document: dict[str, Any]) -> None:
-        with _writing("The lines"):
+        with writing("The lines"):
             self._file.write(json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":")) + "\n")
             self._file.flush()
 
@@ -144,7 +144,7 @@ class KeptKeypoints(LiveListener):
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         """Write the calibration, and make the folders."""
         self._joints = joints
-        with _writing(self._folder.name):
+        with writing(self._folder.name):
             for camera in cameras:
                 (self._folder / "keypoints" / camera.name).mkdir(parents=True, exist_ok=True)
             (self._folder / "calibration.json").write_bytes(encode(cameras))
@@ -158,7 +158,7 @@ class KeptKeypoints(LiveListener):
         path = self._folder / "keypoints" / camera.name / f"frame_{number:012d}_keypoints.json"
         # Written beside the folders of cameras and moved: a killed command leaves no part of a frame among others.
         part, content = self._folder / ".part", encode_frame(frame.points_px, frame.score, self._joints)
-        with _writing(self._folder.name):
+        with writing(self._folder.name):
             # The time first: readers pass over a time without a frame, but not over a frame without a time.
             self._write_times([(camera.name, number, repr(frame.time_s))])
             try:
@@ -244,7 +244,7 @@ def summary_line(totals: LiveTotals, people: str) -> str:
 @contextmanager
 def opened_output(path: Path) -> Iterator[IO[str]]:
     """Open a file for lines; raises ``PipelineError`` if it can't be written."""
-    with _writing(path.name):
+    with writing(path.name):
         file = path.open("w", encoding="utf-8")
     try:
         yield file
@@ -252,12 +252,3 @@ def opened_output(path: Path) -> Iterator[IO[str]]:
         # The line told about frames that could not be written.
         with suppress(OSError):
             file.close()
-
-
-@contextmanager
-def _writing(name: str) -> Iterator[None]:
-    """Turn an error of the disk into a sentence."""
-    try:
-        yield
-    except OSError as error:
-        raise PipelineError(f"{name} can't be written: {error.strerror}.") from error

@@ -271,6 +271,19 @@ def test_results_that_cannot_be_written_are_no_stack_trace(tmp_path: Path) -> No
         write_results(nobody, tmp_path / "file" / "results")
 
 
+@pytest.mark.parametrize(
+    "command",
+    [["demo", "--out"], ["simulate", "--scene", "room", "--out"], ["benchmark", "tracking", "--plot"]],
+    ids=lambda command: command[0],
+)
+def test_output_that_cannot_be_written_is_said(command: list[str], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    result = runner.invoke(app, [*command, str(tmp_path / "file" / "results" / "some.png")])
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"error {tmp_path}")
+    assert "can't be written: Not a directory." in result.stderr.replace("\n", " ")
+
+
 def test_a_format_that_nobody_knows_is_named_with_those_there_are(tmp_path: Path) -> None:
     folder = str(tmp_path)
     arguments = ["reconstruct", "--videos", folder, "--calibration", folder, "--out", folder, "--exports", "bvh,obj"]

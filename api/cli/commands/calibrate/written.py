@@ -3,11 +3,11 @@
 import json
 from pathlib import Path
 
-from api.cli.console import console, emit, print_table, warn
+from api.cli.console import console, emit, print_table, warn, writing
 from pipeline.calibration.known_points.table import COLUMNS
 from pipeline.calibration.report import CalibrationResult, report_document
 from pipeline.calibration.write import ENCODERS
-from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.errors import InputError, Problem
 from pipeline.problem_codes.sessions import CALIBRATION_FORMAT
 
 POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(COLUMNS)}, a line for each view."
@@ -30,12 +30,10 @@ def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:
     if report is not None:
         files[report / "report.json"] = (json.dumps(report_document(made), indent=1) + "\n").encode()
         files |= {report / name: picture.encode() for name, picture in made.pictures.items()}
-    try:
-        for path, content in files.items():
+    for path, content in files.items():
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-    except OSError as error:
-        raise PipelineError(f"{error.filename} can't be written: {error.strerror}.") from error
 
 
 def show_made(made: CalibrationResult, out: Path, as_json: bool) -> None:

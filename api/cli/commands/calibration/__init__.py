@@ -7,12 +7,12 @@ import typer
 
 from api.cli.commands.calibration import check
 from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
-from api.cli.console import JsonOption, console, emit, print_table, reporting, warn
+from api.cli.console import JsonOption, console, emit, print_table, reporting, warn, writing
 from api.cli.options import UnitsOption, UpOption
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.write import ENCODERS
 from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, INVALID_SIZE
 
@@ -56,19 +56,13 @@ def convert(
             problems.append(Problem(CALIBRATION_FORMAT, "This ending is not supported.", file=target.name, hint=hint))
         if problems:
             raise InputError(problems)
-        _write(target, ENCODERS[target.suffix.lower()](contents.cameras))
+        with writing(target.name):
+            target.write_bytes(ENCODERS[target.suffix.lower()](contents.cameras))
     if as_json:
         emit(_document(contents, units) | {"file": str(target)})
         return
     _show_statement(contents, units)
     console.print(f"{len(contents.cameras)} cameras in {target}")
-
-
-def _write(target: Path, content: bytes) -> None:
-    try:
-        target.write_bytes(content)
-    except OSError as error:
-        raise PipelineError(f"{target.name} can't be written: {error.strerror}.") from error
 
 
 def _unsized(file: Path, camera: Camera) -> Problem:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
-from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, console, emit, reporting, show_findings
+from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, console, emit, reporting, show_findings, writing
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from api.cli.space import document, sentence, session_space
@@ -95,10 +95,11 @@ def _look(session: CaptureSession, thumbnails: Path | None) -> Sequence[Finding]
     with console.status("Look at pictures"):
         looked = look_at_pictures(session)
     if thumbnails is not None:
-        thumbnails.mkdir(parents=True, exist_ok=True)
-        for camera, of_camera in zip(session.cameras, looked.thumbnails, strict=True):
-            for number, thumbnail in enumerate(of_camera):
-                (thumbnails / f"{camera.name}-{number}.jpg").write_bytes(thumbnail.content)
+        with writing(thumbnails):
+            thumbnails.mkdir(parents=True, exist_ok=True)
+            for camera, of_camera in zip(session.cameras, looked.thumbnails, strict=True):
+                for number, thumbnail in enumerate(of_camera):
+                    (thumbnails / f"{camera.name}-{number}.jpg").write_bytes(thumbnail.content)
     return looked.findings
 
 

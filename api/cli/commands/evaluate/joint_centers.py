@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, users_cache
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, users_cache, writing
 from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
 from pipeline.config import networks_of
@@ -51,7 +51,8 @@ def command(
             "held_out": [asdict(person) for person in held_out],
         }
         if out is not None:
-            out.write_text(json.dumps(report, indent=2) + "\n")
+            with writing(out):
+                out.write_text(json.dumps(report, indent=2) + "\n")
     if as_json:
         emit(report)
         return

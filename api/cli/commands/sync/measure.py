@@ -8,11 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
-from api.cli.console import EXIT_FAILED, JsonOption, StageBars, emit, print_table, reporting, warn
+from api.cli.console import EXIT_FAILED, JsonOption, StageBars, emit, print_table, reporting, warn, writing
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.data.cameras import Synchronization
-from pipeline.errors import PipelineError
 from pipeline.synchronization.document import sound_document, sync_document
 from pipeline.synchronization.report import error_pictures
 
@@ -54,12 +53,10 @@ def command(
 
 def _write_report(folder: Path, document: Mapping[str, Any], found: Synchronization) -> None:
     files = {"sync.json": json.dumps(document, indent=1) + "\n", **error_pictures(found)}
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise PipelineError(f"{error.filename} can't be written: {error.strerror}.") from error
 
 
 def _show(document: Mapping[str, Any]) -> None:
