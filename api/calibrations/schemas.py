@@ -140,7 +140,7 @@ class UploadedCalibration(UploadedFootage, CalibrationSpec):
         """Part of the form and id of each upload."""
         single = (("calibration", self.calibration), ("intrinsics", self.intrinsics))
         images = (("images", upload) for upload in self.images)
-        return [*super().uploads(), *images, *((part, one) for part, one in single if one is not None)]
+        return [*super().uploads(), *images, *((part, upload) for part, upload in single if upload is not None)]
 
 
 class CalibrationChanges(BaseModel):

@@ -386,7 +386,7 @@ def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
 
     Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
     """
-    of_camera = [index for index, one in enumerate(manifest.cameras) if one.name == item.camera]
+    of_camera = [index for index, camera in enumerate(manifest.cameras) if camera.name == item.camera]
     if of_camera and ("recording" in item.code or item.field in _OF_CAMERA):
         stated = manifest.cameras[of_camera[-1]].model_fields_set
         field = [item.field] if item.field in stated else []

@@ -174,7 +174,7 @@ class UploadedSession(UploadedFootage):
         """Part of the form and id of each upload."""
         single = (("calibration", self.calibration), ("timestamps", self.timestamps))
         keypoints = [("keypoints", upload) for upload in self.keypoints]
-        return [*super().uploads(), *keypoints, *((part, one) for part, one in single if one is not None)]
+        return [*super().uploads(), *keypoints, *((part, upload) for part, upload in single if upload is not None)]
 
     def named(self) -> Iterable[str]:
         """Names of the form's documents that the fields stand for."""
@@ -255,8 +255,8 @@ class CameraOut(ResponseModel):
             video_link=path if is_sent_shown or is_copy_made else None,
             media_start_s=camera.media_start_s if is_sent_shown else 0.0,
             thumbnails=tuple(
-                ThumbnailOut(time_s=one.time_s, link=f"{session}/thumbnails/{name}/{number}")
-                for number, one in enumerate(camera.thumbnails if is_there and not capture.is_blurred else ())
+                ThumbnailOut(time_s=thumbnail.time_s, link=f"{session}/thumbnails/{name}/{number}")
+                for number, thumbnail in enumerate(camera.thumbnails if is_there and not capture.is_blurred else ())
             ),
         )
 

@@ -46,7 +46,7 @@ def get_session_thumbnail(
     if capture.session.videos_deleted_at is not None:
         raise deleted()
     cameras = capture.session.preflight.cameras
-    place = next((place for place, one in enumerate(cameras) if one.name == camera), None)
+    place = next((place for place, known in enumerate(cameras) if known.name == camera), None)
     if place is None:
         raise NotFound("The session has no camera of this name.")
     if number >= len(cameras[place].thumbnails):

@@ -54,7 +54,7 @@ def get_session_video(
     """
     capture = records.sessions.capture(session_id)
     session, cameras = capture.session, capture.session.preflight.cameras
-    number = next((number for number, one in enumerate(cameras) if one.name == camera), None)
+    number = next((number for number, known in enumerate(cameras) if known.name == camera), None)
     if number is None:
         raise NotFound("The session has no camera of this name.")
     media_type = cameras[number].media_type

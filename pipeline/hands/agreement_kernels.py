@@ -129,16 +129,17 @@ def _find_best(agreement, rays, weights, centers_m, wrist_m, side):
     """Compute the knuckles with the most support into ``best_m``; return whether there are any."""
     num_views, most = len(rays), 0.0
     for first in range(num_views):
-        for one in range(2):
+        for first_hand in range(2):
             if not (
-                weights[first, one] > 0 and _can_be_held(agreement, rays[first, one], centers_m[first], wrist_m[side])
+                weights[first, first_hand] > 0
+                and _can_be_held(agreement, rays[first, first_hand], centers_m[first], wrist_m[side])
             ):
                 continue
             for second in range(first + 1, num_views):
-                for other in range(2):
-                    if not weights[second, other] > 0:
+                for second_hand in range(2):
+                    if not weights[second, second_hand] > 0:
                         continue
-                    pair = rays[first, one], rays[second, other], centers_m[first], centers_m[second]
+                    pair = rays[first, first_hand], rays[second, second_hand], centers_m[first], centers_m[second]
                     if not _meet(agreement, *pair, wrist_m[side]):
                         continue
                     total = _total_support(agreement, rays, weights, centers_m, side)

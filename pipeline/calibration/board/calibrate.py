@@ -128,7 +128,7 @@ def calibrate_board(
         [replace(board_once, root_from_board=pose)]
         for (board_once,), pose in zip(boards, fitted.root_from_boards, strict=True)
     ]
-    speed = [motion.speed_at(one.mean_time_s) for (one,) in boards]
+    speed = [motion.speed_at(seen.mean_time_s) for (seen,) in boards]
     speed += [np.zeros(6) for _ in on_floor]
     fitted = adjust_board_rig(
         fitted.adjustment.cameras, root, [*boards, *on_floor], board, coefficients, np.array(speed)
@@ -214,7 +214,7 @@ def _motion(rig: BoardRig, cameras: Sequence[Camera], board: Board) -> BoardMoti
     """Board at all instants at which it can be placed, or at many of them."""
     number = len(rig.instants)
     looked_at = np.unique(np.linspace(0, number - 1, min(number, _FLOOR_INSTANTS)).round().astype(int))
-    placed = [one for _, one in _place_all(rig, dict(enumerate(cameras)), board, looked_at.tolist())]
+    placed = [seen for _, seen in _place_all(rig, dict(enumerate(cameras)), board, looked_at.tolist())]
     boards = alike_numbered(refine_boards(cameras, placed, board), board)
     time_s = read_only(np.array([seen.mean_time_s for seen in boards]))
     return BoardMotion(time_s, boards, board.corners_m.mean(0))

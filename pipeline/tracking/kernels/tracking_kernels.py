@@ -216,10 +216,10 @@ def _fit_velocity(target, sums, window_s):
             x, y, z = target.recent_m[place, 0, k], target.recent_m[place, 1, k], target.recent_m[place, 2, k]
             known = x == x
             x, y, z = x if known else 0.0, y if known else 0.0, z if known else 0.0
-            one = 1.0 if known else 0.0
-            sums.fit[0, k] += one
-            sums.fit[1, k] += one * since_s
-            sums.fit[2, k] += one * since_s * since_s
+            count = 1.0 if known else 0.0
+            sums.fit[0, k] += count
+            sums.fit[1, k] += count * since_s
+            sums.fit[2, k] += count * since_s * since_s
             sums.fit[3, k] += x
             sums.fit[4, k] += y
             sums.fit[5, k] += z
