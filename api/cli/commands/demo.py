@@ -50,7 +50,9 @@ def write_overlays(session: CaptureSession, skeletons: Mapping[str, Any], folder
         nearest = frames_in(session.times[camera.name], start_s - half_s, start_s + half_s)
         for _, image_rgb in decode(video, nearest.start, nearest.stop):
             path = folder / f"overlay-{video.path.stem}.png"
-            path.write_bytes(encode_png(draw_skeletons(image_rgb, camera, people_m, joints)))
+            picture = encode_png(draw_skeletons(image_rgb, camera, people_m, joints))
+            with writing(path):
+                path.write_bytes(picture)
             paths.append(path)
     return paths
 
@@ -76,9 +78,8 @@ def command(
                 job = client.follow(job, bars.update_job)
             with writing(out):
                 paths = client.download(job, out)
-                documents = ((out / name).read_bytes() for name in ("skeletons.json", "metrics.json"))
-                skeletons, metrics = map(json.loads, documents)
-                paths += write_overlays(open_session(videos, sample.calibration), skeletons, out)
+            skeletons, metrics = (json.loads((out / name).read_bytes()) for name in ("skeletons.json", "metrics.json"))
+            paths += write_overlays(open_session(videos, sample.calibration), skeletons, out)
             print_summary(metrics)
             console.print(f"{len(videos)} cameras, {time.monotonic() - started_s:.0f} s in all.")
             console.print(f"Results are in {out}/:")

@@ -24,7 +24,6 @@ from pipeline.data.animation import Animation
 from pipeline.data.cameras import Timebase
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.detect import models
-from pipeline.errors import PipelineError
 from pipeline.export.results import write_results
 from pipeline.joints import COCO_17
 from pipeline.simulation.scenes import find_scene, record
@@ -262,26 +261,6 @@ def test_every_command_says_what_it_does(command: str) -> None:
     result = runner.invoke(app, [command, "--help"])
     assert result.exit_code == 0
     assert len(result.stdout) > 100
-
-
-def test_results_that_cannot_be_written_are_no_stack_trace(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 1), (), (), Animation((), (), None))
-    with pytest.raises(PipelineError, match="can't be written"):
-        write_results(nobody, tmp_path / "file" / "results")
-
-
-@pytest.mark.parametrize(
-    "command",
-    [["demo", "--out"], ["simulate", "--scene", "room", "--out"], ["benchmark", "tracking", "--plot"]],
-    ids=lambda command: command[0],
-)
-def test_output_that_cannot_be_written_is_said(command: list[str], tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    result = runner.invoke(app, [*command, str(tmp_path / "file" / "results" / "some.png")])
-    assert result.exit_code == 1
-    assert result.stderr.startswith(f"error {tmp_path}")
-    assert "can't be written: Not a directory." in result.stderr.replace("\n", " ")
 
 
 def test_a_format_that_nobody_knows_is_named_with_those_there_are(tmp_path: Path) -> None:

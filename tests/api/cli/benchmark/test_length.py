@@ -38,7 +38,7 @@ def test_growth_is_the_ratio_of_costs_per_frame() -> None:
 
 @pytest.mark.benchmark
 def test_no_stage_grows_faster_than_the_take() -> None:
-    """Looks at the whole take for each step of a person show in takes of many minutes alone."""
+    """A stage that looks at the whole take for each step of a person is slow in takes of many minutes alone."""
     command = ["benchmark", "length", "--minutes", "3", "45", "--people", "1", "--json"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
