@@ -5,6 +5,7 @@ warnings and errors go to stderr.
 """
 
 import json
+import os
 import signal
 import sys
 import threading
@@ -216,6 +217,17 @@ def writing(name: object) -> Iterator[None]:
         yield
     except OSError as error:
         raise PipelineError(f"{name} can't be written: {error.strerror or error}.") from error
+
+
+def require_writable(*files: Path) -> None:
+    """Raise ``PipelineError`` for a file that can't be written, before the work for it; its folder is made."""
+    for file in files:
+        is_new = not os.path.lexists(file)
+        with writing(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.open("ab").close()
+            if is_new:
+                file.unlink()
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from api.cli.console import JsonOption, emit, print_table, reporting, writing
+from api.cli.console import JsonOption, emit, print_table, reporting, require_writable
 from pipeline.evaluation.pairwise import associate_pairwise
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Clock, Layout, Rig
@@ -143,10 +143,8 @@ def tracking(
 ) -> None:
     """Time tracking on one core, from keypoints in memory to tracks in memory; simulated people, 3 px of noise."""
     with reporting(as_json):
-        if plot is not None:  # what can't be written is refused before minutes of measuring
-            with writing(plot):
-                plot.parent.mkdir(parents=True, exist_ok=True)
-                plot.touch()
+        if plot is not None:
+            require_writable(plot)
         warm_up()
         sizes, scaling = measure_sizes(), measure_scaling()
         if plot is not None:

@@ -25,12 +25,26 @@ def test_results_that_cannot_be_written_are_no_stack_trace(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     "command",
-    [["demo", "--out"], ["simulate", "--scene", "room", "--out"], ["benchmark", "tracking", "--plot"]],
-    ids=lambda command: command[0],
+    [
+        ["demo", "--out"],
+        ["simulate", "--scene", "room", "--out"],
+        ["benchmark", "tracking", "--plot"],
+        ["evaluate", "joint-centers", "--data", "capture", "--out"],
+        ["check", "--calibration", "cameras.toml", "--videos", "videos", "--thumbnails"],
+        ["sync", "--calibration", "cameras.toml", "--videos", "videos", "--report"],
+        ["calibrate", "board", "--board", "chessboard:9x6:0.03", "--videos", "videos", "--out"],
+        ["calibrate", "people", "--stature-m", "1.8", "--videos", "videos", "--out"],
+        ["calibrate", "people", "--stature-m", "1.8", "--videos", "videos", "--out", "cameras.toml", "--report"],
+    ],
+    ids=lambda command: "-".join([*command[:2], command[-1].strip("-")]),
 )
-def test_output_that_cannot_be_written_is_said(command: list[str], tmp_path: Path) -> None:
+def test_output_that_cannot_be_written_is_said(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
-    result = runner.invoke(app, [*command, str(tmp_path / "file" / "results" / "some.png")])
+    result = runner.invoke(app, [*command, str(tmp_path / "file" / "results" / "some.json")])
     assert result.exit_code == 1
-    assert result.stderr.startswith(f"error {tmp_path}")
+    assert result.stderr.lstrip().startswith(f"error {tmp_path}")
     assert "can't be written: Not a directory." in result.stderr.replace("\n", " ")
+    assert list(tmp_path.rglob("*")) == [tmp_path / "file"], "nothing is left behind"

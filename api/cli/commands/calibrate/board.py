@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
-from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
+from api.cli.commands.calibrate.written import POINTS_HELP, require_outputs, show_made, write_made
 from api.cli.console import JsonOption, console, reporting, warn
 from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.board.calibrate import calibrate_board
@@ -64,7 +64,7 @@ def command(
     """Calibrate cameras from videos or photographs of a chessboard or a ChArUco board."""
     with reporting(as_json):
         found = parse_board(board)
-        require_ending(out)
+        require_outputs(out, report)
         known_points = read_known_points(world_points) if world_points is not None else ()
         if (source.videos is None) == (images is None):
             raise InputError(

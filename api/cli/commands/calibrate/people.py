@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
+from api.cli.commands.calibrate.written import POINTS_HELP, require_outputs, show_made, write_made
 from api.cli.console import JsonOption, StageBars, reporting, warn
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
@@ -54,7 +54,7 @@ def command(
 ) -> None:
     """Calibrate cameras from people of known stature who walk about: no board."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        require_ending(out)
+        require_outputs(out, report)
         known_points = read_known_points(world_points) if world_points is not None else ()
         config = checked(chosen, source.check)
         _check_sources(source.keypoints, intrinsics, stature_m)

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from api.cli.console import console, emit, print_table, warn, writing
+from api.cli.console import console, emit, print_table, require_writable, warn, writing
 from pipeline.calibration.known_points.table import COLUMNS
 from pipeline.calibration.report import CalibrationResult, report_document
 from pipeline.calibration.write import ENCODERS
@@ -14,11 +14,15 @@ POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join
 """Help of the option that names a table of known points."""
 
 
-def require_ending(out: Path) -> None:
-    """Raise ``InputError`` unless calibrations can be written to a file of this ending."""
+_REPORT = "report.json"
+
+
+def require_outputs(out: Path, report: Path | None) -> None:
+    """Raise ``InputError`` for an ending that no calibration has, ``PipelineError`` for files that can't be written."""
     if out.suffix.lower() not in ENCODERS:
         message = f"--out must end with one of {', '.join(ENCODERS)}."
         raise InputError([Problem(CALIBRATION_FORMAT, message, file=out.name)])
+    require_writable(out, *([] if report is None else [report / _REPORT]))
 
 
 def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:
@@ -28,7 +32,7 @@ def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:
     """
     files = {out: ENCODERS[out.suffix.lower()](made.cameras)}
     if report is not None:
-        files[report / "report.json"] = (json.dumps(report_document(made), indent=1) + "\n").encode()
+        files[report / _REPORT] = (json.dumps(report_document(made), indent=1) + "\n").encode()
         files |= {report / name: picture.encode() for name, picture in made.pictures.items()}
     for path, content in files.items():
         with writing(path):

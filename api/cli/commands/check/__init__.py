@@ -46,6 +46,9 @@ def command(
     """
     with reporting(as_json):
         choices = checked(chosen, source.check)
+        if thumbnails is not None:
+            with writing(thumbnails):
+                thumbnails.mkdir(parents=True, exist_ok=True)
         config = replace(choices, smoothing="none", sync="declared")
         try:
             session = source.open(calibration)
@@ -96,7 +99,6 @@ def _look(session: CaptureSession, thumbnails: Path | None) -> Sequence[Finding]
         looked = look_at_pictures(session)
     if thumbnails is not None:
         with writing(thumbnails):
-            thumbnails.mkdir(parents=True, exist_ok=True)
             for camera, of_camera in zip(session.cameras, looked.thumbnails, strict=True):
                 for number, thumbnail in enumerate(of_camera):
                     (thumbnails / f"{camera.name}-{number}.jpg").write_bytes(thumbnail.content)

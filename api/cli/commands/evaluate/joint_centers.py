@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, users_cache, writing
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, require_writable, users_cache, writing
 from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
 from pipeline.config import networks_of
@@ -30,6 +30,8 @@ def command(
     """Offsets of a detector's marks from true joint centres, cross-validated over people: each one left out in turn."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         config = replace(checked(chosen), joint_centers="off", force=True)
+        if out is not None:
+            require_writable(out)
         captures = [(folder, load_rendered(folder)) for folder in data]
         people: list[MarkedPerson] = []
         learnt_on = []

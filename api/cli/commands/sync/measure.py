@@ -8,12 +8,24 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
-from api.cli.console import EXIT_FAILED, JsonOption, StageBars, emit, print_table, reporting, warn, writing
+from api.cli.console import (
+    EXIT_FAILED,
+    JsonOption,
+    StageBars,
+    emit,
+    print_table,
+    reporting,
+    require_writable,
+    warn,
+    writing,
+)
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.data.cameras import Synchronization
 from pipeline.synchronization.document import sound_document, sync_document
 from pipeline.synchronization.report import error_pictures
+
+_REPORT = "sync.json"
 
 
 @with_choices("profile", "detector")
@@ -35,6 +47,8 @@ def command(
     """
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         config = checked(chosen, source.check)
+        if report is not None:
+            require_writable(report / _REPORT)
         session = source.open(calibration)
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
@@ -52,7 +66,7 @@ def command(
 
 
 def _write_report(folder: Path, document: Mapping[str, Any], found: Synchronization) -> None:
-    files = {"sync.json": json.dumps(document, indent=1) + "\n", **error_pictures(found)}
+    files = {_REPORT: json.dumps(document, indent=1) + "\n", **error_pictures(found)}
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
