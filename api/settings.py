@@ -202,7 +202,7 @@ class Settings(StorageSettings):
         description="Program that checks a character's file, run in a child process with the limits of a preflight.",
     )
     preflight_timeout_s: float = Field(
-        default=20.0,
+        default=60.0,
         gt=0,
         description="Time limit of a preflight, in addition to 0.2 s a file, 60 s a GiB of videos or of a character, "
         "and 1800 s a GiB of keypoints. After half of it no further picture is looked at.",
