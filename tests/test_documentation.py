@@ -20,7 +20,7 @@ PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sor
 MAX_README_LINES = 120
 MAX_README_ROW = 200
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
-UNITS = {"KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
+MEMORY_UNITS = {"KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -91,7 +91,7 @@ def test_documented_defaults_are_those_of_the_settings(settings: type[BaseSettin
             number = re.fullmatch(r"(\d[\d,]*(?:\.\d+)?)(?: (KiB|MiB|GiB))?", default)
             if number is not None and (field := settings.model_fields.get(name.lower())) is not None:
                 compared += 1
-                if float(number[1].replace(",", "")) * UNITS.get(number[2], 1) != field.default:
+                if float(number[1].replace(",", "")) * MEMORY_UNITS.get(number[2], 1) != field.default:
                     wrong.append(f"{name}: {default}, but {field.default}")
     assert wrong == []
     assert compared > 5

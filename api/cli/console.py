@@ -219,9 +219,12 @@ def writing(name: object) -> Iterator[None]:
         raise PipelineError(f"{name} can't be written: {error.strerror or error}.") from error
 
 
-def require_writable(*files: Path) -> None:
-    """Raise ``PipelineError`` for a file that can't be written, before the work for it; its folder is made."""
-    for file in files:
+def require_writable(*files: Path | None) -> None:
+    """Raise ``PipelineError`` for a file that can't be written, before the work for it; its folder is made.
+
+    ``None``: a file that was not asked for.
+    """
+    for file in filter(None, files):
         is_new = not os.path.lexists(file)
         with writing(file):
             file.parent.mkdir(parents=True, exist_ok=True)

@@ -85,15 +85,17 @@ def test_children_end_and_it_is_said(
         children = wait_for_children(process, word)
         time.sleep(later_s)
         children += psutil.Process(process.pid).children(recursive=True)
+        asked_s = time.monotonic()
         if number == signal.SIGINT:
             os.killpg(process.pid, number)  # as a terminal does: to all processes of the group
         else:
             process.send_signal(number)
         said, errors = process.communicate(timeout=180)
+        assert time.monotonic() - asked_s < 15
     assert process.returncode == 128 + number
     assert "Traceback" not in errors
     assert "Process" not in errors
-    _, alive = psutil.wait_procs(children, timeout=60)
+    _, alive = psutil.wait_procs(children, timeout=5)
     assert alive == []
     if "--json" in options:
         (problem,) = json.loads(said)["problems"]

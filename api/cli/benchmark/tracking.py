@@ -143,8 +143,7 @@ def tracking(
 ) -> None:
     """Time tracking on one core, from keypoints in memory to tracks in memory; simulated people, 3 px of noise."""
     with reporting(as_json):
-        if plot is not None:
-            require_writable(plot)
+        require_writable(plot)
         warm_up()
         sizes, scaling = measure_sizes(), measure_scaling()
         if plot is not None:

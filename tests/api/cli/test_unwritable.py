@@ -45,6 +45,6 @@ def test_output_that_cannot_be_written_is_said(
     (tmp_path / "file").touch()
     result = runner.invoke(app, [*command, str(tmp_path / "file" / "results" / "some.json")])
     assert result.exit_code == 1
-    assert result.stderr.lstrip().startswith(f"error {tmp_path}")
+    assert result.stderr.lstrip("\n").startswith(f"error {tmp_path}")
     assert "can't be written: Not a directory." in result.stderr.replace("\n", " ")
     assert list(tmp_path.rglob("*")) == [tmp_path / "file"], "nothing is left behind"

@@ -13,7 +13,6 @@ from pipeline.problem_codes.sessions import CALIBRATION_FORMAT
 POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(COLUMNS)}, a line for each view."
 """Help of the option that names a table of known points."""
 
-
 _REPORT = "report.json"
 
 
@@ -22,7 +21,7 @@ def require_outputs(out: Path, report: Path | None) -> None:
     if out.suffix.lower() not in ENCODERS:
         message = f"--out must end with one of {', '.join(ENCODERS)}."
         raise InputError([Problem(CALIBRATION_FORMAT, message, file=out.name)])
-    require_writable(out, *([] if report is None else [report / _REPORT]))
+    require_writable(out, report and report / _REPORT)
 
 
 def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:

@@ -30,8 +30,7 @@ def command(
     """Offsets of a detector's marks from true joint centres, cross-validated over people: each one left out in turn."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         config = replace(checked(chosen), joint_centers="off", force=True)
-        if out is not None:
-            require_writable(out)
+        require_writable(out)
         captures = [(folder, load_rendered(folder)) for folder in data]
         people: list[MarkedPerson] = []
         learnt_on = []

@@ -47,8 +47,7 @@ def command(
     """
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         config = checked(chosen, source.check)
-        if report is not None:
-            require_writable(report / _REPORT)
+        require_writable(report and report / _REPORT)
         session = source.open(calibration)
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
