@@ -32,6 +32,7 @@ _CHARACTER: dict[str, Any] = _SUMMARY | {
     "neck": [],
     "twists": {},
     "at_rest": ["tail"],
+    "notes": [],
     "skeleton": [
         {"bone": "hips", "parent": None, "position": [0.0, 0.0, 0.95]},
         {"bone": "spine", "parent": "hips", "position": [0.0, 0.02, 1.1]},

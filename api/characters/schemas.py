@@ -126,6 +126,9 @@ class CharacterOut(CharacterSummaryOut):
     neck: tuple[str, ...] = Field(description="Bones between arms and head, from below.")
     twists: dict[str, str] = Field(description="Bones that share the twist of a limb, with the joint at its end.")
     at_rest: tuple[str, ...] = Field(description="Bones without a counterpart, which stay at rest.")
+    notes: tuple[str, ...] = Field(
+        description="Sentences about hands and feet that hang elsewhere than on their limbs."
+    )
     skeleton: tuple[BoneOut, ...] = Field(description="All bones, parents before their children.")
     corrections: dict[str, str | None] = Field(description="Bones by joint that were stated; null: no bone.")
 

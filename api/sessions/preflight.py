@@ -115,6 +115,7 @@ class CharacterBones(BaseModel):
     neck: tuple[str, ...]
     twists: dict[str, str]
     at_rest: tuple[str, ...]
+    notes: tuple[str, ...]
     skeleton: tuple[SkeletonBone, ...]
 
 

@@ -149,10 +149,13 @@ def joints_by_name(rig: NamedBones, humanoid: Mapping[str, int]) -> dict[str, in
     if found:
         return found
     collars: dict[str, list[int]] = {side: [] for side in SIDES}
+    palms: dict[str, int] = {}
     for number in rig.bones:
         name = bone_name(rig.names[number])
         if name.word == "head" and not name.side and HEAD not in found:
             found[HEAD] = number
+        if name.word in ("palm", "fist") and name.side:
+            palms.setdefault(f"{name.side}Hand", number)
         joint = _LIMBS.get(name.word)
         if joint and name.side and not _BESIDE.search(name.word):
             # Of several bones of a limb, the first one: the others are twisted along.
@@ -168,6 +171,7 @@ def joints_by_name(rig: NamedBones, humanoid: Mapping[str, int]) -> dict[str, in
             found[f"{side}Arm"] = bones[-1]
             if len(bones) == 1:
                 del found[f"{side}Shoulder"]
+    found = palms | found  # Hands of few bones have no wrist of their own
     for side in SIDES:
         hand = found.get(f"{side}Hand")
         if hand is not None:

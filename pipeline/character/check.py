@@ -78,6 +78,7 @@ def _described(figure: CharacterFigure) -> dict[str, Any]:
         "neck": list(mapping.neck),
         "twists": dict(mapping.twists),
         "at_rest": list(mapping.at_rest),
+        "notes": list(mapping.notes),
         "skeleton": _skeleton(figure),
     }
 

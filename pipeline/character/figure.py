@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.character.bone_names import HEAD, HIPS, SIDES
 from pipeline.character.gltf_reader import CharacterFile
-from pipeline.character.mapping import BoneMapping
+from pipeline.character.mapping import BoneMapping, connected
 from pipeline.character.rig import CharacterRig
 from pipeline.data.arrays import read_only
 from pipeline.errors import InputError, Problem, printable
@@ -57,16 +57,12 @@ class CharacterFigure:
 
     file: CharacterFile
     mapping: BoneMapping
+    rig: CharacterRig  # Nodes of the file, with hands and feet below their limbs
     skeleton_from_file: Float[np.ndarray, "3 3"]  # Rotation from the file's axes to the skeleton's
     joints: Mapping[str, int]  # Nodes by joint
     positions: Float[np.ndarray, "nodes 3"]  # Positions of all nodes in the rest pose
     upright: Mapping[int, Float[np.ndarray, "3 3"]]  # Rotation of each node with a joint from the rest to the T-pose
     feet: Mapping[str, FootMeasures]  # Feet by side
-
-    @property
-    def rig(self) -> CharacterRig:
-        """Nodes of the character."""
-        return self.file.rig
 
     def length(self, start: str, end: str) -> float:
         """Distance between the bones of two joints in the rest pose."""
@@ -87,16 +83,16 @@ def measure(file: CharacterFile, mapping: BoneMapping) -> CharacterFigure:
     InputError
         If a limb has no length, or bones are scaled unevenly or mirrored.
     """
-    rig = file.rig
-    joints = {joint: rig.names.index(bone) for joint, bone in mapping.bones.items()}
+    joints = {joint: file.rig.names.index(bone) for joint, bone in mapping.bones.items()}
     _require_turnable(file, joints)
+    rig, _ = connected(file.rig, joints)
     turn = _skeleton_from_file(rig, joints)
     positions = rig.positions @ turn.T
     upright = _upright(rig, joints, positions)
     mesh = [(skinned.positions @ turn.T, skinned.bones) for skinned in file.skinned]
     leg = np.mean([np.linalg.norm(positions[joints[f"{s}Foot"]] - positions[joints[f"{s}UpLeg"]]) for s in SIDES])
     feet = {side: _foot(rig, joints, positions, upright, mesh, side, float(leg)) for side in SIDES}
-    return CharacterFigure(file, mapping, read_only(turn), joints, read_only(positions), upright, feet)
+    return CharacterFigure(file, mapping, rig, read_only(turn), joints, read_only(positions), upright, feet)
 
 
 def _require_turnable(file: CharacterFile, joints: Mapping[str, int]) -> None:

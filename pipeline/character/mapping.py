@@ -2,17 +2,22 @@
 
 The joints are those of ``pipeline.skeleton.model``, with toes (``LeftToeBase``), and without those of the trunk: all
 bones between hips and arms are the spine, those between arms and head the neck.
+
+Names count before the shape of the tree: the shape may complete the named bones, but never contradicts them. In rigs
+made for inverse kinematics hands and feet hang on the root; ``connected`` hangs them on their limbs.
 """
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from pipeline.character.bone_names import HEAD, HIPS, LIMBS, OPTIONAL, REQUIRED, SIDES, joints_by_name, twist_bones
 from pipeline.character.bone_shapes import joints_by_shape
-from pipeline.character.gltf_reader import CharacterFile
+from pipeline.character.gltf_reader import CharacterFile, decomposed
 from pipeline.character.rig import CharacterRig
 from pipeline.errors import InputError, Problem, listed_names, printable
 from pipeline.parsing import UnreadableError, read_json
@@ -22,6 +27,9 @@ Recognition = Literal["vrm", "names", "shape", "table"]
 """Ways in which a bone is recognised: by a VRM's table, by names, by the shape of the tree, by a user's table."""
 
 _MAX_TABLE_BYTES = 1 << 20
+_CHAIN_HINT = "Give the bone this parent in the program that made the character, or correct the table of bones."
+# Most of the length of the first bone of a limb that the second one has.
+_MAX_LOWER_SHARE = 2.0
 _HINT = 'Write a JSON object such as {"bones": {"LeftArm": "upperarm_l", "LeftShoulder": null}}.'
 
 
@@ -39,6 +47,7 @@ class BoneMapping:
     twists: Mapping[str, str]  # Bones that share the twist of a limb, with the joint at the end of the limb
     missing: tuple[str, ...]  # Joints without a bone
     at_rest: tuple[str, ...]  # Bones that stay at rest
+    notes: tuple[str, ...]  # Sentences about hands and feet that hang elsewhere than on their limbs
 
     def document(self) -> dict[str, Any]:
         """Mapping as JSON; ``bones`` is a table that ``read_bone_table`` reads, null for joints without a bone."""
@@ -51,6 +60,7 @@ class BoneMapping:
             "twists": dict(self.twists),
             "missing": list(self.missing),
             "at_rest": list(self.at_rest),
+            "notes": list(self.notes),
         }
 
 
@@ -102,19 +112,47 @@ def map_bones(character: CharacterFile, table: Mapping[str, str | None] | None =
     if problems:
         raise InputError(problems)
     nodes = {joint: rig.names.index(bone) for joint, bone in stated.items() if bone is not None}
-    attempts: list[tuple[Literal["vrm", "names", "shape"], dict[str, int]]] = [
-        ("vrm" if character.humanoid else "names", joints_by_name(rig, character.humanoid)),
-        ("shape", joints_by_shape(rig)),
-    ]
-    found_problems: list[list[Problem]] = []
-    for method, recognised in attempts:
-        joints = {joint: node for joint, node in recognised.items() if joint not in stated} | nodes
-        wrong = _wrong(rig, joints, character.name)
-        if not wrong:
-            return _completed(method, rig, joints, stated)
-        found_problems.append(wrong)
-    # The problems of names are those that a user can understand, unless names told nothing.
-    raise InputError(min(found_problems, key=len))
+    named, shaped = (
+        {joint: node for joint, node in joints.items() if joint not in stated} | nodes
+        for joints in (joints_by_name(rig, character.humanoid), joints_by_shape(rig))
+    )
+    problems = _wrong(rig, named, character.name)
+    if not problems:
+        return _completed("vrm" if character.humanoid else "names", rig, named, stated)
+    agrees = all(shaped.get(joint) == node for joint, node in named.items() if joint in REQUIRED)
+    if agrees and not _wrong(rig, shaped, character.name):
+        return _completed("shape", rig, shaped, stated)
+    raise InputError(problems)
+
+
+def connected(rig: CharacterRig, joints: Mapping[str, int]) -> tuple[CharacterRig, tuple[str, ...]]:
+    """Hang hands and feet below their limbs.
+
+    Parameters
+    ----------
+    joints
+        Nodes by joint.
+
+    Returns
+    -------
+        The rig in the same rest pose, and the joints whose bones were moved below the bone before them. A bone of
+        another limb, or one that is as far from its limb as no hand or foot, stays where it is.
+    """
+    parents = rig.parents.copy()
+    translations, rotations, scales = rig.translations.copy(), rig.rotations.copy(), rig.scales.copy()
+    moved = []
+    for first, above, end in LIMBS:
+        if not {first, above, end} <= joints.keys() or rig.path(joints[above], joints[end]):
+            continue
+        node, others = joints[end], {joints[joint] for joint in REQUIRED if joint in joints and joint != end}
+        start, middle, last = rig.positions[[joints[first], joints[above], node]]
+        is_near = np.linalg.norm(last - middle) < _MAX_LOWER_SHARE * np.linalg.norm(middle - start)
+        in_limb = decomposed(np.linalg.inv(rig.worlds[joints[above]]) @ rig.worlds[node])
+        if in_limb is not None and is_near and others.isdisjoint({*rig.ancestors(node), *rig.below(node)}):
+            parents[node] = joints[above]
+            translations[node], rotations[node], scales[node] = in_limb
+            moved.append(end)
+    return replace(rig, parents=parents, translations=translations, rotations=rotations, scales=scales), tuple(moved)
 
 
 def _unknown(rig: CharacterRig, stated: Mapping[str, str | None], name: str) -> list[Problem]:
@@ -133,6 +171,7 @@ def _unknown(rig: CharacterRig, stated: Mapping[str, str | None], name: str) -> 
 
 def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Problem]:
     """Problems of bones by joint: missing ones, and limbs that don't hang together."""
+    rig, _ = connected(rig, joints)
     missing = [joint for joint in REQUIRED if joint not in joints]
     if len(missing) == len(REQUIRED):
         hint = "Export the mesh together with its skeleton (armature); a mesh without one has to be rigged first."
@@ -151,7 +190,7 @@ def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Prob
         for above, below in itertools.pairwise(limb):
             if joints[above] == joints[below] or not rig.path(joints[above], joints[below]):
                 bones = f"{rig.names[joints[below]]} ({below}) is not below {rig.names[joints[above]]} ({above})"
-                wrong.append(Problem(CHARACTER_BONES, f"The bone {bones}.", file=name, hint="Correct the table."))
+                wrong.append(Problem(CHARACTER_BONES, f"The bone {bones}.", file=name, hint=_CHAIN_HINT))
     if not wrong and rig.common_ancestor(*(joints[joint] for joint in REQUIRED)) is None:
         wrong.append(Problem(CHARACTER_BONES, "The bones of the body do not hang together.", file=name))
     return wrong
@@ -164,6 +203,8 @@ def _completed(
     stated: Mapping[str, str | None],
 ) -> BoneMapping:
     """Mapping with the bones of the trunk, and those that share the twist of limbs."""
+    own = rig
+    rig, moved = connected(rig, joints)
     arms = [joints[f"{side}Arm"] for side in SIDES]
     hips = joints[HIPS] if stated.get(HIPS) is not None else rig.common_ancestor(*(joints[joint] for joint in REQUIRED))
     chest = rig.common_ancestor(*arms, joints[HEAD])
@@ -184,6 +225,17 @@ def _completed(
         {rig.names[node]: joint for node, joint in twists.items()},
         tuple(joint for joint in OPTIONAL if joint not in of_joints),
         tuple(rig.names[node] for node in rig.bones if node not in used),
+        tuple(_note(own, rig, joints[joint]) for joint in moved),
+    )
+
+
+def _note(own: CharacterRig, rig: CharacterRig, node: int) -> str:
+    """Sentence about an end of a limb that hangs elsewhere in the file."""
+    above = int(own.parents[node])
+    place = "at the top of the file" if above < 0 else f"on {printable(own.names[above])}"
+    end, limb = (printable(rig.names[bone]) for bone in (node, rig.parents[node]))
+    return (
+        f"The bone {end} is not below {limb}: it hangs {place}. Its place is animated too, so that it follows the limb."
     )
 
 

@@ -103,7 +103,15 @@ def refused(answer: httpx2.Response, status: int, code: str) -> None:
 def character_of(live: Live, records: TenantRecords) -> str:
     """Id of a stored character."""
     summary = {"format": "GLB", "method": "names", "stature": 1.7, "num_bones": 0, "num_vertices": 0}
-    bones: dict[str, Any] = {"joints": [], "spine": [], "neck": [], "twists": {}, "at_rest": [], "skeleton": []}
+    bones: dict[str, Any] = {
+        "joints": [],
+        "spine": [],
+        "neck": [],
+        "twists": {},
+        "at_rest": [],
+        "notes": [],
+        "skeleton": [],
+    }
     character_id = records.characters.reserve_id()
     file = StoredCharacterFile("robot.glb", character_key(character_id), 5, hashlib.sha256(b"robot").hexdigest())
     live.services.artifacts.put_bytes(file.key, b"robot")

@@ -4,11 +4,12 @@ Limbs, fingers and the head are recognised by their names as the service does it
 the bones of the trunk follow from the tree.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from pipeline.character.bone_names import HEAD, HIPS, REQUIRED, SIDES, joints_by_name
+from pipeline.character.bone_names import HEAD, HIPS, LIMBS, REQUIRED, SIDES, joints_by_name
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,12 @@ def problems_of(tree: BoneTree, bones: Mapping[str, str]) -> list[str]:
         twice = sorted({bone for bone in bones.values() if list(bones.values()).count(bone) > 1})
         if twice:
             problems.append(f"These bones are chosen twice: {', '.join(twice[:5])}.")
+        problems += [
+            f"The bone {bones[below]} is not below {bones[above]}: set it as the bone's parent, or choose other bones."
+            for limb in LIMBS
+            for above, below in itertools.pairwise(limb)
+            if not tree.path(tree.names.index(bones[above]), tree.names.index(bones[below]))
+        ]
     return problems
 
 

@@ -1,5 +1,6 @@
 """`multicap reconstruct`: videos, or 2D joints of another program, to people in motion; no service needed."""
 
+import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,6 +13,7 @@ from api.cli.console import JsonOption, StageBars, emit, print_table, reporting,
 from api.cli.options import ProviderOption, checked, take_provider, with_choices
 from api.cli.sources import SourceOptions, parameters, with_source
 from api.cli.space import document, require_space, session_space
+from pipeline.character.files import DESCRIPTION
 from pipeline.character.mapping import read_bone_table
 from pipeline.character.source import CharacterSource
 from pipeline.config import method_warnings
@@ -144,6 +146,8 @@ def command(
             session, out, config, bars.update, kept, sources=sources, on_file=paths.append, character=moved
         )
     metrics, warnings = written.metrics, method_warnings(config, source.keypoints is None)
+    if moved is not None:
+        warnings = (*warnings, *json.loads((out / DESCRIPTION).read_bytes())["notes"])
     if config.blur_faces and not (config.overlay or config.report or "rerun" in config.exports):
         warnings = (*warnings, "Faces are blurred in --overlay, --report and --exports rerun; none was asked for.")
     if as_json:

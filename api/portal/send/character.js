@@ -47,7 +47,8 @@ function bonesOf(character, id) {
         <div class="figure-and-bones">${figure(character)}${table(character.joints.filter((joint) => !isFinger(joint)))}</div>
         <details><summary>Fingers</summary>${table(character.joints.filter(isFinger))}</details>
         ${character.at_rest.length ? html`<p class="quiet">At rest: ${character.at_rest.join(", ")}.</p>` : nothing}` : nothing}
-    </details>`;
+    </details>
+    ${character.notes.map((note) => html`<p class="quiet">${note}</p>`)}`;
 }
 
 function boneField(character, { joint, bone, is_required: isRequired }, id) {

@@ -36,7 +36,7 @@ _ORDER = "ZYX"
 
 def encode(posed: PosedCharacter) -> Iterator[bytes]:
     """Write a character in motion as FBX, piece by piece. Equal motions give equal bytes."""
-    motion, rig = posed.motion, posed.motion.figure.rig
+    motion, rig = posed.motion, posed.motion.figure.file.rig
     scene = FbxScene(motion.source.frame_rate_hz, _UNITS)
     name = _name_of(posed)
     clip = scene.add_clip(name, len(posed.frames))
@@ -108,9 +108,10 @@ def _add_part(scene: FbxScene, rig: CharacterRig, part: MeshPart, models: dict[i
 
 
 def _animate(scene: FbxScene, clip: Clip, held: PosedCharacter, models: dict[int, Int64]) -> None:
-    """Add the curves of the hips' place and of the rotation of each bone that turns."""
-    places = held.hips_translations() * _UNITS
-    scene.animate(clip, models[held.hips], TRANSLATION, places[0], lambda axis: places[:, axis])
+    """Add the curves of the place of each bone that shifts and of the rotation of each bone that turns."""
+    for node in held.shifting():
+        places = held.translations(node) * _UNITS
+        scene.animate(clip, models[node], TRANSLATION, places[0], lambda axis, places=places: places[:, axis])
     angles = _Angles(held)
     for place, node in enumerate(held.turning()):
         scene.animate(clip, models[node], ROTATION, angles.first[place], partial(angles.of, place))

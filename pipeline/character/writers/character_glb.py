@@ -58,7 +58,8 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
         samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
         channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
 
-    animate(posed.hips, "translation", add("VEC3", held.hips_translations))
+    for node in posed.shifting():
+        animate(node, "translation", add("VEC3", lambda node=node: held.translations(node)))  # type: ignore[misc]
     for node in posed.turning():
         animate(node, "rotation", add("VEC4", lambda node=node: held.quaternions(node)))  # type: ignore[misc]
     extras: dict[str, Any] = {
@@ -86,14 +87,15 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
 
 def fits(posed: PosedCharacter) -> bool:
     """True if a character in motion is small enough for a file: it states its size in 32 bits."""
-    keys = len(posed.frames) * (1 + _COLUMNS["VEC3"] + _COLUMNS["VEC4"] * len(posed.motion.turns)) * _ALIGNMENT
+    columns = 1 + _COLUMNS["VEC3"] * len(posed.shifting()) + _COLUMNS["VEC4"] * len(posed.motion.turns)
+    keys = len(posed.frames) * columns * _ALIGNMENT
     described = len(json.dumps(posed.motion.figure.file.document))
     return keys + len(posed.motion.figure.file.binary) + 2 * described < 2**32 - 2**20
 
 
 def _set_rest(nodes: list[dict[str, Any]], posed: PosedCharacter) -> None:
     """Put the nodes of a document into the rest pose, as far as they were in another one, or have a matrix."""
-    rig = posed.motion.figure.rig
+    rig = posed.motion.figure.file.rig
     for number, node in enumerate(nodes):
         is_animated = number in posed.motion.turns
         places = {

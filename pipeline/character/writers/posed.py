@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.character.bone_names import HIPS
-from pipeline.character.retarget import CharacterMotion
+from pipeline.character.retarget import CharacterMotion, place_of
 from pipeline.character.writers.chains import together
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import held
@@ -62,7 +62,10 @@ class PosedCharacter:
 
     def hips_places(self) -> Float[np.ndarray, "frames 3"]:
         """Places of the hips in the file's axes."""
-        return (self.motion.hips - self.motion.scale * self.origin_m) @ Y_UP_FROM_WORLD.T
+        return self._in_file(self.motion.hips)
+
+    def _in_file(self, places: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+        return (places - self.motion.scale * self.origin_m) @ Y_UP_FROM_WORLD.T
 
     def quaternions(self, node: int) -> Float[np.ndarray, "frames 4"]:
         """Rotations (x, y, z, w) of a node that turns, to its parent in the file."""
@@ -70,23 +73,34 @@ class PosedCharacter:
 
     def matrices(self, node: int) -> Float[np.ndarray, "frames 3 3"]:
         """Rotations of a node that turns, to its parent in the file."""
-        rig, figure = self.motion.figure.rig, self.motion.figure
+        rig, figure = self.motion.figure.file.rig, self.motion.figure
         at_rest = figure.skeleton_from_file @ rotation_of(rig.worlds[node])
         parent = int(rig.parents[node])
-        if node == self.hips:
+        if not self._moves(parent):
             above = np.eye(3) if parent < 0 else rotation_of(rig.worlds[parent])
             return times((above.T @ Y_UP_FROM_WORLD) @ self.turn_of(node), at_rest)
         above = figure.skeleton_from_file @ rotation_of(rig.worlds[parent])
         return times(times(self.turn_of(parent), above).swapaxes(1, 2) @ self.turn_of(node), at_rest)
 
-    def hips_translations(self) -> Float[np.ndarray, "frames 3"]:
-        """Translations of the hips in their parent in the file."""
-        rig = self.motion.figure.rig
-        parent = int(rig.parents[self.hips])
-        if parent < 0:
-            return self.hips_places()
-        above = rig.worlds[parent]
-        return (self.hips_places() - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T
+    def translations(self, node: int) -> Float[np.ndarray, "frames 3"]:
+        """Translations of a node of ``shifting`` in its parent in the file."""
+        motion, figure, rig = self.motion, self.motion.figure, self.motion.figure.file.rig
+        place, parent = place_of(figure, motion.hips, motion.turns, node), int(rig.parents[node])
+        if self._moves(parent):
+            way = place - place_of(figure, motion.hips, motion.turns, parent)
+            axes = times(self.turn_of(parent), figure.skeleton_from_file @ rig.worlds[parent, :3, :3])
+            return np.asarray(np.linalg.solve(axes, way[..., None])[..., 0])
+        above = np.eye(4) if parent < 0 else rig.worlds[parent]
+        return (self._in_file(place) - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T
+
+    def _moves(self, node: int) -> bool:
+        """Whether a node of the file, -1 for none, is the hips or below them."""
+        return node >= 0 and self.hips in self.motion.figure.file.rig.ancestors(node)
+
+    def shifting(self) -> tuple[int, ...]:
+        """Nodes whose place in their parent changes: the hips, and ends of limbs that hang elsewhere in the file."""
+        figure = self.motion.figure
+        return (self.hips, *np.flatnonzero(figure.rig.parents != figure.file.rig.parents).tolist())
 
     def turning(self) -> tuple[int, ...]:
         """Nodes that turn, parents before their children."""

@@ -46,12 +46,14 @@ from pipeline.joints import JointSet
 _MM_PER_M = 1000.0
 _SECONDS_PER_MINUTE = 60.0
 _SUBJECT = "person"
-# Millimetres that a step of the residual's byte stands for.
-_RESIDUAL_MM = 0.2
+# Millimetres that a step of the residual's byte stands for: ezc3d writes 1 into the header of whatever it writes again,
+# and leaves the parameter, so that other readers refuse any other number then.
+_RESIDUAL_MM = 1.0
 _MAX_BYTE, _MAX_CAMERAS, _MASK_SHIFT = 255, 7, 8
 # Events that the blocks of parameters hold beside the rest.
 _MAX_EVENTS = 2000
 _POINT_BYTES, _ROTATION_NUMBERS = 16, 17
+_INVALID_POINT = np.array([0.0, 0.0, 0.0, -1.0], "<f4").tobytes()
 
 
 def encode(
@@ -87,9 +89,10 @@ def encode(
     first_block = 2 + len(parameter_bytes(groups_at(0))) // BLOCK_BYTES
     yield header_bytes(C3dHeader(len(joints.names), len(frames), -_RESIDUAL_MM, first_block, timebase.frame_rate_hz))
     yield parameter_bytes(groups_at(first_block))
-    yield from _padded(_point_pieces(track, origin_m, frames))
+    # Readers of long takes that take the rest of the last block for frames find no points there.
+    yield from _padded(_point_pieces(track, origin_m, frames), _INVALID_POINT)
     if motion is not None and first_block + num_point_blocks <= MAX_BLOCKS:
-        yield from _padded(_rotation_pieces(motion, track, joints, origin_m, frames))
+        yield from _padded(_rotation_pieces(motion, track, joints, origin_m, frames), bytes(4))
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
@@ -202,13 +205,13 @@ def _rotation_pieces(
         yield values.tobytes()
 
 
-def _padded(pieces: Iterator[bytes]) -> Iterator[bytes]:
-    """Pieces, and zeros to the end of the last block."""
+def _padded(pieces: Iterator[bytes], filling: bytes) -> Iterator[bytes]:
+    """Pieces, and as many fillings as the last block has room for."""
     size = 0
     for piece in pieces:
         size += len(piece)
         yield piece
-    yield bytes(-size % BLOCK_BYTES)
+    yield filling * (-size % BLOCK_BYTES // len(filling))
 
 
 def _num_blocks(num_bytes: int) -> int:

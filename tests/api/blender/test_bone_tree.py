@@ -54,6 +54,10 @@ def test_what_is_wrong_is_said() -> None:
     bones = recognised(mixamo)
     (twice,) = problems_of(mixamo, bones | {"LeftHand": bones["LeftForeArm"]})
     assert bones["LeftForeArm"] in twice
+    parents = list(mixamo.parents)
+    parents[mixamo.names.index(bones["LeftFoot"])] = mixamo.names.index(bones["Hips"])
+    (broken,) = problems_of(BoneTree(mixamo.names, tuple(parents)), bones)
+    assert f"{bones['LeftFoot']} is not below {bones['LeftLeg']}" in broken
     (unknown,) = problems_of(mixamo, bones | {"LeftHand": "no such bone"})
     assert "no such bone" in unknown
 

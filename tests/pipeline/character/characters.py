@@ -90,6 +90,13 @@ def odd_bones() -> Bones:
     return found
 
 
+def ik_bones(hangs_on: Mapping[str, str | None]) -> Bones:
+    """Rig of MakeHuman's data with some bones below others, or at the top, as rigs for inverse kinematics have it."""
+    return {
+        name: (hangs_on.get(name, parent), head, tail) for name, (parent, head, tail) in bones_of("default").items()
+    }
+
+
 def character(
     bones: Bones,
     *,

@@ -14,7 +14,7 @@ from pipeline.character.mapping import bone_table, map_bones, read_bone_table
 from pipeline.character.problems import MAX_NODES
 from pipeline.errors import InputError
 from tests.cases import slow_but
-from tests.pipeline.character.characters import Bones, bones_of, character, glb, odd_bones, parts, vrm
+from tests.pipeline.character.characters import Bones, bones_of, character, glb, ik_bones, odd_bones, parts, vrm
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -142,6 +142,65 @@ def test_the_table_of_a_vrm_counts(version: str) -> None:
     # Version 0.x faces -Z; x is to the left of the character.
     x = -1.0 if version == "0.x" else 1.0
     np.testing.assert_allclose(measure(file, mapping).skeleton_from_file, np.array([[x, 0, 0], [0, 0, -x], [0, 1, 0]]))
+
+
+@pytest.mark.parametrize("ends", [("foot.L",), ("foot.L", "foot.R"), ("wrist.L", "wrist.R")])
+@pytest.mark.parametrize("top", [None, "root", "spine01"])
+def test_ends_of_limbs_that_hang_elsewhere_keep_their_names(ends: tuple[str, ...], top: str | None) -> None:
+    mapping = map_bones(read(ik_bones(dict.fromkeys(ends, top))))
+    assert mapping.method == "names"
+    assert mapping.bones == map_bones(read(bones_of("default"))).bones
+    assert [note.split(":")[0] for note in mapping.notes] == [
+        f"The bone {end} is not below {'lowerleg01' if 'foot' in end else 'lowerarm01'}{end[-2:]}" for end in ends
+    ]
+
+
+def test_a_limb_that_is_broken_within_is_named() -> None:
+    with pytest.raises(InputError) as raised:
+        map_bones(read(ik_bones(dict.fromkeys(("lowerleg01.L", "lowerleg01.R"), "root"))))
+    assert [problem.message for problem in raised.value.problems] == [
+        f"The bone lowerleg01.{side} ({name}Leg) is not below upperleg01.{side} ({name}UpLeg)."
+        for side, name in (("L", "Left"), ("R", "Right"))
+    ]
+
+
+def test_the_shape_never_contradicts_names() -> None:
+    names = {"wrist.L": "grip one", "wrist.R": "grip two"}
+    bones = ik_bones({"lowerarm02.L": "spine01"})
+    renamed: Bones = {
+        names.get(name, name): (parent and names.get(parent, parent), head, tail)
+        for name, (parent, head, tail) in bones.items()
+    }
+    with pytest.raises(InputError, match="recognised as LeftHand, RightHand"):
+        map_bones(read(renamed))
+
+
+def test_a_robot_with_feet_on_the_root_and_palms_in_place_of_hands() -> None:
+    """Bones as three.js' RobotExpressive has them."""
+    up, out = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    bones: Bones = {"Bone": (None, 0 * up, up)}
+    for name, above, height in (
+        *(("Trunk", "Bone", 1.0), ("Hips", "Trunk", 1.0), ("Abdomen", "Hips", 1.1), ("Torso", "Abdomen", 1.3)),
+        *(("Neck", "Torso", 1.5), ("Head", "Neck", 1.6)),
+    ):
+        bones[name] = (above, height * up, (height + 0.1) * up)
+    for letter, way in (("L", out), ("R", -out)):
+        for name, above, x, z in (
+            *(("Shoulder", "Torso", 0.05, 1.45), ("UpperArm", "Shoulder", 0.2, 1.45)),
+            *(("LowerArm", "UpperArm", 0.45, 1.45), ("Palm2", "LowerArm", 0.7, 1.45), ("Thumb", "LowerArm", 0.7, 1.4)),
+            *(("Middle1", "Palm2", 0.8, 1.45), ("UpperLeg", "Trunk", 0.1, 0.95), ("LowerLeg", "UpperLeg", 0.1, 0.5)),
+            *(("LowerLeg_end", "LowerLeg", 0.1, 0.1), ("Foot", "Bone", 0.1, 0.1), ("PoleTarget", "Bone", 0.1, 0.5)),
+        ):
+            place = x * way + z * up - (0.5 * np.array([0, 1.0, 0]) if name == "PoleTarget" else 0.0)
+            bones[f"{name}{letter}"] = (above if above in bones else f"{above}{letter}", place, place + 0.05 * way)
+    mapping = map_bones(read(bones))
+    assert [mapping.bones[f"Right{joint}"] for joint in ("Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")] == [
+        f"{name}R" for name in ("UpperArm", "LowerArm", "Palm2", "UpperLeg", "LowerLeg", "Foot")
+    ]
+    assert (mapping.bones["Hips"], mapping.spine) == ("Trunk", ("Hips", "Abdomen", "Torso"))
+    assert [note.split(".")[0] for note in mapping.notes] == [
+        f"The bone Foot{side} is not below LowerLeg{side}: it hangs on Bone" for side in "LR"
+    ]
 
 
 def test_odd_names_in_centimetres_with_z_up() -> None:

@@ -14,11 +14,13 @@ from pipeline.character.mapping import map_bones
 from pipeline.character.retarget import CharacterMotion, place_of, retarget
 from pipeline.data.animation import Floor, FootContact, SkeletonMotion
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
-from tests.pipeline.character.characters import bones_of, character, odd_bones, twin_bones, vrm
+from tests.pipeline.character.characters import bones_of, character, ik_bones, odd_bones, twin_bones, vrm
 from tests.pipeline.character.takes import take_of
 from tests.pipeline.character.test_mapping import Z_UP
 
-CHARACTERS = ("default", "mixamo", "game_engine", "vrm 0.x", "vrm 1.0", "odd")
+CHARACTERS = ("default", "mixamo", "game_engine", "vrm 0.x", "vrm 1.0", "odd", "ik")
+# Feet at the top, a hand below the hips, a hand below the chest.
+IK_PARENTS = {"foot.L": None, "foot.R": None, "wrist.L": "root", "wrist.R": "spine01"}
 TAKES = (
     *(("walk", "feet", 4.0), ("walk", "body", 4.0)),
     *(pytest.param(take, marks=pytest.mark.slow) for take in (("cartwheel", "body", 5.0), ("handstand", "body", 6.0))),
@@ -32,6 +34,8 @@ def figure(name: str) -> CharacterFigure:
     match name.split():
         case ["vrm", version]:
             content = vrm(version)
+        case ["ik"]:
+            content = character(ik_bones(IK_PARENTS), unit=100.0, turn=Z_UP)
         case ["odd"]:
             content = character(odd_bones(), unit=100.0, turn=Z_UP)
         case _:
@@ -71,6 +75,15 @@ def test_limbs_of_a_twin_have_the_person_s_directions(take: tuple[str, str, floa
     figures = figures_of(motion)
     assert figures.direction_deg[0] <= 0.5
     assert figures.direction_deg[1] <= 3.0
+
+
+def test_hands_and_feet_that_hang_elsewhere_move_as_if_they_hung_on_their_limbs() -> None:
+    animation = take_of("walk", "feet", 4.0)
+    file = decode_character("whole.glb", character(bones_of("default"), unit=100.0, turn=Z_UP))
+    whole = retarget(animation.motions[0], measure(file, map_bones(file)), animation.floor)
+    ends = retarget(animation.motions[0], figure("ik"), animation.floor)
+    for joint in ("LeftFoot", "RightToeBase", "LeftHand", "RightHandIndex3"):
+        np.testing.assert_allclose(places(ends, joint), places(whole, joint), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", CHARACTERS)

@@ -104,7 +104,7 @@ def test_three_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_ufbx_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     contents = {}
-    for name in ("default", "game_engine", "vrm 1.0", "odd"):
+    for name in ("default", "game_engine", "vrm 1.0", "odd", "ik"):
         # Its reader here takes the times of the first curve for those of all.
         content = replace(posed(name), is_present=np.ones(len(posed(name).frames), bool))
         contents[written(content, tmp_path / f"{name}.fbx")] = content
@@ -119,7 +119,9 @@ def test_ufbx_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_blender_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
-    files = [written(posed(name), tmp_path / f"{name}.{e}") for name in ("default", "odd") for e in ("glb", "fbx")]
+    files = [
+        written(posed(name), tmp_path / f"{name}.{e}") for name in ("default", "odd", "ik") for e in ("glb", "fbx")
+    ]
     for path, read in read_with_blender([(path, 25.0, {}) for path in files], tmp_path).items():
         content = posed(path.stem)
         bones, motion = content.bones(), content.motion
