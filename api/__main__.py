@@ -8,6 +8,7 @@ import ssl
 import sys
 
 import uvicorn
+from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.app import create_app
@@ -37,6 +38,7 @@ def main() -> None:
     keep_files_private()
     settings = read_settings(Settings)
     configure_logs(settings.log_level)
+    lock = _locked(settings)  # until this process ends
     _check_database(settings)
     _check_certificate(settings)
     # A response needs the interpreter lock many times: threads that receive uploads have to release it sooner.
@@ -52,6 +54,23 @@ def main() -> None:
     gc.freeze()
     uvicorn.Server(server_config(app, settings)).run(sockets=None if fd is None else [socket.socket(fileno=fd)])
     tracing.stop()
+    lock.release()
+
+
+def _locked(settings: Settings) -> FileLock:
+    """Lock the data folder against other API processes, which would empty its spool; exit with a message if it is."""
+    lock = FileLock(settings.data_dir / "api.lock", timeout=0)
+    try:
+        make_private(settings.data_dir)
+        lock.acquire()
+    except Timeout:
+        sys.exit(
+            f"error: Another API process runs on the folder {settings.data_dir}. Stop it, or give each process a "
+            "MULTICAP_DATA_DIR of its own."
+        )
+    except OSError as error:
+        sys.exit(f"error: The folder {settings.data_dir} can't be used: {error.strerror}. Choose another folder.")
+    return lock
 
 
 def _check_certificate(settings: Settings) -> None:

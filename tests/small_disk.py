@@ -9,10 +9,11 @@ import pytest
 
 
 @contextlib.contextmanager
-def small_disk(folder: Path, num_mib: int) -> Iterator[Path]:
+def small_disk(folder: Path, num_mib: int, num_inodes: int | None = None) -> Iterator[Path]:
     """Mount a disk at a folder during the block; skip the test without the right to mount."""
     folder.mkdir(exist_ok=True)
-    command = ["mount", "-t", "tmpfs", "-o", f"size={num_mib}m", "tmpfs", str(folder)]
+    options = f"size={num_mib}m" + ("" if num_inodes is None else f",nr_inodes={num_inodes}")
+    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
     if subprocess.run(command, check=False, capture_output=True).returncode != 0:
         pytest.skip("this machine lets nobody mount a small disk")
     try:

@@ -24,6 +24,7 @@ from pipeline.stages.code import stage_codes
 from worker.jobs.errors import Conflict, DamagedDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
+from worker.jobs.files.orphans import orphaned_prefixes
 from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.files.removals import remove_files
 from worker.jobs.outages import Outage, outage_of
@@ -36,6 +37,9 @@ from worker.telemetry.logs import configure_logs
 from worker.webhooks.sender import Sender, deliver_forever
 
 log = structlog.get_logger()
+
+# Time between two looks for files without a row.
+_ORPHANS_EVERY_S = 6 * 3600.0
 
 
 class Reaper:
@@ -67,6 +71,7 @@ class Reaper:
         # After an outage of the database, workers have the time of a lease to renew theirs.
         self._leases_kept_until_s = -math.inf
         self._is_database_away = False
+        self._orphans_due_s = -math.inf
         self._is_broker_away = True  # a reaper before this one may have let jobs wait
 
     def reap(self) -> None:
@@ -76,7 +81,7 @@ class Reaper:
         """
         # Each step runs even if another fails: on a full disk the last step makes space for the others.
         steps = self._free_leases, self._plan_again, self._queue_visuals, self._expire, self._delete_videos
-        for step in (*steps, self._remove):
+        for step in (*steps, self._remove, self._look_for_orphans):
             try:
                 step()
             except DamagedDatabase:
@@ -145,6 +150,14 @@ class Reaper:
 
     def _remove(self) -> None:
         self._disk.using_reserve(lambda: remove_files(self._store.removals, self._artifacts))
+
+    def _look_for_orphans(self) -> None:
+        if time.monotonic() < self._orphans_due_s:
+            return
+        self._orphans_due_s = time.monotonic() + _ORPHANS_EVERY_S
+        if orphans := orphaned_prefixes(self._store.removals, self._artifacts):
+            hint = "The database does not know them, as after a restore. `multicap doctor` lists and removes them."
+            log.warning("orphaned_files", folders=len(orphans), hint=hint)
 
 
 def main() -> None:

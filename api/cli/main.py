@@ -33,6 +33,7 @@ COMMANDS: Mapping[str, str] = {
     "keys": "API keys of the service: create, list, revoke.",
     "webhooks": "Webhooks of the service: secrets and undelivered messages.",
     "audit": "Audit trail: creations, changes and deletions in the service.",
+    "doctor": "Look for what is wrong with a service: database, disk, files that belong to nothing.",
     "backup": "Backups of the service: create, restore, verify.",
     "simulate": "Write a simulated scene: keypoints, timestamps, calibration and the truth.",
     "evaluate": "Accuracy against a known truth.",

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import weakref
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
@@ -30,16 +31,17 @@ class JobUpdate:
     event: int | None
 
 
-@dataclass(eq=False, slots=True)
-class _Watch:
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class Watch:
     """Subscription of a stream to a job. A slow reader gets the latest update only."""
 
     owner: str
     job_id: str
-    last_change: Change | None
+    last_change: Change | None = None  # Last change that the stream knows; without it the current state comes first
     updates: asyncio.Queue[JobUpdate] = field(default_factory=lambda: asyncio.Queue(1))
 
     def put(self, update: JobUpdate) -> None:
+        """Replace the update that waits."""
         with contextlib.suppress(asyncio.QueueEmpty):
             self.updates.get_nowait()
         self.updates.put_nowait(update)
@@ -53,12 +55,17 @@ class JobChanges:
 
     def __init__(self, store: JobStore, max_streams: int) -> None:
         self._store, self._max_streams = store, max_streams
-        self._watches: set[_Watch] = set()
+        self._watches: set[Watch] = set()
+        # Also streams whose response has not begun; one that never begins is dropped with its response.
+        self._open: weakref.WeakSet[Watch] = weakref.WeakSet()
         self._is_watched = asyncio.Event()
 
-    def require_room(self, owner: str) -> None:
-        """Raise 429 if an owner has as many streams as allowed."""
-        if sum(watch.owner == owner for watch in self._watches) >= self._max_streams:
+    def open(self, owner: str, job_id: str) -> Watch:
+        """Take a stream of an owner, a tenant or the network of a client without a key; 429 if it has all of its own.
+
+        The stream is given back when ``follow`` ends, or when the watch is dropped.
+        """
+        if sum(watch.owner == owner for watch in self._open) >= self._max_streams:
             raise ApiError(
                 TOO_MANY_STREAMS,
                 f"At most {self._max_streams} event streams may be open.",
@@ -66,14 +73,12 @@ class JobChanges:
                 retryable=True,
                 headers={"Retry-After": str(_RETRY_AFTER_S)},
             )
+        watch = Watch(owner, job_id)
+        self._open.add(watch)
+        return watch
 
-    async def follow(self, owner: str, job_id: str, known: Change | None) -> AsyncIterator[JobUpdate]:
-        """Yield the updates of a job until it has ended or was deleted.
-
-        ``owner`` is a tenant, or the network of a client without a key. Without a last ``known`` change the first
-        update is the current state.
-        """
-        watch = _Watch(owner, job_id, known)
+    async def follow(self, watch: Watch) -> AsyncIterator[JobUpdate]:
+        """Yield the updates of a job until it has ended or was deleted."""
         self._watches.add(watch)
         self._is_watched.set()
         try:
@@ -84,6 +89,7 @@ class JobChanges:
                     return
         finally:
             self._watches.discard(watch)
+            self._open.discard(watch)
 
     async def poll(self) -> None:
         """Poll the database as long as a job is watched; runs until it is canceled."""
@@ -104,7 +110,7 @@ class JobChanges:
         # Streams that are opened during the query wait for the next poll.
         watches = list(self._watches)
         changes = await run_in_threadpool(self._store.jobs.changes, {watch.job_id for watch in watches})
-        outdated: dict[str, list[_Watch]] = {}
+        outdated: dict[str, list[Watch]] = {}
         for watch in watches:
             if watch.job_id not in changes:
                 watch.put(JobUpdate(None, None))

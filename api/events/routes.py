@@ -12,11 +12,11 @@ from api.auth import Caller, EventsViewDep, ViewerDep
 from api.contract.description import problems
 from api.contract.resource import Resource
 from api.dependencies import JobId, Services, ServicesDep
+from api.events.changes import Watch
 from api.jobs.examples import JOB
 from api.jobs.schemas import JobOut
 from worker.jobs.errors import NotFound
 from worker.jobs.model.states import FINISHED
-from worker.jobs.model.work import Change
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["jobs"])
 
@@ -52,24 +52,22 @@ async def stream_job_events(
     with the job. A client that reconnects with `Last-Event-ID` gets one event with the current job as soon as it
     differs from the last event seen. An event `gone` reports that the job was deleted.
     """
-    owner = caller.owner
-    services.changes.require_room(owner)
+    watch = services.changes.open(caller.owner, job_id)
     change = (await run_in_threadpool(records.jobs.changes, [job_id])).get(job_id)
     if change is None:
         raise NotFound("There is no such job.")
     seen_all = last_event_id == str(change.event)
     if seen_all and (await run_in_threadpool(records.jobs.get, job_id)).state in FINISHED:
         return Response(status_code=204)
-    events = _events(services, caller, job_id, change if seen_all else None)
+    watch.last_change = change if seen_all else None
+    events = _events(services, caller, watch)
     return EventSourceResponse(
         events, ping=_PING_S, send_timeout=_SEND_TIMEOUT_S, headers={"Cache-Control": "no-store"}
     )
 
 
-async def _events(
-    services: Services, caller: Caller, job_id: str, known: Change | None
-) -> AsyncIterator[ServerSentEvent]:
-    async for update in services.changes.follow(caller.owner, job_id, known):
+async def _events(services: Services, caller: Caller, watch: Watch) -> AsyncIterator[ServerSentEvent]:
+    async for update in services.changes.follow(watch):
         if update.job is None:
             yield ServerSentEvent(event="gone", data="{}")
         else:

@@ -131,6 +131,9 @@ def _database_check(store: JobStore) -> ErrorItem | None:
 def _disk_check(disk: DiskSpace) -> ErrorItem | None:
     if disk.has_room():
         return None
+    if not disk.has_inodes:
+        message = "The disk has no inodes left for new files, so nothing new is accepted."
+        return ErrorItem(code=STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed.")
     left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
     message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is accepted."
     return ErrorItem(code=STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed.")

@@ -183,6 +183,9 @@ def _too_slow() -> HTTPException:
 class TusProtocol(HttpMiddleware):
     """Rules of tus for all requests to uploads: overridden methods, and the version in every response.
 
+    A HEAD that fails by the service's fault is 423: clients that meet 5xx there (tus-js-client) forget the upload and
+    send the file anew, while they ask again after 423.
+
     ``prefix`` is that of the paths of uploads.
     """
 
@@ -195,15 +198,18 @@ class TusProtocol(HttpMiddleware):
         if not scope["path"].startswith(self._prefix):
             await self._app(scope, receive, send)
             return
+        override = Headers(scope=scope).get("x-http-method-override", "").upper()
+        method = override if scope["method"] == "POST" else scope["method"]
 
         async def send_versioned(message: Message) -> None:
             if message["type"] == "http.response.start":
                 MutableHeaders(scope=message)["Tus-Resumable"] = self._version
+                if method == "HEAD" and message["status"] >= HTTPStatus.INTERNAL_SERVER_ERROR:
+                    message = {**message, "status": HTTPStatus.LOCKED}
             await send(message)
 
         # Some proxies and browsers can't send PATCH. Inner middleware and routes see the overriding method. The server
         # still sees POST, which decides how the response is framed.
-        method = Headers(scope=scope).get("x-http-method-override", "").upper()
         if scope["method"] != "POST" or method not in _METHODS_BY_POST:
             await self._app(scope, receive, send_versioned)
             return

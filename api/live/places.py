@@ -8,11 +8,8 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 
-from limits import RateLimitItemPerMinute
-from limits.storage import MemoryStorage
-from limits.strategies import MovingWindowRateLimiter
-
 from api.errors import ApiError, service_unavailable
+from api.http.rates import MovingMinute
 from pipeline.problem_codes.requests import CAPTURES_BUSY, TOO_MANY_BAD_CAPTURES, TOO_MANY_CAPTURES
 
 _RETRY_AFTER_S = 10
@@ -36,8 +33,7 @@ class LivePlaces:
         self._starts = asyncio.Semaphore(max(1, len(os.sched_getaffinity(0)) // 2))
         self._max_captures, self._max_of_owner = max_captures, max_of_owner
         self._open: Counter[str] = Counter()
-        self._bad = RateLimitItemPerMinute(max_bad_per_minute)
-        self._limiter = MovingWindowRateLimiter(MemoryStorage())
+        self._bad = MovingMinute(max_bad_per_minute)
 
     @contextlib.asynccontextmanager
     async def starting(self) -> AsyncIterator[None]:
@@ -52,7 +48,7 @@ class LivePlaces:
 
     def note_bad(self, owner: str) -> None:
         """Count a capture that ended by a fault of the client."""
-        self._limiter.hit(self._bad, owner)
+        self._bad.hit(owner)
 
     @contextlib.contextmanager
     def taken(self, owner: str) -> Iterator[None]:
@@ -60,14 +56,14 @@ class LivePlaces:
 
         Raises 429 if the owner has all of its places, or had too many bad captures, 503 if all places are taken.
         """
-        if not self._limiter.test(self._bad, owner):
-            reset_s = self._limiter.get_window_stats(self._bad, owner).reset_time - time.time()
+        bad = self._bad.state(owner)
+        if not bad.is_allowed:
             raise ApiError(
                 TOO_MANY_BAD_CAPTURES,
-                f"{self._bad.amount} live captures ended by problems of the client within a minute.",
+                f"{self._bad.limit} live captures ended by problems of the client within a minute.",
                 hint="Correct the client as the problems say, and begin the next capture later.",
                 retryable=True,
-                headers={"Retry-After": str(max(1, math.ceil(reset_s)))},
+                headers={"Retry-After": str(max(1, math.ceil(bad.reset_s)))},
             )
         if self._open[owner] >= self._max_of_owner:
             raise ApiError(

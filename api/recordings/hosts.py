@@ -109,7 +109,7 @@ class HostConnection:
 
     def _state(self) -> HostState:
         room, now_s = self._room, server_s()
-        is_new = room.recording.revision > self._shown_revision
+        is_new = room.recording.revision != self._shown_revision
         self._shown_revision = room.recording.revision
         return HostState(
             recording=RecordingOut.of(room.recording, now_s) if is_new else None,

@@ -90,8 +90,12 @@ class Room:
     def update(self, recording: RecordingSession) -> None:
         """Take a newer state of the rows, and let everybody here know."""
         if recording.revision > self.recording.revision:
-            self.recording = recording
-            self.wake_all()
+            self.replace(recording)
+
+    def replace(self, recording: RecordingSession) -> None:
+        """Take a state of the rows, also an earlier one: a database may be restored under the running service."""
+        self.recording = recording
+        self.wake_all()
 
     def changed(self, recording: RecordingSession) -> None:
         """Take the state after a change of this process, and let everybody know."""
@@ -243,13 +247,17 @@ class Rooms:
     async def refresh(self) -> None:
         """Read what has changed of all rooms."""
         rooms = dict(self._rooms)
+        known = {recording_id: room.recording.revision for recording_id, room in rooms.items()}
         revisions = await run_in_threadpool(self._store.recordings.revisions, list(rooms))
         for recording_id, room in rooms.items():
             if recording_id not in revisions:
                 room.end()
-            elif revisions[recording_id] > room.recording.revision:
+            elif revisions[recording_id] != room.recording.revision:
                 with contextlib.suppress(NotFound):  # it has ended just now
-                    room.update(await run_in_threadpool(self._store.recordings.get, recording_id))
+                    recording = await run_in_threadpool(self._store.recordings.get, recording_id)
+                    # The rows were read after the known state: an earlier one is that of a restored database.
+                    is_restored = revisions[recording_id] < known[recording_id]
+                    (room.replace if is_restored else room.update)(recording)
 
     async def _poll_forever(self) -> None:
         tell_s = 0.0

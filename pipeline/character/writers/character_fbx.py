@@ -111,10 +111,14 @@ def _animate(scene: FbxScene, clip: Clip, held: PosedCharacter, models: dict[int
     """Add the curves of the place of each bone that shifts and of the rotation of each bone that turns."""
     for node in held.shifting():
         places = held.translations(node) * _UNITS
-        scene.animate(clip, models[node], TRANSLATION, places[0], lambda axis, places=places: places[:, axis])
+        scene.animate(clip, models[node], TRANSLATION, places[0], partial(_column, places))
     angles = _Angles(held)
     for place, node in enumerate(held.turning()):
         scene.animate(clip, models[node], ROTATION, angles.first[place], partial(angles.of, place))
+
+
+def _column(values: Float[np.ndarray, "frames 3"], axis: int) -> Float[np.ndarray, " frames"]:
+    return values[:, axis]
 
 
 class _Angles:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from filelock import FileLock
 from typer.testing import CliRunner
 
 from api.cli.commands import keys
@@ -464,6 +465,20 @@ def test_a_database_of_a_newer_version_is_a_sentence(tmp_path: Path, command: li
     assert NEWER in done.stderr
     assert "Traceback" not in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_second_api_process_on_a_folder_is_refused_and_empties_no_spool(tmp_path: Path) -> None:
+    being_received = tmp_path / "spool" / "a session" / "cam_0.mp4"
+    being_received.parent.mkdir(parents=True)
+    being_received.write_bytes(b"frames")
+    environment = os.environ | {"MULTICAP_DATA_DIR": str(tmp_path), "MULTICAP_PORT": "0"}
+    with FileLock(tmp_path / "api.lock"):
+        done = subprocess.run(
+            [sys.executable, "-m", "api"], env=environment, capture_output=True, text=True, timeout=180, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: Another API process runs on the folder")
+    assert being_received.read_bytes() == b"frames"
 
 
 def test_a_key_is_revoked_on_a_full_disk_and_none_is_made(tmp_path: Path) -> None:

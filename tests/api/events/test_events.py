@@ -9,6 +9,8 @@ from typing import Any
 import httpx2
 import pytest
 
+from api.errors import ApiError
+from api.events.changes import JobChanges
 from tests.api.conftest import Live, problem_of
 from tests.cases import slow_but
 
@@ -169,6 +171,17 @@ def test_a_stream_opened_during_a_poll_gets_an_event_number(live: Live, monkeypa
 
 
 @pytest.mark.slow
+def test_streams_whose_response_has_not_begun_count(live: Live) -> None:
+    changes = JobChanges(live.services.store, max_streams=2)
+    streams = [changes.follow(changes.open("studio", "job")) for _ in range(2)]
+    with pytest.raises(ApiError, match="At most 2 event streams"):
+        changes.open("studio", "job")
+    changes.open("other", "job")
+    # A response that is dropped before it has begun gives its stream back.
+    streams.pop()
+    changes.open("studio", "job")
+
+
 def test_closed_streams_end_the_polling(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     job_id = live.job_id()
     url = f"http://{live.address[0]}:{live.address[1]}/v1/jobs/{job_id}/events"

@@ -98,12 +98,12 @@ def test_others_cannot_name_clients(guarded: tuple[Live, dict[str, str]]) -> Non
     assert [answer.status_code for answer in answers] == [401] * LIMIT + [429]
 
 
-def test_a_minute_later_the_count_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_keys_count_for_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = itertools.count(0.0, 25.0)
     monkeypatch.setattr("api.http.rates.time.monotonic", lambda: next(clock))
     wrong_keys = WrongKeys(5)
     left = [wrong_keys.count("192.0.2.1")["RateLimit-Remaining"] for _ in range(5)]  # at 0, 25, 50, 75, 100 s
-    assert left == ["4", "3", "2", "4", "3"]
+    assert left == ["4", "3", "2", "2", "2"]
 
 
 def test_networks_are_forgotten_before_they_fill_the_memory() -> None:

@@ -19,6 +19,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from sqlalchemy.exc import OperationalError
 from starlette.requests import ClientDisconnect
 
 from api.settings import Settings
@@ -30,6 +31,7 @@ from tests.waiting import wait_for
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.model.sessions import Upload
 from worker.jobs.repositories.sessions import Sessions
+from worker.jobs.repositories.uploads import Uploads
 
 TUS = {"Tus-Resumable": "1.0.0"}
 PIECE = TUS | {"Content-Type": "application/offset+octet-stream"}
@@ -309,6 +311,22 @@ def test_an_upload_is_locked_while_another_process_writes(live: Live, tus: Uploa
         fcntl.flock(file, fcntl.LOCK_EX)
         assert problem_of(tus.send(address, 0, b"pose"), 423, "upload_locked")["retryable"]
     assert tus.send(address, 0, b"pose").status_code == 204
+
+
+def test_a_question_for_the_offset_during_an_outage_is_asked_again(
+    live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """tus-js-client forgets an upload at 5xx and sends the file anew; at 423 it waits."""
+    address = tus.begin(4)
+
+    def away(*_: object) -> None:
+        raise OperationalError("SELECT", {}, sqlite3.OperationalError("unable to open database file"))
+
+    monkeypatch.setattr(Uploads, "get", away)
+    answer = live.client.head(address, headers={"Tus-Resumable": "1.0.0"})
+    assert (answer.status_code, answer.headers["Retry-After"]) == (423, "5")
+    monkeypatch.undo()
+    assert tus.offset(address) == 0
 
 
 def test_a_full_disk_keeps_what_there_was_room_for(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:

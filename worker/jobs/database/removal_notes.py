@@ -1,11 +1,11 @@
-"""Notes of files to be removed from the artifact store, in the transaction that makes the files superfluous."""
+"""What a deletion leaves: files to be removed from the artifact store, and kept answers that name what is gone."""
 
 from datetime import timedelta
 
-from sqlalchemy import Connection, delete, insert
+from sqlalchemy import Connection, Text, cast, delete, insert
 
 from worker.jobs.database.connection import now
-from worker.jobs.database.tables import removals
+from worker.jobs.database.tables import idempotency_keys, removals
 
 # Files of a session take less than this to reach the artifact store; a session that is not added by then never is.
 _ARRIVAL = timedelta(days=1)
@@ -28,3 +28,10 @@ def remove_unless_kept(connection: Connection, prefix: str) -> None:
 def keep(connection: Connection, prefix: str) -> bool:
     """Delete the removals of some files; ``False`` if the files are removed already."""
     return connection.execute(delete(removals).where(removals.c.prefix == prefix)).rowcount > 0
+
+
+def forget_answers(connection: Connection, tenant: str, record_id: str) -> None:
+    """Forget the idempotency keys of a tenant whose answers have the id of a deleted record: they have its name too."""
+    answer = cast(idempotency_keys.c.answer, Text)
+    is_answered = (idempotency_keys.c.tenant == tenant) & answer.contains(record_id)
+    connection.execute(delete(idempotency_keys).where(is_answered))

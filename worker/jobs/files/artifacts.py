@@ -176,6 +176,9 @@ class ArtifactStore(Protocol):
     def delete_prefix(self, prefix: str) -> None:
         """Remove every file whose key begins with ``prefix``, which ends with a slash."""
 
+    def names(self, prefix: str) -> list[str]:
+        """Names of the folders directly below a prefix, which ends with a slash."""
+
     def ping(self) -> bool:
         """Whether files can be stored now."""
 
@@ -275,6 +278,12 @@ class LocalArtifacts:
         """Remove a folder with its content."""
         require_prefix(prefix)
         shutil.rmtree(self._path(prefix.removesuffix("/")), onerror=_unless_gone)
+
+    def names(self, prefix: str) -> list[str]:
+        """Names of folders in a folder."""
+        require_prefix(prefix)
+        folder = self._root / prefix
+        return sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
 
     def ping(self) -> bool:
         """Whether files can be stored now."""

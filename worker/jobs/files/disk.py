@@ -17,6 +17,8 @@ from sqlalchemy.exc import DBAPIError
 
 _MIB = 2**20
 _RESERVE_NAME = "reserve"
+# Inodes that are kept free for work under way: a twentieth, and at most so many.
+_MAX_INODE_HEADROOM = 1000
 _MAX_HEADROOM_BYTES = 256 * _MIB
 _MAX_RESERVE_BYTES = 32 * _MIB
 
@@ -87,9 +89,15 @@ class DiskSpace:
         status = os.statvfs(self._folder)
         return min(_MAX_HEADROOM_BYTES, status.f_blocks * status.f_frsize // 20)
 
+    @property
+    def has_inodes(self) -> bool:
+        """Whether new files can be made; file systems without a fixed number of inodes state 0 of 0."""
+        status = os.statvfs(self._folder)
+        return status.f_favail >= min(_MAX_INODE_HEADROOM, status.f_files // 20)
+
     def has_room(self, num_bytes: int = 0) -> bool:
-        """Whether the headroom stays free after so many bytes are written."""
-        return self.free_bytes >= self.headroom_bytes + num_bytes
+        """Whether files can be made, and the headroom stays free after so many bytes are written."""
+        return self.has_inodes and self.free_bytes >= self.headroom_bytes + num_bytes
 
     def require_room(self, num_bytes: int = 0) -> None:
         """Raise ``OSError`` (ENOSPC) unless ``has_room``."""

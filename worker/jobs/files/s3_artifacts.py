@@ -110,6 +110,13 @@ class S3Artifacts:
             for some in obstore.list(self._store, prefix.removesuffix("/"), chunk_size=1000):
                 obstore.delete(self._store, [listed["path"] for listed in some])
 
+    def names(self, prefix: str) -> list[str]:
+        """Names up to the next slash of the objects below a prefix."""
+        require_prefix(prefix)
+        with reached(self._store, prefix):
+            listed = obstore.list_with_delimiter(self._store, prefix.removesuffix("/"))
+        return sorted(path.removesuffix("/").rpartition("/")[2] for path in listed["common_prefixes"])
+
     def signed_url(self, key: str, lifetime_s: float) -> str | None:
         """Address at which the object can be downloaded for a while without a key."""
         require_key(key)

@@ -11,7 +11,7 @@ from uuid_utils import uuid7
 from pipeline.job_choices import CalibrationChoices
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
-from worker.jobs.database.removal_notes import remove_later
+from worker.jobs.database.removal_notes import forget_answers, remove_later
 from worker.jobs.database.rows import calibration_of
 from worker.jobs.database.tables import calibrations, jobs, sessions
 from worker.jobs.errors import Conflict, NotFound
@@ -87,6 +87,7 @@ class Calibrations:
             if row.method != "file":
                 remove_later(connection, job_prefix(row.id))
                 connection.execute(delete(jobs).where(jobs.c.id == row.id))
+            forget_answers(connection, row.tenant, row.id)
             record_event(connection, self._access.actor, row.tenant, AuditAction.CALIBRATION_DELETED, row.id)
             connection.execute(delete(calibrations).where(calibrations.c.id == row.id))
 

@@ -10,7 +10,7 @@ from uuid_utils import uuid7
 
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
-from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
+from worker.jobs.database.removal_notes import forget_answers, keep, remove_later, remove_unless_kept
 from worker.jobs.database.rows import character_of, character_summary_of
 from worker.jobs.database.tables import characters
 from worker.jobs.errors import Conflict, NotFound
@@ -136,6 +136,7 @@ class Characters:
         with self._access.writing() as connection:
             row = self._row(connection, character_id)
             remove_later(connection, character_prefix(row.id))
+            forget_answers(connection, row.tenant, row.id)
             record_event(connection, self._access.actor, row.tenant, AuditAction.CHARACTER_DELETED, row.id)
             connection.execute(delete(characters).where(characters.c.id == row.id))
 

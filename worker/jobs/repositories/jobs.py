@@ -12,7 +12,7 @@ from pipeline.edits import PeopleEdit, document_of
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.listed_results import has_visuals, remove_unlisted
-from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
+from worker.jobs.database.removal_notes import forget_answers, keep, remove_later, remove_unless_kept
 from worker.jobs.database.rows import edits_of, job_character_of, jobs_of, making_of, select_jobs
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
@@ -259,6 +259,7 @@ class Jobs:
                 raise Conflict("The job is unfinished; cancel it first.")
             delete_visuals_job(connection, job_id)
             remove_later(connection, job_prefix(job_id))
+            forget_answers(connection, job.tenant, job_id)
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_DELETED, job_id)
             forget_unmade(connection, job_id)
             connection.execute(delete(jobs).where(jobs.c.id == job_id))

@@ -15,6 +15,7 @@ from uuid_utils import uuid7
 
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
+from worker.jobs.database.removal_notes import forget_answers
 from worker.jobs.database.tables import clips, phones, recordings, takes, uploads
 from worker.jobs.errors import Conflict, NotFound, PhoneRemoved
 from worker.jobs.model.recordings import (
@@ -89,6 +90,7 @@ class Recordings:
         """Delete a recording with the uploads of its phones that no session took; ``NotFound`` if there is none."""
         with self._access.writing() as connection:
             row = self._lock(connection, recording_id)
+            forget_answers(connection, row.tenant, recording_id)
             record_event(connection, self._access.actor, row.tenant, AuditAction.RECORDING_DELETED, recording_id)
             _delete(connection, [recording_id])
 

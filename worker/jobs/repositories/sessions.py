@@ -15,7 +15,7 @@ from pipeline.config import DEFAULT_CHUNK_FRAMES
 from pipeline.job_choices import BLURRED_KIND
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
-from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
+from worker.jobs.database.removal_notes import forget_answers, keep, remove_later, remove_unless_kept
 from worker.jobs.database.rows import session_of
 from worker.jobs.database.tables import BLURS_FACES, jobs, results, sessions
 from worker.jobs.errors import Conflict, NotFound
@@ -164,6 +164,7 @@ class Sessions:
                 remove_later(connection, job_prefix(job.id))
                 forget_unmade(connection, job.id)
             remove_later(connection, session_prefix(session_id))
+            forget_answers(connection, tenant, session_id)
             record_event(connection, self._access.actor, tenant, AuditAction.SESSION_DELETED, session_id)
             connection.execute(delete(sessions).where(sessions.c.id == session_id))
 

@@ -196,7 +196,7 @@ def character(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "scale": motion.scale,
         "present": [10, source.frames.stop],
         "hips": posed.hips,
-        "places": held.hips_translations().tolist(),
+        "places": held.translations(held.hips).tolist(),
         "turning": posed.turning(),
         "quaternions": held.quaternions(posed.turning()[-1]).tolist(),
     }

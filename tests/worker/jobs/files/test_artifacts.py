@@ -23,20 +23,6 @@ from worker.jobs.files.stores import open_artifacts
 KEY = "sessions/0190/stages/detect-0.npz"
 
 
-@pytest.fixture
-def on_s3(s3: S3, monkeypatch: pytest.MonkeyPatch) -> S3:
-    """With the environment that says where it is."""
-    for name, value in s3.environment.items():
-        monkeypatch.setenv(name, value)
-    return s3
-
-
-@pytest.fixture(params=["folder", "s3"])
-def artifacts(request: pytest.FixtureRequest, tmp_path: Path) -> ArtifactStore:
-    url = "" if request.param == "folder" else request.getfixturevalue("on_s3").new_url()
-    return open_artifacts(url, tmp_path)
-
-
 def sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 

@@ -27,6 +27,19 @@ def test_headroom_is_a_part_of_the_disk_unless_somebody_says_how_much(disk: Path
     assert not DiskSpace(disk, 16 * 2**20).has_room(1)
 
 
+def test_a_disk_without_inodes_has_no_room(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", 16, num_inodes=200) as disk:
+        space = DiskSpace(disk)
+        assert space.has_room()
+        with contextlib.suppress(OSError):
+            for number in range(200):
+                (disk / str(number)).touch()
+        assert space.free_bytes > space.headroom_bytes
+        assert not space.has_room()
+        (disk / "0").unlink()
+        assert not space.has_room()  # work under way needs some
+
+
 def test_the_reserve_is_room_that_only_deleting_gets(disk: Path) -> None:
     space = DiskSpace(disk)
     free_bytes = space.free_bytes

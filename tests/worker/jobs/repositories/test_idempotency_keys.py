@@ -163,3 +163,22 @@ def test_a_key_whose_claim_ran_out_is_free_for_any_request(jobs: StoreBench) -> 
     with pytest.raises(Conflict):
         make(jobs, records, lost)
     assert records.idempotency_keys.claim("key", "e" * 64, 60.0) == answer_of(job)
+
+
+def test_answers_that_name_what_was_deleted_are_forgotten(jobs: StoreBench) -> None:
+    records, others = of(jobs), of(jobs, "others")
+    job = make(jobs, records, claim(records))
+    for owner, key, body in (
+        *((records, "session", jobs.session_id), (records, "calibration", "rig")),
+        (others, "theirs", jobs.session_id),
+    ):
+        claimed = claim(owner, key)
+        owner.idempotency_keys.answer(claimed, {"status": 201, "headers": {}, "body": body})
+    jobs.finish_all()
+    records.jobs.delete(job.id)
+    assert not records.idempotency_keys.is_answered("key")
+    assert records.idempotency_keys.is_answered("session")
+    records.sessions.delete(jobs.session_id)
+    assert not records.idempotency_keys.is_answered("session")
+    assert records.idempotency_keys.is_answered("calibration")
+    assert others.idempotency_keys.is_answered("theirs")

@@ -4,16 +4,21 @@ A removal is noted in the transaction that makes the files superfluous, and carr
 killed in between loses nothing: the reaper looks for removals that are due.
 """
 
-from sqlalchemy import delete, select
+from collections.abc import Collection, Sequence
+
+from sqlalchemy import delete, select, union_all
 
 from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import remove_later
-from worker.jobs.database.tables import jobs, removals
+from worker.jobs.database.tables import characters, jobs, removals, sessions
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import delete_visuals_job, lock_job, move_job
 from worker.jobs.files.artifacts import job_prefix
 from worker.jobs.model.states import JobState
 from worker.jobs.model.work import Removal
+
+# Ids that one query asks for.
+_MAX_IDS = 500
 
 
 class Removals:
@@ -44,6 +49,22 @@ class Removals:
         query = select(removals.c.id, removals.c.prefix).where(removals.c.due_at <= now()).order_by(removals.c.id)
         with self._transactions.reading() as connection:
             return [Removal(row.id, row.prefix) for row in connection.execute(query)]
+
+    def known_ids(self, ids: Sequence[str]) -> set[str]:
+        """Those of some ids that a session, a job or a character has."""
+        known: set[str] = set()
+        with self._transactions.reading() as connection:
+            for start in range(0, len(ids), _MAX_IDS):
+                some = ids[start : start + _MAX_IDS]
+                queries = [select(table.c.id).where(table.c.id.in_(some)) for table in (sessions, jobs, characters)]
+                known |= set(connection.scalars(union_all(*queries)))
+        return known
+
+    def add(self, prefixes: Collection[str]) -> None:
+        """Note files for removal."""
+        with self._transactions.writing() as connection:
+            for prefix in prefixes:
+                remove_later(connection, prefix)
 
     def done(self, removal_id: int) -> None:
         """Delete a removal that was carried out."""
