@@ -94,8 +94,8 @@ class PosedCharacter:
         return (self._in_file(place) - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T
 
     def _moves(self, node: int) -> bool:
-        """Whether a node of the file, -1 for none, is the hips or below them."""
-        return node >= 0 and self.hips in self.motion.figure.file.rig.ancestors(node)
+        """Whether a node of the file, -1 for none, is one of ``shifting`` or below it."""
+        return node >= 0 and not set(self.shifting()).isdisjoint(self.motion.figure.file.rig.ancestors(node))
 
     def shifting(self) -> tuple[int, ...]:
         """Nodes whose place in their parent changes: the hips, and ends of limbs that hang elsewhere in the file."""
