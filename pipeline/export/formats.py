@@ -87,7 +87,7 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
         "bvh": Format(
             lambda person: bvh.encode(person.motion, PRESETS[person.preset], person.frames),
             lambda path, preset: bvh.read_xyz_m(path, PRESETS[preset]),
-            lambda person: rotation_orders(person.motion, PRESETS[person.preset]).between,
+            lambda person: rotation_orders(person.motion, PRESETS[person.preset], "Blender").between,
         ),
         "glb": Format(
             lambda person: glb.encode(person.motion, person.origin_m, person.frames, person.is_present, person.body),
@@ -105,7 +105,7 @@ FORMATS: Mapping[Export, Format] = MappingProxyType(
                 person.motion, person.preset, person.origin_m, person.frames, person.is_present, person.body
             ),
             fbx.read_xyz_m,
-            lambda person: rotation_orders(person.motion, fbx.convention_of_fbx(person.preset)).between,
+            lambda person: rotation_orders(person.motion, fbx.convention_of_fbx(person.preset), "ufbx").between,
             holds_name=True,
             has_origin=True,
             of_take=TakeFormat(fbx.encode_take, fbx.read_xyz_m, lambda _: True),

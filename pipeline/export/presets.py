@@ -40,8 +40,7 @@ class Convention:
     # Rotation from world axes to the file's axes; both are right-handed
     file_from_world: Float[np.ndarray, "3 3"] = field(default_factory=lambda: Y_UP_FROM_WORLD)
     units_per_m: float = 100.0  # Length of a metre in the file's unit
-    rotation_order: str = "ZXY"  # Axes of the intrinsic rotations of the Euler angles
-    is_order_demanded: bool = False  # Whether software reads no other order; other files may have one for each joint
+    is_order_demanded: bool = False  # Whether software reads Z X Y alone; other files may have an order for each joint
     arms_lowered_deg: float = 0.0  # Angle by which the arms of the rest pose are lowered from a T-pose
     # Name of the node above the root in FBX files, where software expects one; else it has the person's name
     top: str | None = None
@@ -210,8 +209,6 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                 }
             ),
             file_from_world=WORLD,
-            # Rotates about the same axes of the body as Z X Y where Y is up.
-            rotation_order="YXZ",
             arms_lowered_deg=45.0,
             top="root",
         ),

@@ -380,6 +380,7 @@ def _found_in(of_people: Mapping[int, KeptFile], of_take_mm: float | None) -> di
     if between:
         worst, track_id = max(between, key=lambda item: item[0].distance_mm)
         entry["between_frames"] = {
+            "program": worst.program,
             "max_distance_mm": round(worst.distance_mm, _DECIMALS_MM),
             "track_id": track_id,
             "joint": worst.joint,

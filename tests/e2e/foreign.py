@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.data.cameras import Camera
+
 READERS = Path(__file__).parent / "readers"
 ROOT = Path(__file__).parents[2]
 BLENDER = ROOT / ".venv-blender" / "bin" / "python"
@@ -47,11 +49,12 @@ def read_with_assimp(paths: Sequence[Path]) -> dict[Path, Animated]:
     return _animated(_node("assimp_reader.mjs", *paths))
 
 
-def read_with_ufbx(paths: Sequence[Path]) -> dict[Path, Animated]:
-    """Read FBX with ufbx."""
+def read_with_ufbx(paths: Sequence[Path], *, half_way: bool = False) -> dict[Path, Animated]:
+    """Read FBX with ufbx, at frames or half-way between two of them."""
     if not UFBX.is_file():
         pytest.skip("ufbx is not installed (`make verify-exports` does it)")
-    command = [UFBX, READERS / "ufbx_reader.py", *paths]
+    flags = ["--half-way"] if half_way else []
+    command: list[str | Path] = [UFBX, READERS / "ufbx_reader.py", *flags, *paths]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return _animated(json.loads(done.stdout))
@@ -77,9 +80,16 @@ def read_take_with_three(path: Path) -> Any:
     return _node("three_reader.mjs", "--areas", path)[str(path)]
 
 
-def read_take_with_blender(path: Path, frame_rate_hz: float, folder: Path) -> Any:
+def read_take_with_blender(
+    path: Path,
+    frame_rate_hz: float,
+    folder: Path,
+    cameras: Sequence[Camera],
+    options: Mapping[str, object] | None = None,
+) -> Any:
     """Scene of a take, opened in Blender: ``people``, positions (frames, 3) by bone; ``cameras``; ``floor``."""
-    return _in_blender([(path, frame_rate_hz, {})], folder, None)[str(path)]
+    pictures = {camera.name: (*camera.size_px, camera.matrix[0, 0] / camera.matrix[1, 1]) for camera in cameras}
+    return _in_blender([(path, frame_rate_hz, options or {})], folder, None, pictures=pictures)[str(path)]
 
 
 def play_on_vrm(characters: Mapping[Path, Path]) -> dict[Path, Animated]:
@@ -102,9 +112,16 @@ def upload_with_tus_js(endpoint: str, paths: Sequence[Path], chunk_bytes: int) -
 
 
 def read_with_blender(
-    files: Sequence[tuple[Path, float, dict[str, object]]], folder: Path, picture: Path | None = None
+    files: Sequence[tuple[Path, float, Mapping[str, object]]],
+    folder: Path,
+    picture: Path | None = None,
+    *,
+    half_way: bool = False,
 ) -> dict[Path, Animated]:
-    """Open files with settings of Blender's importer at a frame rate; render the files with bodies."""
+    """Open files with settings of Blender's importer at a frame rate; render the files with bodies.
+
+    Positions are at frames, or ``half_way`` between two of them.
+    """
     return {
         Path(path): Animated(
             read["frame_rate_hz"],
@@ -112,18 +129,32 @@ def read_with_blender(
             {name: np.array(position) for name, position in read["rest"].items()},
             np.array(read["areas_m2"]),
         )
-        for path, read in _in_blender(files, folder, picture).items()
+        for path, read in _in_blender(files, folder, picture, half_way=half_way).items()
     }
 
 
 def _in_blender(
-    files: Sequence[tuple[Path, float, dict[str, object]]], folder: Path, picture: Path | None
+    files: Sequence[tuple[Path, float, Mapping[str, object]]],
+    folder: Path,
+    picture: Path | None,
+    *,
+    half_way: bool = False,
+    pictures: Mapping[str, Sequence[float]] | None = None,
 ) -> dict[str, Any]:
     """Output of the program for Blender by path."""
     if not BLENDER.is_file():
         pytest.skip("Blender is not installed (`make verify-exports` does it)")
     job, out = folder / "job.json", folder / "found.json"
-    listed = [{"path": str(path), "frame_rate_hz": rate_hz, "import": options} for path, rate_hz, options in files]
+    listed = [
+        {
+            "path": str(path),
+            "frame_rate_hz": rate_hz,
+            "import": options,
+            "half_way": half_way,
+            "pictures": pictures or {},
+        }
+        for path, rate_hz, options in files
+    ]
     job.write_text(json.dumps({"files": listed, "out": str(out), "picture": str(picture) if picture else None}))
     done = subprocess.run([BLENDER, READERS / "blender_reader.py", job], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -1,8 +1,8 @@
 """BVH files: six channels at the hips, three rotations at every other joint.
 
-A preset defines names, axes, unit, rest pose and the usual order of rotations; ``rotation_orders`` chooses others where
-that one interpolates badly. Lengths are rounded to 0.01 mm and angles to 0.0001 degrees; the frame time has full
-precision. Before and after the motion's own frames the nearest pose holds.
+A preset defines names, axes, unit and rest pose. ``rotation_orders`` chooses the orders of rotations by Blender's rule:
+other programs whose reading of BVH is known interpolate quaternions. Lengths are rounded to 0.01 mm and angles to
+0.0001 degrees; the frame time has full precision. Before and after the motion's own frames the nearest pose holds.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,7 +44,7 @@ def encode(motion: SkeletonMotion, convention: Convention, frames: range | None 
     """
     own = motion.frames
     frames = own if frames is None else frames
-    orders = rotation_orders(motion, convention).axes
+    orders = rotation_orders(motion, convention, "Blender").axes
     yield "".join(f"{line}\n" for line in _head(motion, convention, orders, len(frames))).encode("utf-8")
     decimals = _decimals(convention)
     order = [INDEX[name] for name in _depth_first(_ROOT, children_of(len(motion.bone_length_m)))]

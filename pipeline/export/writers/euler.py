@@ -19,9 +19,9 @@ def euler_deg(
     """Angles of intrinsic rotations about three different axes: R = R1(a) R2(b) R3(c).
 
     Angles are continuous if the rotations are: of all triples for the same rotation, each frame has the triple closest
-    to the previous frame. So angles may leave [-180, 180]. In gimbal lock the last angle is kept, and the first angle
-    is computed from it. ``orders`` has the axes of each joint, such as ``ZXY``; ``before_deg`` are the angles of the
-    frame before the first frame. Angles are in degrees.
+    to the previous frame, by the sum of the three steps as in Blender. So angles may leave [-180, 180]. In gimbal lock
+    the last angle is kept, and the first angle is computed from it. ``orders`` has the axes of each joint, such as
+    ``ZXY``; ``before_deg`` are the angles of the frame before the first frame. Angles are in degrees.
     """
     rename, sign = _renames(orders)
     axes = rename.argmax(-1)
@@ -76,7 +76,7 @@ def _is_second_nearer(
     for ends, start in zip(triples, earlier, strict=True):
         step = ends - start
         step -= 2 * np.pi * np.round(step / (2 * np.pi))
-        off += step**2
+        off += np.abs(step)
     return np.asarray(off[1] < off[0])
 
 
@@ -97,7 +97,7 @@ def _nearest_through_locks(
             options[:, locked, 0] = np.arctan2(before_y[:, 1], before_y[:, 0])
             options[:, locked, 2] = kept
         options = options + 2 * np.pi * np.round((previous - options) / (2 * np.pi))
-        first_off, second_off = ((options - previous) ** 2).sum(-1)
+        first_off, second_off = np.abs(options - previous).sum(-1)
         previous = np.where((second_off < first_off)[:, None], options[1], options[0])
         angles[frame] = previous
     return angles
@@ -135,7 +135,7 @@ def halfway_by_angles(
     # of the first frame.
     steps = triples[:, 1:] - triples[0, :-1]
     steps -= 2 * np.pi * np.round(steps / (2 * np.pi))
-    first_off, second_off = (steps**2).sum(-1)
+    first_off, second_off = np.abs(steps).sum(-1)
     half = 0.5 * triples[0, :-1] + 0.25 * np.where((second_off < first_off)[..., None], steps[1], steps[0])
     (cos_z, cos_x, cos_y), (sin_z, sin_x, sin_y) = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
     vector = np.stack(

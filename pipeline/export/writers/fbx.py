@@ -79,7 +79,6 @@ def _in_fbx(preset: Preset, convention: Convention) -> Convention:
         convention,
         file_from_world=Y_UP_FROM_WORLD,
         units_per_m=1.0 if preset == "blender" else 100.0,
-        rotation_order="ZXY",
         is_order_demanded=False,
     )
 
@@ -163,7 +162,7 @@ class _People:
         """Add a person with the body and the motion, below a node with a name."""
         scene, convention = self.scene, self.convention
         body = body_at_rest(motion, convention, self._body)
-        orders = rotation_orders(motion, convention).axes
+        orders = rotation_orders(motion, convention, "ufbx").axes
         joints = skeleton_of(len(body.offsets))
         top = add_top(scene, motion, top_name, self._origin_m, self._frames.start)
         models: list[Int64] = []

@@ -1,9 +1,9 @@
 """Orders of the rotations of joints, chosen so that programs that interpolate angles stay near the motion."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import permutations
+from functools import lru_cache, partial
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -11,20 +11,28 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data.animation import SkeletonMotion
 from pipeline.export.presets import Convention
+from pipeline.export.writers.blender_bones import file_from_bones, halfway_in_blender
 from pipeline.export.writers.blocks import frame_blocks
-from pipeline.export.writers.euler import angle_rad, halfway_by_angles, halfway_on_arc
+from pipeline.export.writers.euler import ORDERS, angle_rad, halfway_by_angles, halfway_on_arc
 from pipeline.skeleton.model import WHOLE_SKELETON, parents_of
 
 _MM_PER_M = 1000.0
-_ORDERS = tuple("".join(axes) for axes in permutations("XYZ"))
-# Distance between frames up to which a file keeps the preset's order, and a joint in other files: several add up.
+_USUAL = "ZXY"
+# Distance between frames up to which a file keeps the usual order, and a joint in other files: several add up.
 _USUAL_UP_TO_MM, _JOINT_UP_TO_MM = 2.0, 0.25
+
+Program = Literal["Blender", "ufbx"]
+"""Program that interpolates angles: Blender those of its bones, ufbx the angles of the file."""
+
+# Gives rotations (x, y, z, w) half-way between consecutive frames, from the axes of each joint
+_Halfway = Callable[[Float[np.ndarray, "frames joints 4"], Sequence[str]], Float[np.ndarray, "_ joints 4"]]
 
 
 @dataclass(frozen=True, slots=True)
 class BetweenFrames:
-    """Place at which interpolated angles are farthest off: programs interpolate each angle of a file linearly."""
+    """Place at which interpolated angles are farthest off: programs interpolate each angle linearly."""
 
+    program: Program
     # Largest distance of a joint, half-way between two frames, from its place where rotations take the shortest arcs
     distance_mm: float
     joint: str  # Name in the skeleton of the joint whose angles are off
@@ -39,41 +47,53 @@ class RotationOrders:
     between: BetweenFrames | None  # ``None`` for a single frame
 
 
-@lru_cache(maxsize=1)  # For the file, and then for what is said about it.
-def rotation_orders(motion: SkeletonMotion, convention: Convention) -> RotationOrders:
-    """Choose the order of the rotations of each joint.
+@lru_cache(maxsize=1)  # The file asks for it first, then the metrics.
+def rotation_orders(motion: SkeletonMotion, convention: Convention, program: Program) -> RotationOrders:
+    """Choose the order of the rotations of each joint for a program.
 
-    The order is the preset's as long as all joints stay within 2 mm half-way between two frames, and where software
-    demands it. Interpolated angles are off where the middle one comes near 90 degrees (gimbal lock). Each order has
-    this place at other poses, so each joint whose angles are off gets the order with the least error.
+    The order is Z X Y as long as all joints stay within 2 mm half-way between two frames, and where software demands
+    it. Interpolated angles are off where the middle angle comes near 90 degrees (gimbal lock). Each order has this
+    place at other poses, so each joint whose angles are off gets the order with the least error.
     """
     num_joints = len(motion.bone_length_m)
-    usual = (convention.rotation_order,) * num_joints
-    between = _between_frames(motion, convention, usual)
+    usual = (_USUAL,) * num_joints
+    between = _between_frames(motion, convention, program, usual)
     if between is None or between.distance_mm <= _USUAL_UP_TO_MM or convention.is_order_demanded:
         return RotationOrders(usual, between)
-    choices = (convention.rotation_order, *(axes for axes in _ORDERS if axes != convention.rotation_order))
-    off_mm = np.zeros((len(choices), num_joints))
+    halfway = _interpolation(motion, convention, program)
+    off_mm = np.zeros((len(ORDERS), num_joints))
     for _, quat in _overlapping(motion, convention):
         on_arc = halfway_on_arc(quat)
-        for axes, worst_mm in zip(choices, off_mm, strict=True):
-            angles_off_rad = angle_rad(halfway_by_angles(quat, [axes] * num_joints), on_arc)
+        for axes, worst_mm in zip(ORDERS, off_mm, strict=True):
+            angles_off_rad = angle_rad(halfway(quat, [axes] * num_joints), on_arc)
             np.maximum(worst_mm, angles_off_rad.max(axis=0) * _reach_mm(motion), out=worst_mm)
-    best = np.where(off_mm[0] <= _JOINT_UP_TO_MM, 0, off_mm.argmin(axis=0)).tolist()
-    chosen = tuple(choices[number] for number in best)
-    better = _between_frames(motion, convention, chosen)
+    number = ORDERS.index(_USUAL)
+    best = np.where(off_mm[number] <= _JOINT_UP_TO_MM, number, off_mm.argmin(axis=0)).tolist()
+    chosen = tuple(ORDERS[number] for number in best)
+    better = _between_frames(motion, convention, program, chosen)
     # Errors of several joints may cancel each other, so that the best orders are worse together.
     if better is None or better.distance_mm >= between.distance_mm:
         return RotationOrders(usual, between)
     return RotationOrders(chosen, better)
 
 
-def _between_frames(motion: SkeletonMotion, convention: Convention, axes: Sequence[str]) -> BetweenFrames | None:
+def _interpolation(motion: SkeletonMotion, convention: Convention, program: Program) -> _Halfway:
+    if program == "Blender":
+        return partial(
+            halfway_in_blender, file_from_bone=file_from_bones(convention.rest_offsets(motion.bone_length_m))
+        )
+    return halfway_by_angles
+
+
+def _between_frames(
+    motion: SkeletonMotion, convention: Convention, program: Program, axes: Sequence[str]
+) -> BetweenFrames | None:
     """Find where interpolated angles are farthest off with an order of each joint; ``None`` for a single frame."""
     offsets_mm = convention.rest_offsets(motion.bone_length_m) / convention.units_per_m * _MM_PER_M
+    halfway = _interpolation(motion, convention, program)
     farthest: BetweenFrames | None = None
     for start, quat in _overlapping(motion, convention):
-        by_angles, on_arc = halfway_by_angles(quat, axes), halfway_on_arc(quat)
+        by_angles, on_arc = halfway(quat, axes), halfway_on_arc(quat)
         still = np.zeros((len(on_arc), 3))
         places = [chained(still, offsets_mm, matrices(turns)) for turns in (by_angles, on_arc)]
         apart_mm = np.linalg.norm(places[0] - places[1], axis=-1).max(-1)
@@ -81,7 +101,7 @@ def _between_frames(motion: SkeletonMotion, convention: Convention, axes: Sequen
         if farthest is None or apart_mm[row] > farthest.distance_mm:
             joint = int((angle_rad(by_angles[row], on_arc[row]) * _reach_mm(motion)).argmax())
             name = WHOLE_SKELETON[joint].name
-            farthest = BetweenFrames(float(apart_mm[row]), name, motion.start_frame + start + row)
+            farthest = BetweenFrames(program, float(apart_mm[row]), name, motion.start_frame + start + row)
     return farthest
 
 

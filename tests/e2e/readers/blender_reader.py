@@ -3,7 +3,9 @@
     python blender_reader.py JOB.json
 
 ``JOB.json`` is ``{"files": [{"path", "frame_rate_hz", "import": {...}}], "out": FILE, "picture": FILE or null}``;
-``import`` has settings of the importer. The positions are written to ``out``.
+``import`` has settings of the importer, of FBX the name of the ``importer``. ``half_way`` of a file asks for positions
+half-way between frames, ``pictures`` for the projection of cameras by name: width, height, and the height of a pixel
+by its width. The output is written to ``out``.
 """
 
 import json
@@ -34,7 +36,8 @@ def load(path: str, options: Mapping[str, Any]) -> Any:
     if path.endswith(".bvh"):
         bpy.ops.import_anim.bvh(filepath=path, update_scene_fps=True, update_scene_duration=True, **options)
     elif path.endswith(".fbx"):
-        bpy.ops.import_scene.fbx(filepath=path, **options)
+        family, _dot, own = options.get("importer", "import_scene.fbx").partition(".")
+        getattr(getattr(bpy.ops, family), own)(filepath=path)
     elif path.endswith(".usdc"):
         bpy.ops.wm.usd_import(filepath=path, **options)
     else:
@@ -48,15 +51,25 @@ def area_m2(body: Any) -> float:
     return sum(face.area for face in mesh.polygons)
 
 
+def focal_px(camera: Any, width: int, height: int, pixel_height: float) -> list[float]:
+    """Focal lengths of a camera in pixels across and upright, in pictures of a size."""
+    size = {"x": width, "y": height, "scale_x": 1.0, "scale_y": pixel_height}
+    projection = camera.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), **size)
+    return [projection[0][0] * width / 2, projection[1][1] * height / 2]
+
+
 def read(file: Mapping[str, Any]) -> dict[str, Any]:
     """Positions of the heads of bones, in the rest pose and in every frame, and areas of bodies in every frame."""
     scene = empty(file["frame_rate_hz"])
     armature = load(file["path"], file["import"])
     action = armature.animation_data.action
     first, last = action.frame_range
-    # The importer of FBX counts in whole frames a second: at 29.97 Hz a key lies at each 29.97th of a 30th.
-    step = scene.render.fps_base if file["path"].endswith(".fbx") else 1.0
-    frames = [first + number * step for number in range(round((last - first) / step) + 1)]
+    # The add-on that imports FBX counts in whole frames a second: at 29.97 Hz a key lies at each 29.97th of a 30th.
+    is_by_addon = file["path"].endswith(".fbx") and "importer" not in file["import"]
+    step = scene.render.fps_base if is_by_addon else 1.0
+    num_frames = round((last - first) / step) + 1
+    times = [number + 0.5 for number in range(num_frames - 1)] if file["half_way"] else range(num_frames)
+    frames = [first + time * step for time in times]
     rest = {bone.name: list(armature.matrix_world @ bone.head_local) for bone in armature.data.bones}
     armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
     is_usd = file["path"].endswith(".usdc")
@@ -74,7 +87,10 @@ def read(file: Mapping[str, Any]) -> dict[str, Any]:
             for bone in skeleton.pose.bones:
                 people[names[skeleton]][bone.name].append(list(skeleton.matrix_world @ bone.head))
     cameras = {
-        thing.name: {"angle_y": thing.data.angle_y, "matrix": [list(row) for row in thing.matrix_world]}
+        thing.name: {
+            "focal_px": focal_px(thing, *file["pictures"][thing.name]),
+            "matrix": [list(row) for row in thing.matrix_world],
+        }
         for thing in bpy.data.objects
         if thing.type == "CAMERA"
     }

@@ -7,6 +7,9 @@ import { BVHLoader } from "three/examples/jsm/loaders/BVHLoader.js";
 import { FBXLoader } from "three/examples/jsm/loaders/FBXLoader.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 
+// FBXLoader looks up the size of the page, which cameras with a size of their own don't use.
+globalThis.window ??= { innerWidth: 1, innerHeight: 1 };
+
 async function open(path) {
   const content = readFileSync(path);
   if (path.endsWith(".bvh")) {

@@ -1,13 +1,14 @@
 """Program for Python with ``pufbx``: world positions of all bones in every frame of FBX files, as ufbx finds them.
 
-    python ufbx_reader.py FILE...
+    python ufbx_reader.py [--half-way] FILE...
 
 Prints JSON: by file the names of the bones, the times of the keys and the positions (frames, bones, 3) in the file's
-axes and unit.
+axes and unit; with ``--half-way`` they are half-way between frames.
 """
 
 import json
 import sys
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,15 @@ def matrices(places: np.ndarray, quat_xyzw: np.ndarray, scales: np.ndarray) -> n
     return transforms
 
 
-def read(path: str) -> dict[str, Any]:
+def read(path: str, is_half_way: bool) -> dict[str, Any]:
     """Read the bones of a file."""
     scene = pufbx.load_fbx(path)
     # The curve of the visibility has a key where it changes, the others one in each frame.
     keys = [key.time for key in max((curve.keyframes for curve in scene.anim_curves), key=len)]
     rate_hz = (len(keys) - 1) / (keys[-1] - keys[0]) if len(keys) > 1 else 30.0
-    baked, _, names = pufbx.anim_to_array(path, anim_index=0, resample_rate=rate_hz)
+    baked, _, names = pufbx.anim_to_array(path, anim_index=0, resample_rate=2 * rate_hz if is_half_way else rate_hz)
+    if is_half_way:
+        keys, baked = [(before + after) / 2 for before, after in pairwise(keys)], [part[1::2] for part in baked]
     # Of a single frame nothing is baked that is as at rest.
     animated = dict(zip(names, baked, strict=True))
     found: dict[str, np.ndarray] = {}
@@ -56,4 +59,5 @@ def read(path: str) -> dict[str, Any]:
     }
 
 
-sys.stdout.write(json.dumps({path: read(path) for path in sys.argv[1:]}))
+paths = [argument for argument in sys.argv[1:] if argument != "--half-way"]
+sys.stdout.write(json.dumps({path: read(path, "--half-way" in sys.argv) for path in paths}))

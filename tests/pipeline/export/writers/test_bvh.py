@@ -26,6 +26,7 @@ from pipeline.skeleton.model import (
     forward_kinematics,
     skeleton_of,
 )
+from tests.pipeline.export.blender_curves import positions_in_blender
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.skeleton.synthetic_tracks import timebase, track_of, walker
 
@@ -99,17 +100,12 @@ def encoded(motion: SkeletonMotion, preset: Preset = "default") -> bytes:
     return b"".join(bvh.encode(motion, PRESETS[preset]))
 
 
-def parse(content: bytes, *, half_way: bool = False) -> tuple[float, np.ndarray, np.ndarray]:
-    """Read a BVH file: frame time, positions (frames, joints, 3) and rest positions (joints, 3).
-
-    ``half_way`` reads it as programs do between two frames: each channel is interpolated linearly.
-    """
+def parse(content: bytes) -> tuple[float, np.ndarray, np.ndarray]:
+    """Read a BVH file: frame time, positions (frames, joints, 3) and rest positions (joints, 3)."""
     header, motion = content.decode("ascii").split("MOTION\n")
     num_frames, frame_time, *rows = motion.splitlines()
     values = np.array([row.split() for row in rows], dtype=float)
     assert num_frames == f"Frames: {len(values)}"
-    if half_way:
-        values = (values[1:] + values[:-1]) / 2
     num_joints = header.count("OFFSET")
     positions = np.zeros((len(values), num_joints, 3))
     rest = np.zeros((num_joints, 3))
@@ -258,29 +254,61 @@ def test_frame_time_has_full_precision() -> None:
 ONE_ORDER = replace(PRESETS["default"], is_order_demanded=True)
 
 
-def between_frames_mm(motion: SkeletonMotion, convention: Convention = PRESETS["default"]) -> np.ndarray:
-    """Distance of each joint half-way between two frames, (frames - 1, joints): by the file, and by shortest arcs."""
-    _, found, _ = parse(b"".join(bvh.encode(motion, convention)), half_way=True)
+def half_way_of(motion: SkeletonMotion) -> SkeletonMotion:
+    """Motion half-way between frames, where rotations take the shortest arcs."""
     steps = np.arange(len(motion.root_m))
     turns = [
         Slerp(steps, Rotation.from_quat(quat))(steps[:-1] + 0.5) for quat in motion.parent_from_joint.swapaxes(0, 1)
     ]
-    half = replace(
+    return replace(
         motion,
         root_m=(motion.root_m[1:] + motion.root_m[:-1]) / 2,
         parent_from_joint=np.stack([turn.as_quat() for turn in turns], axis=1),
     )
-    expected = convention.file_from_xyz_m(forward_kinematics(half))
-    apart_mm: np.ndarray = 1e3 / convention.units_per_m * np.linalg.norm(found - expected, axis=-1)
-    return apart_mm
 
 
-def test_interpolated_angles_of_a_body_that_turns_stay_near_its_motion() -> None:
+def between_frames_mm(motion: SkeletonMotion, convention: Convention = PRESETS["default"]) -> np.ndarray:
+    """Distance of each joint half-way between two frames, (frames - 1, joints): in Blender, and by shortest arcs."""
+    found = positions_in_blender(b"".join(bvh.encode(motion, convention)), half_way=True)
+    expected = convention.file_from_xyz_m(forward_kinematics(half_way_of(motion)))
+    apart = [
+        np.linalg.norm(found[convention.name(joint.name)] - expected[:, index], axis=-1)
+        for index, joint in enumerate(skeleton_of(expected.shape[1]))
+        if convention.name(joint.name) in found
+    ]
+    return 1e3 / convention.units_per_m * np.stack(apart, axis=1)
+
+
+def about_the_lock(axis: str, num_frames: int = 60) -> SkeletonMotion:
+    """Body whose left thigh swings by 90 degrees about an axis of the world, and turns there about the others."""
+    phase = np.linspace(0.0, 2.0 * np.pi, num_frames)
+    turns = np.column_stack([np.pi / 2 + 0.2 * np.sin(phase), 0.6 * np.cos(phase), 0.4 * np.sin(2.0 * phase)])
+    motion = tumbling(num_frames)
+    quat_xyzw = np.tile([0.0, 0.0, 0.0, 1.0], (num_frames, len(SKELETON), 1))
+    axes = axis + "XYZ".replace(axis, "")
+    quat_xyzw[:, INDEX["LeftUpLeg"]] = Rotation.from_euler(axes, turns).as_quat()
+    quat_xyzw[:, INDEX["RightArm"]] = Rotation.from_euler(axes, turns).as_quat()
+    return replace(motion, parent_from_joint=quat_xyzw)
+
+
+@pytest.mark.parametrize("preset", [preset for preset in PRESETS if preset != "unity-humanoid"])
+def test_bvh_of_a_body_that_turns_stays_near_its_motion_in_blender(preset: Preset) -> None:
     motion = tumbling()
-    assert between_frames_mm(motion, ONE_ORDER).max() > 30.0
-    assert between_frames_mm(motion).max() < 2.0
+    assert between_frames_mm(motion, PRESETS[preset]).max() < 1.0
+
+
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+def test_bvh_of_limbs_turned_by_90_degrees_stays_near_their_motion_in_blender(axis: str) -> None:
+    motion = about_the_lock(axis)
+    for convention in (PRESETS["default"], PRESETS["unreal"]):
+        assert between_frames_mm(motion, convention).max() < 3.0
+
+
+def test_bvh_in_one_order_is_off_in_blender_and_the_other_orders_are_few() -> None:
+    motion = tumbling()
+    assert 2.0 < between_frames_mm(motion, ONE_ORDER).max() < 3.0
     orders = orders_in(encoded(motion))
-    assert orders["Hips"] != "ZXY" != orders["LeftUpLeg"]
+    assert orders["LeftUpLeg"] != "ZXY"
     # Joints whose angles are not off keep the usual order.
     assert orders["RightUpLeg"] == orders["Head"] == "ZXY"
     assert encoded(motion) == encoded(motion)
@@ -292,12 +320,16 @@ def test_people_who_walk_have_one_order_in_all_joints() -> None:
     assert between_frames_mm(motion).max() < 2.0
 
 
-@pytest.mark.parametrize("convention", [PRESETS["default"], ONE_ORDER], ids=["orders by joint", "one order"])
+CONVENTIONS = {"orders by joint": PRESETS["default"], "one order": ONE_ORDER, "arms lowered": PRESETS["unreal"]}
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS.values(), ids=CONVENTIONS)
 def test_the_place_where_interpolated_angles_are_off_is_found(convention: Convention) -> None:
     motion = tumbling(700)  # more than a block of frames
     apart_mm = between_frames_mm(motion, convention)
-    between = rotation_orders(motion, convention).between
+    between = rotation_orders(motion, convention, "Blender").between
     assert between is not None
+    assert between.program == "Blender"
     assert between.distance_mm == pytest.approx(apart_mm.max(), abs=0.05)
     assert apart_mm[between.frame - motion.start_frame].max() == pytest.approx(apart_mm.max(), abs=0.05)
     assert between.joint in {"Hips", "LeftUpLeg"}
@@ -305,5 +337,5 @@ def test_the_place_where_interpolated_angles_are_off_is_found(convention: Conven
 
 def test_a_single_frame_has_nothing_between_frames() -> None:
     motion = tumbling(1)
-    assert rotation_orders(motion, PRESETS["default"]).between is None
+    assert rotation_orders(motion, PRESETS["default"], "Blender").between is None
     assert set(orders_in(encoded(motion)).values()) == {"ZXY"}
