@@ -32,8 +32,11 @@ from pipeline.export.writers.fbx_scene import (
 _MESH = "Mesh"
 # Distances between which programs show what a camera sees.
 _NEAR_M, _FAR_M = 0.05, 1000.0
-# Film of cameras, whose unit is an inch; the angle of view follows from the focal length.
-_FILM_WIDTH_MM, _MM_PER_INCH, _FOCAL_LENGTH_MODE = 36.0, 25.4, 3
+# Film of cameras, whose unit is an inch; the angle of view follows from the focal length. For the longer side of a
+# picture Blender takes the film's width, three.js 35 mm.
+_FILM_MM, _MM_PER_INCH, _FOCAL_LENGTH_MODE = 35.0, 25.4, 3
+# Side of the picture that the film fits: none, or the height
+_FIT_NONE, _FIT_VERTICAL = 0, 1
 # Cameras of FBX look along x, with y up.
 _CV_FROM_FBX_CAMERA = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 
@@ -155,9 +158,11 @@ def add_camera(scene: FbxScene, shown: SceneCamera, convention: Convention, orig
     place = shown.world_from_cam
     turn = convention.file_from_world @ place.rotation @ _CV_FROM_FBX_CAMERA
     (((z_deg, y_deg, x_deg),),) = euler_deg(turn[None, None], ROTATION_ORDERS[:1], np.zeros((1, 3)))
-    width, height = camera.size_px
-    focal_length_mm = _FILM_WIDTH_MM * camera.matrix[0, 0] / width
-    film_height_mm = focal_length_mm * height / camera.matrix[1, 1]
+    (width, height), (f_x, f_y) = camera.size_px, camera.matrix[[0, 1], [0, 1]]
+    is_upright = height / f_y > width / f_x
+    # The film of an upright picture is a square of which the sides are not seen.
+    focal_length_mm = _FILM_MM * (f_y / height if is_upright else f_x / width)
+    film_height_mm = focal_length_mm * height / f_y
     across_deg, upright_deg = np.degrees(shown.fov_rad)
     model = scene.add_model(
         *(name, "Camera", SCENE),
@@ -169,13 +174,14 @@ def add_camera(scene: FbxScene, shown: SceneCamera, convention: Convention, orig
         *("NodeAttribute", name, "NodeAttribute", "Camera"),
         settings(
             setting("AspectWidth", "double", "Number", float(width)),
-            setting("AspectHeight", "double", "Number", float(height)),
+            # Of square pixels: programs take the shape of the picture from here.
+            setting("AspectHeight", "double", "Number", float(height * f_x / f_y)),
             choice("ResolutionMode", 0),
             choice("ApertureMode", _FOCAL_LENGTH_MODE),
-            choice("GateFit", 0),
-            number("FilmWidth", _FILM_WIDTH_MM / _MM_PER_INCH),
+            choice("GateFit", _FIT_VERTICAL if is_upright else _FIT_NONE),
+            number("FilmWidth", _FILM_MM / _MM_PER_INCH),
             number("FilmHeight", film_height_mm / _MM_PER_INCH),
-            number("FilmAspectRatio", _FILM_WIDTH_MM / film_height_mm),
+            number("FilmAspectRatio", _FILM_MM / film_height_mm),
             number("FocalLength", focal_length_mm),
             number("FieldOfView", across_deg),
             number("FieldOfViewX", across_deg),

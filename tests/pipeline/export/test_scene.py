@@ -136,11 +136,84 @@ def fbx_path(named: Reconstruction, tmp_path_factory: pytest.TempPathFactory) ->
     return path
 
 
+# Width and height of pictures, and the camera matrix: wide, upright and square, one with pixels longer than wide, with
+# the principal point in the middle or aside.
+PICTURES = (
+    ((1920, 1080), (1500.0, 1500.0), (959.5, 539.5)),
+    ((1080, 1920), (1500.0, 1500.0), (539.5, 959.5)),
+    ((1000, 1000), (700.0, 700.0), (430.0, 540.0)),
+    ((720, 1280), (900.0, 950.0), (300.0, 700.0)),
+    ((1440, 1080), (1200.0, 900.0), (760.0, 500.0)),
+    ((640, 480), (400.0, 400.0), (330.0, 250.0)),
+)
+
+
+@pytest.fixture(scope="module")
+def mixed(named: Reconstruction) -> Reconstruction:
+    """The take with pictures of many shapes."""
+    camera, *_ = named.cameras
+    cameras = tuple(
+        replace(
+            camera,
+            name=f"Kamera {number}",
+            size_px=size_px,
+            matrix=np.array([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]]),
+        )
+        for number, (size_px, (f_x, f_y), (c_x, c_y)) in enumerate(PICTURES, 1)
+    )
+    return replace(named, cameras=cameras)
+
+
+@pytest.fixture(scope="module")
+def mixed_path(mixed: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mixed") / "take.fbx"
+    path.write_bytes(b"".join(fbx.encode_take(scene_of(mixed), "default")))
+    return path
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("importer", ["import_scene.fbx", "wm.fbx_import"])
+def test_fbx_cameras_of_any_shape_have_their_focal_lengths_in_blender(
+    mixed: Reconstruction, mixed_path: Path, importer: str, tmp_path: Path
+) -> None:
+    read = read_take_with_blender(mixed_path, RATE_HZ, tmp_path, mixed.cameras, {"importer": importer})["cameras"]
+    assert set(read) == {camera.name for camera in mixed.cameras}
+    for camera in mixed.cameras:
+        assert read[camera.name]["focal_px"] == pytest.approx(np.diag(camera.matrix)[:2], rel=1e-5), camera.name
+
+
+def test_fbx_cameras_of_any_shape_have_their_focal_lengths_in_three(mixed: Reconstruction, mixed_path: Path) -> None:
+    read = read_take_with_three(mixed_path)["cameras"]
+    assert len(read) == len(mixed.cameras)
+    for found, camera in zip(read.values(), mixed.cameras, strict=True):
+        (width, height), (f_x, f_y) = camera.size_px, np.diag(camera.matrix)[:2]
+        half = np.tan(np.radians(found["fov"]) / 2)
+        assert height / 2 / half == pytest.approx(f_y, rel=1e-6), camera.name
+        assert width / 2 / (half * found["aspect"]) == pytest.approx(f_x, rel=1e-6), camera.name
+
+
+def test_fbx_cameras_fit_the_film_to_the_longer_side(mixed: Reconstruction, mixed_path: Path) -> None:
+    scene = StoredScene(read(mixed_path.read_bytes()))
+    for model, camera in zip(scene.of_kind("Model", "Camera"), mixed.cameras, strict=True):
+        (lens,) = scene.children(model, "NodeAttribute")
+        facts = scene.objects[lens]
+        focal_mm, width_in, height_in, fit = (
+            numbers(facts, name, 1)[0] for name in ("FocalLength", "FilmWidth", "FilmHeight", "GateFit")
+        )
+        (width, height), (f_x, f_y) = camera.size_px, np.diag(camera.matrix)[:2]
+        assert 25.4 * width_in == pytest.approx(35.0)
+        is_upright = height / f_y > width / f_x
+        assert bool(fit) == is_upright
+        # The film's height is the picture's. In an upright picture the film is wider than the picture.
+        assert focal_mm / (25.4 * height_in) == pytest.approx(f_y / height)
+        assert focal_mm / 35.0 == pytest.approx(f_y / height if is_upright else f_x / width)
+
+
 @pytest.mark.blender
 @pytest.mark.parametrize("format_", ["glb", "fbx"])
 def test_a_take_in_blender(named: Reconstruction, format_: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     path: Path = request.getfixturevalue({"glb": "path", "fbx": "fbx_path"}[format_])
-    read = read_take_with_blender(path, RATE_HZ, tmp_path)
+    read = read_take_with_blender(path, RATE_HZ, tmp_path, named.cameras)
     assert set(read["people"]) == set(NAMES)
     for name in NAMES:
         expected_m = nearest_m(named)[name]
@@ -154,8 +227,7 @@ def test_a_take_in_blender(named: Reconstruction, format_: str, request: pytest.
         # Objects of FBX files in centimetres have the scale 0.01.
         backward = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
         np.testing.assert_allclose(-backward, camera.cam_from_world.rotation[2], atol=1e-5)
-        upright_rad = 2 * np.arctan(camera.size_px[1] / 2 / camera.matrix[1, 1])
-        assert read["cameras"][camera.name]["angle_y"] == pytest.approx(upright_rad, abs=1e-4)
+        assert read["cameras"][camera.name]["focal_px"] == pytest.approx(np.diag(camera.matrix)[:2], rel=1e-4)
     floor_m = np.array(read["floor"])
     np.testing.assert_allclose(floor_m[:, 2], 0.1 + 0.05 * floor_m[:, 0], atol=1e-5)
 
@@ -171,7 +243,7 @@ def test_fbx_has_cameras_and_shows_who_is_there(named: Reconstruction, fbx_path:
     assert [name_of(node) for node in scene.of_kind("Model", "Null").values()] == list(NAMES)
     assert [name_of(node) for node in scene.of_kind("AnimationStack", "").values()] == ["take"]
     models = scene.of_kind("Model", "Camera")
-    for (model, node), camera in zip(models.items(), named.cameras, strict=True):
+    for node, camera in zip(models.values(), named.cameras, strict=True):
         assert name_of(node) == camera.name
         place_m = np.array(numbers(node, "Lcl Translation", 3)) / 100.0
         np.testing.assert_allclose(place_m, y_up(center_in_world(camera)), atol=1e-9)
@@ -179,9 +251,6 @@ def test_fbx_has_cameras_and_shows_who_is_there(named: Reconstruction, fbx_path:
         # Angles about fixed axes: X first. The camera looks along its x, with y up.
         turn = Rotation.from_euler("xyz", numbers(node, "Lcl Rotation", 3), degrees=True).as_matrix()
         np.testing.assert_allclose(turn.T, [y_up(forward), -y_up(down), y_up(right)], atol=1e-9)
-        (lens,) = scene.children(model, "NodeAttribute")
-        (focal_mm,), (width_in,) = (numbers(scene.objects[lens], name, 1) for name in ("FocalLength", "FilmWidth"))
-        assert focal_mm / (25.4 * width_in) == pytest.approx(camera.matrix[0, 0] / camera.size_px[0])
     assert [name_of(node) for node in scene.of_kind("Model", "Mesh").values()] == [
         "person-1 body",
         "Zoë K. body",
