@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
+from inspect import getsource
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +75,22 @@ def collection_of(scene: Any, name: str) -> Any:
     return collection
 
 
+@contextmanager
+def _base_of_importer(render: Any) -> Iterator[None]:
+    """Have the importer of glTF place keys at the scene's frame rate.
+
+    Versions of Blender up to 5.1 at least multiply seconds by ``fps * fps_base``; the frame rate is their quotient.
+    """
+    base = render.fps_base
+    importer = import_module("io_scene_gltf2.blender.imp.animation_node")
+    if "fps * bpy.context.scene.render.fps_base" in getsource(importer):
+        render.fps_base = 1.0 / base
+    try:
+        yield
+    finally:
+        render.fps_base = base
+
+
 def _imported(path: Path) -> list[Any]:
     """Objects that an importer of Blender adds."""
     before = set(bpy.data.objects)
@@ -82,7 +100,8 @@ def _imported(path: Path) -> list[Any]:
             if path.suffix == ".fbx":
                 bpy.ops.import_scene.fbx(filepath=str(path), use_image_search=False)
             else:
-                bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="TEMPERANCE")
+                with _base_of_importer(bpy.context.scene.render):
+                    bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="TEMPERANCE")
     except RuntimeError as error:
         _remove([thing for thing in bpy.data.objects if thing not in before])
         for action in set(bpy.data.actions) - actions:

@@ -126,6 +126,15 @@ class PanelUser:
     def bones(self) -> dict[str, str]:
         return {item.joint: item.bone for item in self.panel.bones}
 
+    def set_rate(self, fps: int, fps_base: float) -> None:
+        bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = fps, fps_base
+
+    def keys(self) -> dict[str, list[float]]:
+        """First and last frame with a key of each action, and frames a second of the scene."""
+        render = bpy.context.scene.render
+        spans = {action.name: list(action.curve_frame_range) for action in bpy.data.actions}
+        return {**spans, "rate": [render.fps, render.fps_base]}
+
     def scene(self) -> dict[str, Any]:
         """Content of the scene, with the world positions of bones in each frame."""
         scene = bpy.context.scene

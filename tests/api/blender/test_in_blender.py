@@ -8,6 +8,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from subprocess import PIPE, STDOUT
@@ -118,6 +119,59 @@ def test_import(
             found_m = np.array(scene["heads"][name][joint.name])
             np.testing.assert_allclose(found_m, nearest_m(named)[name][:, INDEX[joint.name]], atol=1e-4)
     assert left == []
+
+
+@pytest.mark.parametrize("rate_hz", [30000 / 1001, 24000 / 1001, 60000 / 1001, 12.5])
+def test_keys_of_people_and_of_an_armature_lie_at_the_frames_at_any_rate(
+    live: Live, named: Reconstruction, blender: Callable[..., list[Any]], tmp_path: Path, rate_hz: float
+) -> None:
+    """Blender's importer of GLB places keys by ``fps * fps_base``, the extension by the frame rate."""
+    motions = tuple(replace(motion, frame_rate_hz=rate_hz) for motion in named.motions)
+    timebase = replace(named.timebase, frame_rate_hz=rate_hz)
+    take = replace(named, timebase=timebase, animation=replace(named.animation, motions=motions))
+    paths = write_results(take, tmp_path / "take", GLB)
+    with_people(live, named, {path.name: path.read_bytes() for path in paths if path.suffix == ".glb"})
+    path = tmp_path / "character.glb"
+    path.write_bytes(character(bones_of("default")))
+    _, _, on_timeline, *_, put, both = blender(
+        str(live.client.base_url),
+        [
+            ("show_people", {}),
+            ("press", {"name": "import_people"}),
+            ("keys", {}),
+            ("choose", {"people": [1]}),
+            ("open_armature", {"path": str(path)}),
+            ("press", {"name": "put_on"}),
+            ("keys", {}),
+        ],
+    )
+    assert not put["is_error"], put["message"]
+    fps, fps_base = on_timeline.pop("rate")
+    assert fps / fps_base == pytest.approx(rate_hz)
+    assert set(on_timeline) == set(NAMES)
+    for span in on_timeline.values():
+        assert span == pytest.approx([0.0, NUM_FRAMES - 1], abs=1e-3)
+    (of_armature,) = (span for name, span in both.items() if name not in {*NAMES, "rate"})
+    assert of_armature == pytest.approx([0.0, NUM_FRAMES - 1], abs=1e-3)
+
+
+def test_keys_of_people_keep_their_times_at_the_rate_of_the_scene(
+    live: Live, named: Reconstruction, files: dict[str, bytes], blender: Callable[..., list[Any]]
+) -> None:
+    with_people(live, named, files)
+    *_, keys = blender(
+        str(live.client.base_url),
+        [
+            ("set_panel", {"has_timeline": False}),
+            ("set_rate", {"fps": 30, "fps_base": 1.001}),
+            ("show_people", {}),
+            ("press", {"name": "import_people"}),
+            ("keys", {}),
+        ],
+    )
+    assert keys.pop("rate") == pytest.approx([30, 1.001])
+    last = (NUM_FRAMES - 1) / RATE_HZ * 30 / 1.001
+    assert {name: span[1] for name, span in keys.items()} == pytest.approx(dict.fromkeys(NAMES, last), abs=1e-3)
 
 
 def test_fbx_without_glb(
