@@ -97,7 +97,9 @@ def _imported(path: Path) -> list[Any]:
     actions = set(bpy.data.actions)
     try:
         with object_mode():
-            if path.suffix == ".fbx":
+            if path.suffix == ".fbx" and "fbx_import" in dir(bpy.ops.wm):
+                bpy.ops.wm.fbx_import(filepath=str(path))
+            elif path.suffix == ".fbx":  # Before Blender 4.5; keys lie at whole frames a second.
                 bpy.ops.import_scene.fbx(filepath=str(path), use_image_search=False)
             else:
                 with _base_of_importer(bpy.context.scene.render):

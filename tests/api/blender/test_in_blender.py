@@ -22,6 +22,7 @@ from api.settings import Settings
 from pipeline.character.bone_names import LIMBS
 from pipeline.character.gltf_reader import decode_character
 from pipeline.character.mapping import map_bones
+from pipeline.config import Export
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.export.results import write_results
 from pipeline.live.records import LiveInstant, LivePerson, LiveSkeleton
@@ -82,6 +83,15 @@ def files(named: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> di
     return {path.name: path.read_bytes() for path in paths if path.suffix == ".glb"}
 
 
+def files_at(rate_hz: float, named: Reconstruction, exports: tuple[Export, ...], folder: Path) -> dict[str, bytes]:
+    """Files of the take at another frame rate."""
+    motions = tuple(replace(motion, frame_rate_hz=rate_hz) for motion in named.motions)
+    timebase = replace(named.timebase, frame_rate_hz=rate_hz)
+    take = replace(named, timebase=timebase, animation=replace(named.animation, motions=motions))
+    paths = write_results(take, folder, exports)
+    return {path.name: path.read_bytes() for path in paths if path.suffix.removeprefix(".") in exports}
+
+
 def with_people(live: Live, named: Reconstruction, files: dict[str, bytes]) -> str:
     """Job of a take with files; its people have the names of the take."""
     job_id = live.job_id()
@@ -126,11 +136,7 @@ def test_keys_of_people_and_of_an_armature_lie_at_the_frames_at_any_rate(
     live: Live, named: Reconstruction, blender: Callable[..., list[Any]], tmp_path: Path, rate_hz: float
 ) -> None:
     """Blender's importer of GLB places keys by ``fps * fps_base``, the extension by the frame rate."""
-    motions = tuple(replace(motion, frame_rate_hz=rate_hz) for motion in named.motions)
-    timebase = replace(named.timebase, frame_rate_hz=rate_hz)
-    take = replace(named, timebase=timebase, animation=replace(named.animation, motions=motions))
-    paths = write_results(take, tmp_path / "take", GLB)
-    with_people(live, named, {path.name: path.read_bytes() for path in paths if path.suffix == ".glb"})
+    with_people(live, named, files_at(rate_hz, named, GLB, tmp_path / "take"))
     path = tmp_path / "character.glb"
     path.write_bytes(character(bones_of("default")))
     _, _, on_timeline, *_, put, both = blender(
@@ -174,28 +180,26 @@ def test_keys_of_people_keep_their_times_at_the_rate_of_the_scene(
     assert {name: span[1] for name, span in keys.items()} == pytest.approx(dict.fromkeys(NAMES, last), abs=1e-3)
 
 
-def test_fbx_without_glb(
-    live: Live,
-    named: Reconstruction,
-    blender: Callable[..., list[Any]],
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
+def test_fbx_without_glb(live: Live, named: Reconstruction, blender: Callable[..., list[Any]], tmp_path: Path) -> None:
     """The importer of Blender gives the scene the file's frame rate; the frames stay without a description."""
-    paths = write_results(named, tmp_path_factory.mktemp("fbx"), FBX)
-    with_people(live, named, {path.name: path.read_bytes() for path in paths if path.suffix == ".fbx"})
-    _, imported, _, put, scene = blender(
+    rate_hz = 30000 / 1001
+    with_people(live, named, files_at(rate_hz, named, FBX, tmp_path / "take"))
+    _, imported, keys, _, put, scene = blender(
         str(live.client.base_url),
         [
             ("show_people", {}),
             ("press", {"name": "import_people"}),
+            ("keys", {}),
             ("choose_armature", {"name": "person-1"}),
             ("press", {"name": "put_on"}),
             ("scene", {}),
         ],
     )
     assert imported["message"] == "Imported 2 people."
+    for name in NAMES:
+        assert keys[name] == pytest.approx([1.0, NUM_FRAMES], abs=1e-3)
     assert {name for name, kind in scene["objects"].items() if kind == "ARMATURE"} == set(NAMES)
-    assert (scene["rate_hz"], scene["frames"]) == (pytest.approx(RATE_HZ), [1, 250])
+    assert (scene["rate_hz"], scene["frames"]) == (pytest.approx(rate_hz), [1, 250])
     assert put["message"] == "Choose one person whose motion the armature gets."
 
 
