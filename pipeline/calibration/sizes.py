@@ -13,7 +13,8 @@ from pipeline.geometry.camera import twelve_coefficients
 _MAX_OFF_CENTRE = 0.25
 # Codecs store whole blocks: 1080 rows become 1088 rows.
 _BLOCKS_PX = (8, 16)
-# Sides of the shown picture that the stored picture's right and bottom come to, by the turn for display.
+# Sides of the shown picture that the stored picture's right and bottom come to, by the turn for display. A picture that
+# is mirrored before has the sides of a quarter turn less.
 _SIDES = {0: ("right", "bottom"), 90: ("right", "top"), 180: ("left", "top"), 270: ("left", "bottom")}
 # From the axes of a camera to the axes of the camera turned with the picture, a quarter counterclockwise.
 _QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -33,13 +34,17 @@ def guessed_camera(name: str, size_px: tuple[int, int]) -> Camera:
 
 
 def fit_to_video(
-    camera: Camera, size_px: tuple[int, int], rotation_deg: int, stored_size_px: tuple[int, int]
+    camera: Camera,
+    size_px: tuple[int, int],
+    rotation_deg: int,
+    stored_size_px: tuple[int, int],
+    is_mirrored: bool = False,
 ) -> tuple[Camera, str] | None:
     """Adapt a camera to a video, whose stored pixels may be other than square.
 
     Parameters
     ----------
-    size_px, rotation_deg
+    size_px, rotation_deg, is_mirrored
         See ``fit_to_picture``.
     stored_size_px
         Width and height of the stored picture, before its pixels become square and before rotation.
@@ -60,17 +65,19 @@ def fit_to_video(
         return camera, ""
     is_stored = camera.size_px == unstretched_px
     if is_square or (not is_stored and camera.size_px != UNKNOWN_SIZE):
-        fitted = fit_to_picture(camera, size_px, rotation_deg)
+        fitted = fit_to_picture(camera, size_px, rotation_deg, is_mirrored)
         if is_square or fitted is not None:
             return fitted
-    fitted = (camera, "") if is_stored else fit_to_picture(camera, unstretched_px, rotation_deg)
+    fitted = (camera, "") if is_stored else fit_to_picture(camera, unstretched_px, rotation_deg, is_mirrored)
     if fitted is None:
         return None
     done = "the calibration is stretched as the pixels are, which are not square"
     return scaled(fitted[0], size_px), f"{fitted[1]}, and {done}" if fitted[1] else done
 
 
-def fit_to_picture(camera: Camera, size_px: tuple[int, int], rotation_deg: int) -> tuple[Camera, str] | None:
+def fit_to_picture(
+    camera: Camera, size_px: tuple[int, int], rotation_deg: int, is_mirrored: bool = False
+) -> tuple[Camera, str] | None:
     """Adapt a camera to a video of another size, where one way alone explains the difference.
 
     Parameters
@@ -79,26 +86,29 @@ def fit_to_picture(camera: Camera, size_px: tuple[int, int], rotation_deg: int) 
         Width and height of the video's picture as shown; not the size of ``camera``.
     rotation_deg
         Counterclockwise turn of the stored picture for display: 0, 90, 180 or 270.
+    is_mirrored
+        Whether left and right of the stored picture are exchanged before the turn.
 
     Returns
     -------
         Camera of the shown picture and a sentence that says what was done; ``None`` if the sizes don't fit. A camera
         of unknown size fits if its principal point is near the middle of the picture. A
-        transposed size fits only if the file turns its picture by a quarter: else either quarter turn is possible.
+        transposed size fits only if the file turns its picture by a quarter: else either quarter turn is possible. It
+        does not fit a mirrored picture: no camera of the stored picture is one of the shown picture.
     """
     width, height = camera.size_px
     if camera.size_px == UNKNOWN_SIZE:
         sized = replace(camera, size_px=size_px)
         return (sized, "the video's size is taken") if _is_central(sized) else None
     if _is_padding(camera.size_px, size_px):
-        right, bottom = _SIDES[rotation_deg]
+        right, bottom = _SIDES[(rotation_deg - 90 * is_mirrored) % 360]
         padding = f"{abs(size_px[0] - width)} columns at the {right}"
         if size_px[0] == width:
             padding = f"{abs(size_px[1] - height)} rows at the {bottom}"
-        return _cropped(camera, size_px, rotation_deg), f"{padding} are taken as the codec's padding"
+        return _cropped(camera, size_px, (right, bottom)), f"{padding} are taken as the codec's padding"
     if size_px[0] * height == size_px[1] * width:
         return scaled(camera, size_px), f"the calibration is scaled by {size_px[0] / width:.6g}"
-    if size_px == (height, width) and rotation_deg % 180 == 90 and camera.matrix[0, 1] == 0:
+    if size_px == (height, width) and rotation_deg % 180 == 90 and not is_mirrored and camera.matrix[0, 1] == 0:
         turned = camera
         for _ in range(rotation_deg // 90):
             turned = _turned(turned)
@@ -121,10 +131,10 @@ def _is_padding(calibrated_px: tuple[int, int], shown_px: tuple[int, int]) -> bo
     return any(large == -(-small // block) * block for block in _BLOCKS_PX)
 
 
-def _cropped(camera: Camera, size_px: tuple[int, int], rotation_deg: int) -> Camera:
-    """Camera of a picture with more or fewer pixels at the right and bottom of the stored picture."""
+def _cropped(camera: Camera, size_px: tuple[int, int], padded: tuple[str, str]) -> Camera:
+    """Camera of a picture with more or fewer pixels at the padded sides."""
     shift_px = np.zeros((3, 3))
-    right, bottom = _SIDES[rotation_deg]
+    right, bottom = padded
     if right == "left":
         shift_px[0, 2] = size_px[0] - camera.size_px[0]
     if bottom == "top":

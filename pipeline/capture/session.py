@@ -389,7 +389,9 @@ def _fitted(
         video = videos.get(camera.name)
         if video is None or video.size_px == camera.size_px:
             fitted.append(camera)
-        elif (found := fit_to_video(camera, video.size_px, video.rotation_deg, video.stored_size_px)) is None:
+            continue
+        found = fit_to_video(camera, video.size_px, video.rotation_deg, video.stored_size_px, video.is_mirrored)
+        if found is None:
             problems.append(_size_problem(camera, video))
         else:
             fitted.append(found[0])

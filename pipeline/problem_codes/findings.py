@@ -95,6 +95,12 @@ PIXEL_ASPECT = FILES.code(
     "The pixels of a video are not square; its pictures are scaled.",
     "See [formats](formats.md#videos); check that the calibration is of one of the two sizes.",
 )
+SHOWN_MIRRORED = FILES.code(
+    "shown_mirrored",
+    _FINDING,
+    "The file of a video says that its picture is mirrored for display. It is read mirrored, like players show it.",
+    "If the calibration is of the picture that is not mirrored, turn off the mirroring and export again.",
+)
 PICTURE_DARK = FILES.code(
     "picture_dark",
     _FINDING,

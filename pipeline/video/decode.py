@@ -49,8 +49,8 @@ def decode(
 
     Yields
     ------
-        Number and RGB picture of each frame, rotated for display. A picture is valid until the next frame is requested:
-        all pictures share their memory.
+        Number and RGB picture of each frame, mirrored and rotated for display. A picture is valid until the next frame
+        is requested: all pictures share their memory.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def decode(
                 if frame.is_damaged:
                     on_damaged(number)
                 following = number + 1
-                yield number, rotate(frame.image_rgb, video.rotation_deg // 90)
+                yield number, rotate(frame.image_rgb, video.rotation_deg // 90, video.is_mirrored)
     except UnreadableVideoError:
         raise _undecodable(video, following) from None
     except LimitError:

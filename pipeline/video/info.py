@@ -24,13 +24,14 @@ class VideoInfo:
     path: Path  # The file
     codec: str  # FFmpeg's name of the codec
     size_px: tuple[int, int]  # Width and height of the picture as shown: with square pixels, after rotation
-    rotation_deg: int  # Counterclockwise turn of the decoded picture for display: 0, 90, 180 or 270
+    rotation_deg: int  # Counterclockwise turn of the decoded picture for display, after ``is_mirrored``: 0 to 270
     # Presentation timestamps of all frames, in ticks of the stream's time base, ascending
     pts: NDArray[np.int64]
     keyframe_pts: NDArray[np.int64]  # Timestamps of the keyframes, at which decoding can start
     time_s: NDArray[np.float64]  # Times of the frames in seconds; the first is 0
     frame_rate_hz: float  # Rate of ``frame_rate.measured_rate``
     num_repeated: int = 0  # Number of frames that are left out because they have the timestamp of another frame
+    is_mirrored: bool = False  # Whether left and right of the decoded picture are exchanged for display
     stored_width_px: int | None = None  # Width of the stored picture if its pixels are not square; ``None``: they are
     timecode: Timecode | None = None  # Timecode of the first frame; ``None``: the file has none
     # Time of creation that the file states, in seconds since 1970; ``None``: it states none

@@ -83,6 +83,8 @@ def _differences(first: VideoInfo, part: VideoInfo) -> list[str]:
         differences.append(f"it has {other_width} x {other_height} pixels, not {width} x {height}")
     if first.rotation_deg != part.rotation_deg:
         differences.append(f"its picture is turned by {part.rotation_deg} degrees, not {first.rotation_deg}")
+    if first.is_mirrored != part.is_mirrored:
+        differences.append(f"its picture is {'' if part.is_mirrored else 'not '}mirrored")
     is_long = min(first.num_frames, part.num_frames) > 1
     if is_long and abs(part.frame_rate_hz / first.frame_rate_hz - 1) > _SAME_RATE:
         differences.append(f"it has {part.frame_rate_hz:.6g} frames a second, not {first.frame_rate_hz:.6g}")

@@ -54,6 +54,7 @@ from pipeline.video.frame_rate import measured_rate, measured_rate_hz
 from pipeline.video.images.files import is_sequence
 from pipeline.video.images.probe import probe_images
 from pipeline.video.info import VideoInfo, seek_points
+from pipeline.video.orientation import display_orientation, mirrored
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
 from pipeline.video.properties.packets import REPAIR_TIMES, read_packets, shown_pts
@@ -158,7 +159,9 @@ def _probe(path: Path) -> VideoInfo:
         raise _too_large()
     if any(frame.interlaced_frame for frame in frames):
         warnings.append(interlaced())
-    rotation_deg = round(frames[0].rotation / 90) * 90 % 360
+    rotation_deg, is_mirrored = display_orientation(frames[0])
+    if is_mirrored:
+        warnings.append(mirrored())
     time_s = (pts - pts[0]) * float(time_base)
     warnings += uneven_times(time_s)
     return VideoInfo(
@@ -166,6 +169,7 @@ def _probe(path: Path) -> VideoInfo:
         codec=codec,
         size_px=(square_width, height) if rotation_deg % 180 == 0 else (height, square_width),
         rotation_deg=rotation_deg,
+        is_mirrored=is_mirrored,
         pts=pts,
         keyframe_pts=keyframe_pts,
         time_s=time_s,
@@ -175,7 +179,8 @@ def _probe(path: Path) -> VideoInfo:
         timecode=read_timecode(path, metadata, measured_rate(time_s)),
         created_s=created_s(metadata),
         warnings=tuple(replace(warning, file=path.name) for warning in warnings),
-        browser_media_type=browser_media_type(video_format),
+        # Firefox ignores the mirroring.
+        browser_media_type=None if is_mirrored else browser_media_type(video_format),
         media_start_s=float(pts[0] * time_base),
         tick_s=float(time_base),
     )

@@ -104,6 +104,7 @@ def _result(path: Path, fork: Fork) -> VideoInfo | Problem:
         codec=answer["codec"],
         size_px=(answer["size_px"][0], answer["size_px"][1]),
         rotation_deg=answer["rotation_deg"],
+        is_mirrored=answer["is_mirrored"],
         pts=np.array(answer["pts"], np.int64),
         keyframe_pts=np.array(answer["keyframe_pts"], np.int64),
         time_s=np.array(answer["time_s"], np.float64),

@@ -1,4 +1,4 @@
-"""Pictures turned by quarters, into memory that is used again."""
+"""Pictures mirrored and turned by quarters, into memory that is used again."""
 
 import cv2
 import numpy as np
@@ -8,15 +8,20 @@ _CODES = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90
 
 
 class Rotator:
-    """Turns pictures of one camera by quarters; a turned picture is valid until the next one is turned."""
+    """Turns pictures of one camera for display; a turned picture is valid until the next one is turned."""
 
     def __init__(self) -> None:
         self._turned = np.empty((0, 0, 3), np.uint8)
 
     def __call__(
-        self, image: UInt8[np.ndarray, "height width 3"], quarters: int
+        self, image: UInt8[np.ndarray, "height width 3"], quarters: int, is_mirrored: bool = False
     ) -> UInt8[np.ndarray, "turned_height turned_width 3"]:
-        """Turn a picture counterclockwise; a picture that is not turned is returned itself."""
+        """Exchange left and right of a picture if it is mirrored, then turn it counterclockwise.
+
+        A picture that is neither mirrored nor turned is returned itself.
+        """
+        if is_mirrored:
+            image = cv2.flip(image, 1)
         quarters %= 4
         if quarters == 0:
             return image

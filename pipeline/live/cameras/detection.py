@@ -30,10 +30,11 @@ class DetectionJob(NamedTuple):
     path: str  # File of the pictures
     shape: tuple[int, int, int, int]  # Number of pictures, height, width and channels
     slot: int  # Number of the picture in the file
-    rotation_deg: int  # Counterclockwise turn of the picture for display
+    rotation_deg: int  # Counterclockwise turn of the picture for display, after ``is_mirrored``
     turn_deg: float  # Counterclockwise turn that brings the shown picture upright
     sizes: CameraSizes | None  # Size of the picture in the network's input; ``None``: the usual one
     measures_colours: bool  # Whether the colours of the clothes are measured
+    is_mirrored: bool = False  # Whether left and right of the picture are exchanged for display
 
 
 class DetectedBodies(NamedTuple):
@@ -62,7 +63,7 @@ def detect_bodies(job: DetectionJob) -> DetectedBodies:
     clock = time.perf_counter if current_provider().is_gpu else time.thread_time
     started_s = clock()
     pictures = np.memmap(job.path, np.uint8, "r", shape=job.shape)
-    image_rgb = Rotator()(pictures[job.slot], job.rotation_deg // 90)
+    image_rgb = Rotator()(pictures[job.slot], job.rotation_deg // 90, job.is_mirrored)
     detector = open_detection(networks_of(job.choices), detected_joints(job.choices), job.sizes, job.turn_deg)
     bodies = detector.detect(image_rgb)
     colour = None

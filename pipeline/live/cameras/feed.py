@@ -27,7 +27,8 @@ class PictureFormat:
 
     stored_size_px: tuple[int, int]  # Width and height, before pixels become square and before rotation
     square_width: int  # Width of the pictures with square pixels
-    rotation_deg: int  # Counterclockwise turn for display
+    rotation_deg: int  # Counterclockwise turn for display, after ``is_mirrored``
+    is_mirrored: bool = False  # Whether left and right of the stored picture are exchanged for display
 
     @property
     def shown_size_px(self) -> tuple[int, int]:
@@ -186,7 +187,7 @@ class CameraFeed:
 
     def _open(self, process: StreamProcess, message: dict[str, Any]) -> Problem | None:
         stored_px, square_width = tuple(message["stored_size_px"]), message["square_width"]
-        form = PictureFormat(stored_px, square_width, message["rotation_deg"])
+        form = PictureFormat(stored_px, square_width, message["rotation_deg"], message["is_mirrored"])
         if self._format not in {None, form}:
             return self._problem(VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start the capture anew.")
         self._format = form

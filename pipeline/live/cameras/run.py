@@ -38,6 +38,7 @@ from pipeline.live.recorded import DetectedFrame
 from pipeline.live.records import LiveInstant
 from pipeline.live.settings import LiveSettings
 from pipeline.problem_codes.sessions import SIZE_MISMATCH
+from pipeline.video.orientation import mirrored
 
 # Time in which the rates of streams are measured.
 _MEASURED_S = 1.0
@@ -185,13 +186,15 @@ class CameraRun:
                     problems.setdefault(number, problem)
         for number, opened in self._opened.items():
             camera, form = self._cameras[number], opened.format
-            fitted = fit_to_video(camera, form.shown_size_px, form.rotation_deg, form.stored_size_px)
+            fitted = fit_to_video(camera, form.shown_size_px, form.rotation_deg, form.stored_size_px, form.is_mirrored)
             if fitted is None:
                 problems[number] = _size_problem(camera, opened, self._sources[number])
             else:
                 self._cameras[number] = fitted[0]
                 if fitted[1]:
                     self._listener.tell(f"{camera.name}: {fitted[1]}.")
+                if form.is_mirrored:
+                    self._listener.tell(f"{camera.name}: {mirrored().message}")
         if problems:
             raise InputError([problems[number] for number in sorted(problems)])
         self._turns_deg = [turn_of_roll(camera) or 0.0 for camera in self._cameras]
@@ -389,7 +392,7 @@ class CameraRun:
     def _job(self, picture: PictureReady) -> DetectionJob:
         """Detection in a picture, which the calibration turns upright."""
         number, pictures = picture.camera, picture.pictures
-        rotation_deg, turn_deg = self._opened[number].format.rotation_deg, self._turns_deg[number]
+        form, turn_deg = self._opened[number].format, self._turns_deg[number]
         measures_colours = self._choices.appearance == "on" and picture.time_s >= self._coloured_s[number] + _COLOURS_S
         if measures_colours:
             self._coloured_s[number] = picture.time_s
@@ -398,10 +401,11 @@ class CameraRun:
             pictures.path,
             pictures.shape,
             picture.slot,
-            rotation_deg,
+            form.rotation_deg,
             turn_deg,
             self._sizes[number].sizes,
             measures_colours,
+            form.is_mirrored,
         )
 
 

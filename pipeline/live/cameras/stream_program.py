@@ -43,6 +43,7 @@ from pipeline.problem_codes.sessions import (
 from pipeline.video.children import start_child
 from pipeline.video.container import CODECS, DECODE_ERRORS, display_pts, first_video, open_container
 from pipeline.video.decoder import rgb_converter, write_rows
+from pipeline.video.orientation import display_orientation
 from pipeline.video.probe import square_pixels
 
 # Longest waits: for the connection with its first packets, and for the next packet.
@@ -146,11 +147,13 @@ class _Stream:
         self._size_px = frame.width, frame.height
         self._square_width, _ = square_pixels(frame.width, stream.sample_aspect_ratio)
         self._newest = _Taken(0, time.monotonic(), frame)
+        rotation_deg, is_mirrored = display_orientation(frame)
         _say(
             "opened",
             stored_size_px=self._size_px,
             square_width=self._square_width,
-            rotation_deg=round(frame.rotation / 90) * 90 % 360,
+            rotation_deg=rotation_deg,
+            is_mirrored=is_mirrored,
             rate_hz=_rate_hz(self._request) if self._request.kind == "file" else float(stream.average_rate or 0),
         )
         if self._request.kind == "file":

@@ -13,6 +13,7 @@ from pipeline.video.frame_rate import without_rounding
 from pipeline.video.images.files import SEQUENCE, open_images
 from pipeline.video.images.frames import decode_images
 from pipeline.video.info import VideoInfo
+from pipeline.video.orientation import display_orientation, mirrored
 from pipeline.video.properties.regularity import uneven_times
 
 _NUM_DECODED = 8
@@ -32,16 +33,18 @@ def probe_images(path: Path) -> VideoInfo:
         raise UnusableError(NO_FRAMES, "No image can be decoded.", "Send JPEG, PNG, BMP or TIFF.")
     _check_sizes(frames)
     width, height = frames[0].width, frames[0].height
-    rotation_deg = round(frames[0].rotation / 90) * 90 % 360
+    rotation_deg, is_mirrored = display_orientation(frames[0])
     return VideoInfo(
         path=path,
         codec=SEQUENCE,
         size_px=(width, height) if rotation_deg % 180 == 0 else (height, width),
         rotation_deg=rotation_deg,
+        is_mirrored=is_mirrored,
         pts=pts,
         keyframe_pts=pts,
         time_s=pts.astype(np.float64),
         frame_rate_hz=1.0,
+        warnings=(replace(mirrored(), file=path.name),) if is_mirrored else (),
     )
 
 

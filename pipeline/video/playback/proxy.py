@@ -40,7 +40,9 @@ class ProxyRequest(NamedTuple):
     # Size of the proxy's pictures before rotation, even numbers
     width: int
     height: int
-    rotation_deg: int  # Counterclockwise turn of the pictures for display
+    # How the pictures are turned for display: mirrored first, then turned counterclockwise
+    is_mirrored: bool
+    rotation_deg: int
     pts: Sequence[Sequence[int]]  # Timestamps of the frames in each file, ascending
     ticks: Sequence[int]  # Times of all frames in the proxy, in ticks of ``TICKS_A_SECOND``, ascending
     keyframe_frames: int  # Number of frames from a keyframe to the next one
@@ -94,6 +96,7 @@ class _Converter:
         self._kind = frame.width, frame.height, frame.format.name
         steps = [
             f"scale={request.width}:{request.height}:flags=bilinear:out_range=tv",
+            *(["hflip"] if request.is_mirrored else []),
             *([_TURNS[request.rotation_deg]] if request.rotation_deg else []),
             "setsar=1",
             "format=yuv420p",

@@ -66,6 +66,7 @@ def make_proxy_in_child(
         target=str(target.absolute()),
         width=width,
         height=height,
+        is_mirrored=video.is_mirrored,
         rotation_deg=video.rotation_deg,
         pts=[part.pts.tolist() for part in video.parts or (video,)],
         ticks=ticks.tolist(),

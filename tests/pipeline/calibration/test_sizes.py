@@ -52,6 +52,33 @@ def test_padding_is_at_the_right_and_bottom_of_the_stored_picture(
     np.testing.assert_allclose(project(after, POINTS_M), project(before, POINTS_M) + np.array(moved_px), atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("calibrated_px", "shown_px", "rotation_deg", "moved_px"),
+    [
+        ((1088, 1920), (1080, 1920), 0, (-8, 0)),
+        ((1920, 1080), (1920, 1088), 0, (0, 0)),
+        ((1920, 1088), (1920, 1080), 90, (0, 0)),
+        ((1088, 1920), (1080, 1920), 90, (0, 0)),
+        ((1920, 1080), (1920, 1088), 180, (0, 8)),
+        ((1088, 1920), (1080, 1920), 180, (0, 0)),
+        ((1920, 1088), (1920, 1080), 270, (0, -8)),
+        ((1088, 1920), (1080, 1920), 270, (-8, 0)),
+    ],
+)
+def test_padding_of_a_mirrored_picture_is_at_the_other_side(
+    calibrated_px: tuple[int, int], shown_px: tuple[int, int], rotation_deg: int, moved_px: tuple[int, int]
+) -> None:
+    before = camera(calibrated_px, (-0.1, 0.05, 0.001, -0.002))
+    found = fit_to_picture(before, shown_px, rotation_deg, is_mirrored=True)
+    assert found is not None
+    np.testing.assert_allclose(project(found[0], POINTS_M), project(before, POINTS_M) + np.array(moved_px), atol=1e-9)
+
+
+def test_camera_of_the_stored_picture_does_not_fit_one_that_is_mirrored_and_turned() -> None:
+    assert fit_to_picture(camera((1920, 1080)), (1080, 1920), 90) is not None
+    assert fit_to_picture(camera((1920, 1080)), (1080, 1920), 90, is_mirrored=True) is None
+
+
 def test_padding_is_said_by_side_and_number() -> None:
     for shown_px, rotation_deg, words in (
         ((1080, 1920), 0, "8 columns at the right"),

@@ -1,4 +1,4 @@
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ def camera(name: str) -> Camera:
 def test_session_comes_back_with_its_videos_where_they_are_now(tmp_path: Path) -> None:
     session = CaptureSession(
         cameras=(camera("left"), camera("Käm 2")),
-        videos=(video("left.mp4", 30), video("Käm 2.mp4", 20)),
+        videos=(video("left.mp4", 30), replace(video("Käm 2.mp4", 20), is_mirrored=True)),
         times={"left": FrameTimes(np.arange(30) / 30.0), "Käm 2": FrameTimes(np.arange(20) / 30.0 + 0.1)},
         findings=(Finding(CALIBRATION_NOTE, "They are near."),),
     )

@@ -105,8 +105,8 @@ def test_seams_of_other_pictures_are_refused(joined: VideoInfo, tmp_path: Path) 
         (problem,) = seam_problems([joined.parts[0], probed(path)])
         assert (problem.code, problem.file) == ("parts_differ", path.name)
         assert difference in problem.message
-    turned = replace(joined.parts[1], rotation_deg=180)
-    assert [problem.code for problem in seam_problems([joined.parts[0], turned])] == ["parts_differ"]
+    for turned in (replace(joined.parts[1], rotation_deg=180), replace(joined.parts[1], is_mirrored=True)):
+        assert [problem.code for problem in seam_problems([joined.parts[0], turned])] == ["parts_differ"]
 
 
 @pytest.mark.parametrize(

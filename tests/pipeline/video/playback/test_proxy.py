@@ -93,11 +93,13 @@ def test_sizes(size_px: tuple[int, int], expected: tuple[int, int]) -> None:
     assert proxy_size_px(size_px) == expected
 
 
-@pytest.mark.parametrize("rotation_deg", [90, 180, 270])
-def test_pictures_are_turned(tmp_path: Path, rotation_deg: int) -> None:
+@pytest.mark.parametrize(
+    ("rotation_deg", "is_mirrored"), [(90, False), (180, False), (270, False), (0, True), (90, True)]
+)
+def test_pictures_are_mirrored_and_turned(tmp_path: Path, rotation_deg: int, is_mirrored: bool) -> None:
     video = probed(write_video(tmp_path / "a.mkv", 2, SIZE_PX))
-    size_px = SIZE_PX if rotation_deg == 180 else SIZE_PX[::-1]
-    turned = replace(video, rotation_deg=rotation_deg, size_px=size_px)
+    size_px = SIZE_PX if rotation_deg % 180 == 0 else SIZE_PX[::-1]
+    turned = replace(video, rotation_deg=rotation_deg, is_mirrored=is_mirrored, size_px=size_px)
     proxy, _ = make(turned, tmp_path / "proxy.mp4")
     assert (proxy.size_px, proxy.rotation_deg) == (size_px, 0)
     (_, shown), (_, made) = next(decode(turned, 0, 1)), next(decode(proxy, 0, 1))
