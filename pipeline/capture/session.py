@@ -21,10 +21,17 @@ from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.capture.video_files import find_videos
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
-from pipeline.findings import Finding
+from pipeline.findings import Finding, Severity
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.paths import StrPath
-from pipeline.problem_codes.findings import CALIBRATION_ADAPTED, CALIBRATION_NOTE, FRAMES_REPEATED, PARTS_JOINED
+from pipeline.problem_codes.findings import (
+    CALIBRATION_ADAPTED,
+    CALIBRATION_NOTE,
+    FIRST_PICTURE_MOVED,
+    FRAMES_REPEATED,
+    PARTS_JOINED,
+    SOUND_DELAY_UNKNOWN,
+)
 from pipeline.problem_codes.sessions import (
     FRAME_RATE,
     INVALID_NAME,
@@ -366,7 +373,8 @@ def _joined(
 def _of_video(camera: str, doubt: Problem) -> Finding:
     """Finding of what is doubtful about a video's file."""
     message = str(replace(doubt, hint=None))
-    return Finding(doubt.code, message, camera, hint=doubt.hint, evidence={"file": doubt.file})
+    severity: Severity = "info" if doubt.code in {FIRST_PICTURE_MOVED, SOUND_DELAY_UNKNOWN} else "warning"
+    return Finding(doubt.code, message, camera, severity, doubt.hint, evidence={"file": doubt.file})
 
 
 def _repeated_times(camera: str, video: VideoInfo) -> Finding:

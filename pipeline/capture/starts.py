@@ -1,15 +1,14 @@
 """Starts of a session's videos by the clock that the client chose: stated offsets, timecode, or times of creation."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pipeline.capture.preflight_record import Clock
 from pipeline.errors import Problem
 from pipeline.findings import Finding
 from pipeline.problem_codes.findings import COARSE_CLOCK
 from pipeline.problem_codes.sessions import NO_CREATION_TIME, NO_TIMECODE
-from pipeline.video.info import VideoInfo
+from pipeline.video.info import Timecode, VideoInfo
 
-_DAY_S = 86_400.0
 _DECLARED = "Omit the clock and state the offsets of the videos."
 # A clock whose frames are this much longer than the video's leaves the start within a frame unknown.
 _MIN_COARSE = 1.5
@@ -28,7 +27,7 @@ def starts_s(videos: Mapping[str, VideoInfo], clock: Clock) -> tuple[Mapping[str
     Returns
     -------
     starts_s
-        Times by camera name; of a session across midnight, timecodes after it count as of the next day.
+        Times by camera name; of a session across midnight, timecodes before it count as of the day before.
     problems
         Videos without such a clock.
     """
@@ -41,7 +40,7 @@ def starts_s(videos: Mapping[str, VideoInfo], clock: Clock) -> tuple[Mapping[str
             _without(camera, videos[camera], clock) for camera, time_s in stated_s.items() if time_s is None
         ]
     if clock == "timecode":
-        known_s = dict(_across_midnight(known_s))
+        known_s = _across_midnight([(camera, video.timecode) for camera, video in videos.items() if video.timecode])
     begin_s = min(known_s.values())
     return {camera: time_s - begin_s for camera, time_s in known_s.items()}, []
 
@@ -88,13 +87,17 @@ def _stated_s(video: VideoInfo, clock: Clock) -> float | None:
     return None if video.timecode is None else video.timecode.time_s
 
 
-def _across_midnight(times_s: Mapping[str, float]) -> Mapping[str, float]:
-    """Add a day to the times after midnight if others are late in the day before."""
-    ordered = sorted(times_s.values())
-    # The largest pause between two times, also from the last to the first, is where the session did not record.
-    pauses_s = [after - before for before, after in zip(ordered, [*ordered[1:], ordered[0] + _DAY_S], strict=True)]
-    last = pauses_s.index(max(pauses_s))
-    return {camera: time_s + _DAY_S * (time_s <= ordered[last]) for camera, time_s in times_s.items()}
+def _across_midnight(timecodes: Sequence[tuple[str, Timecode]]) -> dict[str, float]:
+    """Times by camera: negative before midnight if other cameras started early in the day after it."""
+    shares = sorted(timecode.time_s / timecode.day_s for _, timecode in timecodes)
+    # The largest pause between two starts, also from the last to the first, is where the session did not record.
+    pauses = [after - before for before, after in zip(shares, [*shares[1:], shares[0] + 1.0], strict=True)]
+    last = pauses.index(max(pauses))
+    is_across = last < len(shares) - 1
+    return {
+        camera: timecode.time_s - timecode.day_s * (is_across and timecode.time_s / timecode.day_s > shares[last])
+        for camera, timecode in timecodes
+    }
 
 
 def _without(camera: str, video: VideoInfo, clock: Clock) -> Problem:

@@ -95,6 +95,18 @@ PIXEL_ASPECT = FILES.code(
     "The pixels of a video are not square; its pictures are scaled.",
     "See [formats](formats.md#videos); check that the calibration is of one of the two sizes.",
 )
+FIRST_PICTURE_MOVED = FILES.code(
+    "first_picture_moved",
+    _FINDING,
+    "The file of a video states its first picture too early; it is taken a frame before the second one.",
+    "Nothing is to be done; MP4 that is not fragmented states the right time.",
+)
+SOUND_DELAY_UNKNOWN = FILES.code(
+    "sound_delay_unknown",
+    _FINDING,
+    "The file of a video does not state the delay of its AAC sound, which may be off by 21 ms or more.",
+    "Nothing is to be done where motion measures the offsets; else send MP4 that is not fragmented.",
+)
 SHOWN_MIRRORED = FILES.code(
     "shown_mirrored",
     _FINDING,

@@ -1,7 +1,7 @@
 """Open an untrusted video and decode it from a keyframe on.
 
-FFmpeg may open container formats only, and no other file. Decoding uses one thread. The module imports neither NumPy
-nor other modules of Multicap, so that decoder processes start quickly.
+FFmpeg may open container formats only, and no other file. Decoding uses one thread. The module does not
+import NumPy, so that decoder processes start quickly.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -13,6 +13,8 @@ from av.container import InputContainer
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
+
+from pipeline.video.stamps import read_packets
 
 # A playlist or a concat script would make FFmpeg open other files or addresses.
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,mpegts,mpeg", "protocol_whitelist": "file"}
@@ -127,7 +129,7 @@ def _decode(
     if stream is None:
         return
     leaves_out = wanted_pts is not None and stream.codec_context.name in _MARKS_REFERENCES
-    for packet in container.demux(stream):
+    for packet in read_packets(container, stream):
         # An empty packet ends the stream: the decoder gives the frames that it holds back.
         stamp = packet.dts if packet.pts is None else packet.pts
         if only_pts is not None and packet.size and stamp not in only_pts:

@@ -15,6 +15,18 @@ class Timecode:
 
     time_s: float  # Time since midnight
     rate_hz: float  # Frames a second of the timecode; the video may have a multiple of it
+    is_drop_frame: bool = False  # Whether numbers are left out, so that 29.97 frames a second keep up with the day
+
+    @property
+    def day_s(self) -> float:
+        """Time after which the timecode begins again: a day has its number of frames (SMPTE 12M).
+
+        It is 86,400 s at whole rates, 86,486.4 s at 29.97 frames a second, and 86,399.9136 s with drop-frame.
+        """
+        frames_a_second = round(self.rate_hz)
+        # Two numbers in each minute but every tenth, four at 59.94 frames a second.
+        num_dropped = 24 * 54 * 2 * frames_a_second // 30 if self.is_drop_frame else 0
+        return (86_400 * frames_a_second - num_dropped) / self.rate_hz
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,6 @@ from pipeline.video.info import VideoInfo
 _SAME_RATE = 0.002
 # Clocks of files: timecode counts frames, times of creation have whole seconds and may be those of the end of a file.
 _MAX_TIMECODE_GAP_S, _MAX_CREATION_GAP_S = 0.2, 2.5
-_DAY_S = 86_400.0
 
 
 def join_parts(parts: Sequence[VideoInfo]) -> VideoInfo:
@@ -99,8 +98,9 @@ def _gap_s(before: VideoInfo, part: VideoInfo) -> float | None:
     """
     length_s = before.num_frames / before.frame_rate_hz
     if before.timecode is not None and part.timecode is not None:
-        gap_s = (part.timecode.time_s - before.timecode.time_s) % _DAY_S - length_s
-        return gap_s if _MAX_TIMECODE_GAP_S < gap_s < _DAY_S / 2 else None
+        day_s = before.timecode.day_s
+        gap_s = (part.timecode.time_s - before.timecode.time_s) % day_s - length_s
+        return gap_s if _MAX_TIMECODE_GAP_S < gap_s < day_s / 2 else None
     if before.created_s is not None and part.created_s is not None:
         longest_s = max(length_s, part.num_frames / part.frame_rate_hz)
         gap_s = part.created_s - before.created_s - longest_s

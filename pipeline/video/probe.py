@@ -25,7 +25,7 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.errors import Problem, UnusableError
-from pipeline.problem_codes.findings import INTERLACED_VIDEO, PIXEL_ASPECT
+from pipeline.problem_codes.findings import FIRST_PICTURE_MOVED, INTERLACED_VIDEO, PIXEL_ASPECT
 from pipeline.problem_codes.sessions import (
     NO_FRAMES,
     NO_KEYFRAMES,
@@ -57,9 +57,11 @@ from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.orientation import display_orientation, mirrored
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
-from pipeline.video.properties.packets import REPAIR_TIMES, read_packets, shown_pts
+from pipeline.video.properties.packets import REPAIR_TIMES, list_packets, shown_pts
 from pipeline.video.properties.regularity import uneven_times
-from pipeline.video.signatures import document_type, is_container
+from pipeline.video.signatures import document_type, is_container, is_cut_avi
+from pipeline.video.sound.delay import unknown_delays
+from pipeline.video.stamps import starts_at_zero
 
 _NUM_DECODED = 8
 _AT_ONCE = 2
@@ -127,7 +129,11 @@ def _probe(path: Path) -> VideoInfo:
             )
         if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
             raise _too_large()
-        announced, time_base, pixel_aspect = _announced(container, stream), stream.time_base, stream.sample_aspect_ratio
+        announced, time_base, pixel_aspect = (
+            _announced(path, container, stream),
+            stream.time_base,
+            stream.sample_aspect_ratio,
+        )
         video_format = VideoFormat(
             container=container.format.name,
             brand=container.metadata.get("major_brand", "") or document_type(path),
@@ -137,7 +143,8 @@ def _probe(path: Path) -> VideoInfo:
             size_px=(stream.codec_context.width, stream.codec_context.height),
         )
         metadata = _metadata(container)
-        packets = read_packets(container, stream)
+        first_pts = stream.start_time if starts_at_zero(container) else None
+        packets = list_packets(container, stream)
     stored_pts, keyframe_pts, num_read = packets.pts, packets.keyframe_pts, packets.num_read
     if time_base is None or not len(stored_pts):
         raise UnusableError(NO_FRAMES, "The video has no frames.", "Record or export it again.")
@@ -148,7 +155,7 @@ def _probe(path: Path) -> VideoInfo:
     if announced > num_read + 1:
         raise UnusableError(
             VIDEO_TRUNCATED,
-            f"The file is truncated: it has {num_read} of {announced} frames.",
+            f"The file is truncated after {num_read} frames.",
             "Copy it again.",
         )
     pts = shown_pts(stored_pts)
@@ -163,7 +170,9 @@ def _probe(path: Path) -> VideoInfo:
     if is_mirrored:
         warnings.append(mirrored())
     time_s = (pts - pts[0]) * float(time_base)
-    warnings += uneven_times(time_s)
+    if first_pts is not None and pts[0] > first_pts:
+        warnings.append(_moved((int(pts[0]) - first_pts) * float(time_base)))
+    warnings += [*uneven_times(time_s), *unknown_delays(path)]
     return VideoInfo(
         path=path,
         codec=codec,
@@ -190,6 +199,14 @@ def _too_large() -> UnusableError:
     return UnusableError(VIDEO_TOO_LARGE, f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
 
 
+def _moved(early_s: float) -> Problem:
+    return Problem(
+        FIRST_PICTURE_MOVED,
+        f"The file states the first picture {1000 * early_s:.0f} ms early: it is taken a frame before the second one.",
+        hint="Programs write such times in fragmented MP4 files whose sound starts before the pictures.",
+    )
+
+
 def _metadata(container: InputContainer) -> dict[str, str]:
     """Entries of the streams and of the container; those of the container have precedence."""
     found: dict[str, str] = {}
@@ -198,13 +215,16 @@ def _metadata(container: InputContainer) -> dict[str, str]:
     return found | container.metadata
 
 
-def _announced(container: InputContainer, stream: VideoStream) -> int:
+def _announced(path: Path, container: InputContainer, stream: VideoStream) -> int:
     """Number of packets that the header announces; 0 if it does not.
 
-    The index of MP4 and MOV has an entry for each packet that the file's edit list leaves, before anything is read.
+    The index of MP4 and MOV has an entry for each packet that the file's edit list leaves, before anything is read. The
+    header of AVI counts the places of dropped frames too: its number means something only if the file is cut off.
     """
     if "mp4" in container.format.name.split(","):
         return min(stream.frames, len(stream.index_entries))
+    if container.format.name == "avi" and not is_cut_avi(path):
+        return 0
     return stream.frames
 
 

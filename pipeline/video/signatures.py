@@ -1,5 +1,6 @@
-"""First bytes of video files: other files are refused without opening them with FFmpeg."""
+"""Signatures and sizes of video files: other files are refused without opening them with FFmpeg."""
 
+import struct
 from pathlib import Path
 
 _HEAD_BYTES = 2**16
@@ -43,6 +44,23 @@ def document_type(path: Path) -> str:
     # The size of a short element is one byte with the highest bit set.
     length = head[begin - 1] & 0x7F
     return head[begin : begin + length].rstrip(b"\0").decode("ascii", "replace")
+
+
+def is_cut_avi(path: Path) -> bool:
+    """Return whether an AVI file ends before its last RIFF chunk does; a large file has several."""
+    size, start = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while start + 8 <= size:
+            file.seek(start)
+            kind, length = struct.unpack("<4sI", file.read(8))
+            # A program that writes to a pipe leaves the length 0.
+            if kind != b"RIFF" or length == 0:
+                return False
+            start += 8 + length
+            if start > size:
+                return True
+            start += length % 2
+    return False
 
 
 def _is_transport_stream(head: bytes, packet_bytes: int) -> bool:

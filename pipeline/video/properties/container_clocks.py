@@ -38,7 +38,7 @@ def read_timecode(path: Path, metadata: Mapping[str, str], frame_rate: Fraction 
     if not text or (rate := timecode_rate(path) or frame_rate) is None:
         return None
     time_s = timecode_s(text, rate)
-    return None if time_s is None else Timecode(time_s, float(rate))
+    return None if time_s is None else Timecode(time_s, float(rate), _is_drop_frame(text.strip()[8], rate))
 
 
 def timecode_s(text: str, rate: Fraction) -> float | None:
@@ -64,10 +64,15 @@ def timecode_s(text: str, rate: Fraction) -> float | None:
     if hours >= 24 or minutes >= 60 or seconds >= 60 or frames >= base:
         return None
     number = ((hours * 60 + minutes) * 60 + seconds) * base + frames
-    if match[4] in _DROP_MARKS and base % _DROP_BASE == 0:
+    if _is_drop_frame(match[4], rate):
         total_minutes = hours * 60 + minutes
         number -= _DROPPED * base // _DROP_BASE * (total_minutes - total_minutes // 10)
     return float(number / rate)
+
+
+def _is_drop_frame(mark: str, rate: Fraction) -> bool:
+    """Return whether a mark before the frames means dropped numbers; at 25 frames a second there are none."""
+    return mark in _DROP_MARKS and round(rate) % _DROP_BASE == 0
 
 
 def created_s(metadata: Mapping[str, str]) -> float | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import UnusableError
 from pipeline.problem_codes.sessions import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
+from pipeline.video.stamps import read_packets
 
 MAX_FRAMES = 2_000_000
 # Longest span of timestamps in ticks: differences of 64-bit integers do not overflow below it.
@@ -29,14 +30,14 @@ class Packets(NamedTuple):
     num_read: int  # Number of packets, also of those of frames that are not shown
 
 
-def read_packets(container: InputContainer, stream: VideoStream) -> Packets:
+def list_packets(container: InputContainer, stream: VideoStream) -> Packets:
     """Read all packets; raise ``UnusableError`` if one has no timestamp or the last one is cut off."""
     codec = stream.codec_context.codec.canonical_name
     pts: list[int] = []
     keyframes: list[int] = []
     is_corrupt = False
     num_read = 0
-    for packet in container.demux(stream):
+    for packet in read_packets(container, stream):
         num_read += packet.size > 0
         if packet.size == 0 or packet.is_discard or _is_hidden(codec, packet):
             continue

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.video.children import start_child
 from pipeline.video.container import DECODE_ERRORS, first_video, open_container
+from pipeline.video.stamps import reordering_delay
 
 CODECS = frozenset({"aac", "mp3", "mp2", "ac3", "eac3", "opus", "vorbis", "flac", "alac"})
 """Codecs whose sound is read, beside uncompressed sound."""
@@ -25,8 +26,8 @@ MAX_MS = 4 * 3_600_000
 
 _RATE_HZ = 8000
 _SAMPLES = _RATE_HZ // 1000
-# Shorter steps in the timestamps are rounding of a container; longer ones are gaps.
-_GAP_SAMPLES = 80
+# Shorter steps in the timestamps are rounding of a container, to a millisecond at most; longer ones are gaps.
+_GAP_SAMPLES = 16
 
 
 def energy_of(path: Path, first_pts: int) -> NDArray[np.float32] | str:
@@ -41,11 +42,12 @@ def energy_of(path: Path, first_pts: int) -> NDArray[np.float32] | str:
         if not streams or video is None or video.time_base is None:
             return "The video has no sound."
         stream = streams[0]
-        name = stream.codec_context.name
+        # The name of the codec, not of one of its decoders such as mp3float.
+        name = stream.codec_context.codec.canonical_name
         if name not in CODECS and not name.startswith("pcm_"):
             return f"Sound of the codec {name} is not read."
         stream.codec_context.thread_count = 1
-        start_s = float(first_pts * video.time_base)
+        start_s = float((first_pts - reordering_delay(container, video)) * video.time_base)
         resampler = AudioResampler(format="flt", layout="mono", rate=_RATE_HZ)
         found = _Energy()
         for packet in container.demux(stream):
@@ -65,7 +67,8 @@ class _Energy:
 
     def __init__(self) -> None:
         self._found = np.zeros(60_000, np.float32)
-        self._next = self._end = 0
+        self._next: int | None = None  # Sample at which the next piece begins if there is no gap; ``None``: unknown
+        self._end = 0
         self._last = 0.0
 
     @property
@@ -77,12 +80,13 @@ class _Energy:
         samples = frame.to_ndarray().ravel().astype(np.float64)
         if frame.pts is not None and frame.time_base is not None:
             first = round((float(frame.pts * frame.time_base) - start_s) * _RATE_HZ)
-            if abs(first - self._next) > _GAP_SAMPLES:
+            if self._next is None or abs(first - self._next) > _GAP_SAMPLES:
                 self._next = first
         change = np.nan_to_num(np.diff(samples, prepend=self._last), posinf=0.0, neginf=0.0)
         self._last = float(samples[-1]) if len(samples) else self._last
-        numbers = (self._next + np.arange(len(samples))) // _SAMPLES
-        self._next += len(samples)
+        begin = self._next or 0
+        numbers = (begin + np.arange(len(samples))) // _SAMPLES
+        self._next = begin + len(samples)
         wanted = (numbers >= 0) & (numbers < MAX_MS)
         if wanted.any():
             self._grow(int(numbers[wanted][-1]) + 1)

@@ -18,10 +18,13 @@ from pipeline.capture.starts import starts_s
 from pipeline.errors import InputError
 from pipeline.video.info import Timecode, VideoInfo
 from pipeline.video.probe import probe
+from pipeline.video.properties.container_clocks import read_timecode
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_video
 from tests.pipeline.video.properties.test_container_clocks import NTSC, write
 
+# Numerators of 23.976, 29.97, 47.952 and 59.94 Hz.
+NTSC_TICKS = (24_000, 30_000, 48_000, 60_000)
 CREATED = "2024-05-01T10:00:03Z"
 
 
@@ -50,6 +53,30 @@ def test_timecode_passes_midnight(any_video: VideoInfo) -> None:
     assert starts_s(videos, "timecode")[0] == pytest.approx({"a": 9.0, "b": 12.0, "c": 0.0})
     assert starts_s(videos, "creation_time")[0]["a"] == pytest.approx(86_397.0)
     assert starts_s(of_times(any_video, {"a": 5.0}), "timecode")[0] == {"a": 0.0}
+
+
+@pytest.mark.parametrize("rate", [*map(Fraction, (24, 25, 30, 50, 60)), *(Fraction(n, 1001) for n in NTSC_TICKS)])
+@pytest.mark.parametrize("mark", [":", ";"])
+def test_timecode_across_midnight_counts_the_frames_of_a_day(any_video: VideoInfo, rate: Fraction, mark: str) -> None:
+    """One second before midnight, and one second and half a minute after it: no number is dropped in between."""
+    texts = {"a": f"00:00:01{mark}00", "b": f"23:59:59{mark}00", "c": f"00:00:30{mark}06"}
+    stated = {
+        camera: replace(any_video, timecode=read_timecode(any_video.path, {"timecode": text}, rate))
+        for camera, text in texts.items()
+    }
+    found, problems = starts_s(stated, "timecode")
+    assert problems == []
+    frames = {"a": 2 * round(rate), "b": 0, "c": 31 * round(rate) + 6}
+    assert found == pytest.approx({camera: float(count / rate) for camera, count in frames.items()}, abs=1e-6)
+
+
+def test_timecodes_of_several_rates_meet_at_midnight(any_video: VideoInfo) -> None:
+    texts = {"a": ("23:59:58:00", NTSC), "b": ("23:59:59:00", Fraction(25)), "c": ("00:00:01:00", Fraction(24))}
+    stated = {
+        camera: replace(any_video, timecode=read_timecode(any_video.path, {"timecode": text}, rate))
+        for camera, (text, rate) in texts.items()
+    }
+    assert starts_s(stated, "timecode")[0] == pytest.approx({"a": 0.0, "b": 1.002, "c": 3.002}, abs=1e-6)
 
 
 def videos(folder: Path, **changes: str) -> list[Path]:

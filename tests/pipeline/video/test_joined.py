@@ -122,6 +122,19 @@ def test_gaps_are_found_by_timecode(joined: VideoInfo, between_s: float, is_gap:
         assert f"{between_s - 0.64:.1f} s are missing" in problems[0].message
 
 
+@pytest.mark.parametrize(("is_drop_frame", "day_s"), [(False, 86_486.4), (True, 86_399.9136)])
+def test_gap_across_midnight_is_found_by_the_frames_of_a_day(
+    joined: VideoInfo, is_drop_frame: bool, day_s: float
+) -> None:
+    clock = Timecode(day_s - 0.1, 30_000 / 1001, is_drop_frame)
+    first = replace(joined.parts[0], timecode=clock)
+    for between_s, sentence in ((0.64, None), (1.64, "1.0 s are missing"), (60.0, "59.4 s are missing")):
+        second = replace(joined.parts[1], timecode=replace(clock, time_s=between_s - 0.1))
+        messages = [problem.message for problem in seam_problems([first, second])]
+        assert len(messages) == (sentence is not None)
+        assert all(sentence in message for message in messages if sentence)
+
+
 @pytest.mark.parametrize(("between_s", "is_gap"), [(0.0, False), (1.0, False), (2.0, False), (9.0, True)])
 def test_gaps_are_found_by_times_of_creation(joined: VideoInfo, between_s: float, is_gap: bool) -> None:
     first = replace(joined.parts[0], created_s=1.7e9)

@@ -1,6 +1,6 @@
 """Sound of real files: onsets at their times after the first frame, odd files, and hostile ones."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from pipeline.synchronization.sound.onsets import find_lag, onset_strength
 from pipeline.video.info import VideoInfo
 from pipeline.video.joined import join_parts
 from pipeline.video.probe_process import probe_in_children
+from pipeline.video.sound.listen import _Energy
 from pipeline.video.sound.listen_process import listen_in_child
 from tests.pipeline.media import picture, write_video
 from tests.pipeline.video.children import in_children
@@ -32,10 +33,15 @@ def clicks(duration_s: float, times_s: tuple[float, ...], seed: int = 0) -> np.n
 
 
 def filmed(
-    path: Path, samples: np.ndarray, codec: str = "aac", sound_first_s: float = 0.0, seconds: float = 4.0
+    path: Path,
+    samples: np.ndarray,
+    codec: str = "aac",
+    sound_first_s: float = 0.0,
+    seconds: float = 4.0,
+    muxer: Mapping[str, str] | None = None,
 ) -> Path:
     """Video with sound; ``sound_first_s`` is the time of its first sample after the first frame."""
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", options=dict(muxer or {})) as container:
         video = container.add_stream("libx264", rate=25)
         audio = container.add_stream(codec, rate=RATE_HZ, layout="mono")
         assert isinstance(video, av.VideoStream)
@@ -91,9 +97,45 @@ def test_claps_are_at_their_times(tmp_path: Path, name: str, codec: str) -> None
     assert found == pytest.approx(CLICKS_S, abs=0.002)
 
 
-def test_sound_that_begins_after_the_first_frame(tmp_path: Path) -> None:
-    found = onsets_s(filmed(tmp_path / "a.mkv", clicks(4.0, CLICKS_S), "pcm_s16le", sound_first_s=0.25))
-    assert found == pytest.approx([one + 0.25 for one in CLICKS_S], abs=0.002)
+@pytest.mark.parametrize(
+    ("name", "first_s"), [("a.mkv", 0.25), ("a.mov", 0.012), ("a.mkv", 0.009), ("a.mov", 0.007), ("a.mov", 0.003)]
+)
+def test_sound_that_begins_after_the_first_frame_keeps_its_times(tmp_path: Path, name: str, first_s: float) -> None:
+    found = onsets_s(filmed(tmp_path / name, clicks(4.0, CLICKS_S), "pcm_s16le", sound_first_s=first_s))
+    assert found == pytest.approx([click_s + first_s for click_s in CLICKS_S], abs=0.001)
+
+
+@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "libmp3lame"), ("a.mkv", "libmp3lame"), ("a.ts", "mp2")])
+def test_mpeg_audio_is_read(tmp_path: Path, name: str, codec: str) -> None:
+    assert onsets_s(filmed(tmp_path / name, clicks(4.0, CLICKS_S), codec)) == pytest.approx(CLICKS_S, abs=0.002)
+
+
+def test_gaps_of_a_few_milliseconds_add_up(tmp_path: Path) -> None:
+    """Pieces of half a second, each 6 ms after the end of the one before."""
+    energy = _Energy()
+    for number in range(4):
+        samples = np.zeros((1, 4000), np.float32)
+        samples[0, 800] = 1.0
+        frame = av.AudioFrame.from_ndarray(samples, format="flt", layout="mono")
+        frame.sample_rate, frame.pts, frame.time_base = 8000, number * 4048, Fraction(1, 8000)
+        assert energy.add(frame, 0.0)
+    assert np.flatnonzero(energy.values).tolist() == [100 + 506 * number for number in range(4)]
+
+
+@pytest.mark.parametrize(
+    ("name", "movflags", "codes"),
+    [
+        ("a.mp4", "faststart", []),
+        ("a.mov", "faststart", []),
+        ("a.mp4", "frag_keyframe+empty_moov", ["sound_delay_unknown"]),
+        ("a.mp4", "frag_keyframe+empty_moov+delay_moov", []),
+    ],
+)
+def test_aac_whose_delay_is_not_stated_is_a_finding(
+    tmp_path: Path, name: str, movflags: str, codes: Sequence[str]
+) -> None:
+    video = examined(filmed(tmp_path / name, clicks(4.0, CLICKS_S), muxer={"movflags": movflags}))
+    assert [warning.code for warning in video.warnings] == codes
 
 
 @pytest.mark.parametrize("late_s", [0.137, *(pytest.param(late_s, marks=pytest.mark.slow) for late_s in (0.0, 0.6))])
