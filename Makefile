@@ -118,13 +118,13 @@ $(UFBX)/.installed: $(READERS)/ufbx.lock
 		--only-binary :all: --no-binary pufbx -r $<
 	touch $@
 
-verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed  ## Open exports in Blender (installs 800 MB), three.js and other software; try the extension
+verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed $(PEERS)/.installed  ## Open exports in Blender (installs 2 GB), three.js, aniposelib and other software; try the extension
 	$(BIN)/multicap models install
 	$(BIN)/multicap samples install
 	$(BIN)/multicap bodies install
 	$(BIN)/multicap opensim install
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/e2e/test_blender_extension.py \
-		tests/pipeline/export tests/pipeline/character tests/api/blender
+		tests/pipeline/export tests/pipeline/character tests/api/blender tests/pipeline/calibration/test_programs.py
 	@echo "Blender's pictures are in build/exports/."
 
 blender-extension: $(VENV)/.installed  ## Build the extension for Blender into build/

@@ -4,23 +4,29 @@ Programs add fields to their formats, and rigs have cameras that film nothing. B
 file serves. What decides about a camera that serves is checked in full.
 """
 
-import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.calibration.advice import SUPPORTED
-from pipeline.calibration.contents import UNITS_M, CameraFile, Units, scaled
+from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, CameraFile, Units, scaled
+from pipeline.calibration.unread_fields import lens_fields, size_fields
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
 from pipeline.data.cameras import Camera
 from pipeline.errors import InputError, Problem, listed_names
 from pipeline.problem_codes.model import Code
-from pipeline.problem_codes.sessions import CALIBRATION_EMPTY, DUPLICATE_CAMERA, TOO_MANY_CAMERAS, UNSUPPORTED_LENS
+from pipeline.problem_codes.sessions import (
+    CALIBRATION_EMPTY,
+    DUPLICATE_CAMERA,
+    INVALID_SIZE,
+    TOO_MANY_CAMERAS,
+    UNSUPPORTED_LENS,
+)
 
-_DISTORTION = re.compile("(?!undist).*dist(ort|coef|_coef)", re.IGNORECASE)
+_NAME_HINT = "Name it as the format does (docs/formats.md has the names), or remove it."
 
 
 class Reading:
@@ -37,6 +43,8 @@ class Reading:
         self.problems: list[Problem] = []
         self.notes: list[str] = []
         self._unread: dict[str, None] = {}
+        # Cameras by the field that may decide, and the code of its problem.
+        self._doubts: dict[tuple[str, Code], list[str]] = {}
 
     def complain(
         self, code: Code, message: str, camera: str | None = None, field: str | None = None, hint: str | None = None
@@ -44,18 +52,23 @@ class Reading:
         """Add a problem of the file."""
         self.problems.append(Problem(code, message, file=self.file, camera=camera, field=field, hint=hint))
 
-    def pass_over(self, fields: Iterable[object], known: frozenset[str]) -> None:
+    def pass_over(self, fields: Mapping[str, Any], known: frozenset[str], raw: RawCamera | None = None) -> None:
         """Note the fields that are not ``known``: newer versions of a program write more than the calibration.
 
-        A field that may hold the distortion decides, and is a problem.
+        A field that may hold the distortion decides, and so does one that may hold the size of the picture where no
+        other field does: it is a problem, one for all cameras that have it.
+
+        Parameters
+        ----------
+        raw
+            Camera of the fields; ``None``: the fields stand beside the cameras.
         """
-        for field in map(str, fields):
-            if field in known or field in self._unread:
-                continue
-            self._unread[field] = None
-            if _DISTORTION.match(field):
-                message = "The field is not read, and may hold the distortion."
-                self.complain(UNSUPPORTED_LENS, message, None, field, "Name it as the format does, or remove it.")
+        self._unread |= {field: None for field in fields if field not in known}
+        doubts = dict.fromkeys(lens_fields(fields, known, raw and raw.distortion), UNSUPPORTED_LENS)
+        if raw is not None and raw.size_px is UNKNOWN_SIZE:
+            doubts |= dict.fromkeys(size_fields(fields, known, raw.matrix), INVALID_SIZE)
+        for field, code in doubts.items():
+            self._doubts.setdefault((field, code), []).append("" if raw is None else str(raw.name))
 
     def note_about(self, cameras: Sequence[object], statement: str) -> None:
         """Note something about cameras, as the end of the sentence "camera left is ..."; nothing if there are none."""
@@ -84,6 +97,11 @@ class Reading:
         InputError
             With all problems of all cameras.
         """
+        for (field, code), cameras in self._doubts.items():
+            content = "distortion" if code == UNSUPPORTED_LENS else "size of the picture"
+            owners = f" of {listed_names(cameras)}" if any(cameras) else ""
+            message = f"The field is not read, and may hold the {content}{owners}."
+            self.complain(code, message, None, field, _NAME_HINT)
         known = [each for each in raw if each.matrix is not None]
         if known:
             self.leave_out([each.name for each in raw if each.matrix is None], "no camera matrix in the file")
@@ -93,14 +111,14 @@ class Reading:
             self.leave_out([each.name for each in unposed], "no pose in the file")
         if self._unread:
             self.notes.append(f"{self.file}: fields that are not read: {listed_names(list(self._unread))}.")
-        cameras = self._build(posed or unposed or raw)
+        built = self._build(posed or unposed or raw)
         factor = 1.0 if unit is None else UNITS_M[unit]
         return CameraFile(
             format_name,
-            tuple(scaled(camera, factor) for camera in cameras) if posed else (),
+            tuple(scaled(camera, factor) for camera in built) if posed else (),
             unit,
             notes=tuple(self.notes),
-            unposed=self._serving(unposed) if posed else cameras,
+            unposed=self._serving(unposed) if posed else built,
             **statements,
         )
 

@@ -106,6 +106,8 @@ def fit_to_picture(
         if size_px[0] == width:
             padding = f"{abs(size_px[1] - height)} rows at the {bottom}"
         return _cropped(camera, size_px, (right, bottom)), f"{padding} are taken as the codec's padding"
+    if (size_px[0] - width, size_px[1] - height) in {(1, 1), (-1, -1)}:
+        return replace(camera, size_px=size_px), "the calibration counts the sides of the picture one pixel off"
     if size_px[0] * height == size_px[1] * width:
         return scaled(camera, size_px), f"the calibration is scaled by {size_px[0] / width:.6g}"
     if size_px == (height, width) and rotation_deg % 180 == 90 and not is_mirrored and camera.matrix[0, 1] == 0:

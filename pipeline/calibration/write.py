@@ -1,5 +1,9 @@
-"""Write cameras: Multicap's own JSON, Caliscope's TOML, OpenCV's YAML; ``registry`` reads all of them."""
+"""Write cameras: Multicap's own JSON, TOML of anipose and Caliscope, OpenCV's YAML; ``registry`` reads all of them.
 
+The programs want five numbers of distortion, zeros for a lens that has none.
+"""
+
+import itertools
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -41,27 +45,42 @@ def _document(cameras: Sequence[Camera]) -> dict[str, Any]:
 
 
 def encode_toml(cameras: Sequence[Camera]) -> bytes:
-    """Encode cameras as anipose writes them, in metres; the sections are ``cam_0``, ``cam_1``, ..."""
-    return "\n".join(_section(f"cam_{number}", _fields(camera)) for number, camera in enumerate(cameras)).encode()
+    """Encode cameras as anipose writes them, in metres; the sections are ``cam_0``, ``cam_1``, ...
+
+    aniposelib sorts the sections as text, so that all numbers have the same length: ``cam_02`` is before ``cam_10``.
+    """
+    num_digits = len(str(len(cameras) - 1))
+    return "\n".join(
+        _section(f"cam_{number:0{num_digits}}", _fields(camera)) for number, camera in enumerate(cameras)
+    ).encode()
 
 
 def encode_caliscope(cameras: Sequence[Camera]) -> bytes:
     """Encode cameras as Caliscope's ``camera_array.toml``, in metres; the sections are ``cameras.0``, ...
 
-    Caliscope itself ignores the names. Its windows show five coefficients of the standard model, so zeros fill them up.
+    Caliscope itself ignores the names.
     """
-    sections = []
-    for number, camera in enumerate(cameras):
-        coefficients = camera.distortion.tolist()
-        padding = [0.0] * (5 - len(coefficients)) if camera.lens == "standard" else []
-        fields = {"cam_id": number, **_fields(camera), "distortions": coefficients + padding, "rotation_count": 0}
-        sections.append(_section(f"cameras.{number}", fields))
-    return "\n".join(sections).encode()
+    return "\n".join(
+        _section(f"cameras.{number}", {"cam_id": number, **_fields(camera), "rotation_count": 0})
+        for number, camera in enumerate(cameras)
+    ).encode()
 
 
 def encode_opencv(cameras: Sequence[Camera]) -> bytes:
-    """Encode cameras as YAML of OpenCV's FileStorage: a mapping of cameras, in metres."""
-    return "\n".join(["%YAML:1.0", "---", *(_mapping(camera) for camera in cameras), ""]).encode()
+    """Encode cameras as YAML of OpenCV's FileStorage: a mapping of cameras, in metres.
+
+    OpenCV reads no file with a key such as ``01``: a camera of such a name has the key ``camera_0`` or alike, and a
+    field ``name``.
+    """
+    keys = {camera.name for camera in cameras if _KEY.fullmatch(camera.name)}
+    lines = ["%YAML:1.0", "---"]
+    for number, camera in enumerate(cameras):
+        key = camera.name
+        if key not in keys:
+            key = next(key for count in itertools.count(number) if (key := f"camera_{count}") not in keys)
+            keys.add(key)
+        lines += _mapping(key, camera)
+    return "\n".join([*lines, ""]).encode()
 
 
 FORMATS: Mapping[str, tuple[str, Callable[[Sequence[Camera]], bytes]]] = {
@@ -81,8 +100,8 @@ ENCODERS: Mapping[str, Callable[[Sequence[Camera]], bytes]] = {
 """Encoder by the ending of the file."""
 
 
-# Names that OpenCV itself reads; it reads no other names, with or without quotes.
-_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+# Names that are keys for OpenCV and for our reader, which looks for a list or a mapping under ``cameras``.
+_KEY = re.compile(r"(?!cameras$)[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def _rotation_vector(camera: Camera) -> list[float]:
@@ -92,12 +111,18 @@ def _rotation_vector(camera: Camera) -> list[float]:
     return vector
 
 
+def _coefficients(camera: Camera) -> list[float]:
+    """Distortion with zeros in place of missing coefficients up to k3; a fisheye lens has four."""
+    coefficients: list[float] = camera.distortion.tolist()
+    return coefficients + [0.0] * (5 - len(coefficients)) if camera.lens == "standard" else coefficients
+
+
 def _fields(camera: Camera) -> dict[str, Any]:
     return {
         "name": camera.name,
         "size": list(camera.size_px),
         "matrix": camera.matrix.tolist(),
-        "distortions": camera.distortion.tolist(),
+        "distortions": _coefficients(camera),
         "rotation": _rotation_vector(camera),
         "translation": camera.cam_from_world.translation_m.tolist(),
         "fisheye": camera.lens == "fisheye",
@@ -105,26 +130,29 @@ def _fields(camera: Camera) -> dict[str, Any]:
 
 
 def _section(title: str, fields: Mapping[str, Any]) -> str:
-    # JSON's texts, numbers and lists are TOML's, too.
-    return "\n".join([f"[{title}]", *(f"{name} = {json.dumps(value)}" for name, value in fields.items()), ""])
+    # JSON's texts, numbers and lists are TOML's, too, but for surrogates.
+    return "\n".join([f"[{title}]", *(f"{name} = {_value(value)}" for name, value in fields.items()), ""])
 
 
-def _mapping(camera: Camera) -> str:
+def _value(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _mapping(key: str, camera: Camera) -> list[str]:
     vectors = {
-        "distortion_coefficients": camera.distortion.tolist(),
+        "distortion_coefficients": _coefficients(camera),
         "rvec": _rotation_vector(camera),
         "tvec": camera.cam_from_world.translation_m.tolist(),
     }
-    lines = [
-        f"{camera.name if _PLAIN.fullmatch(camera.name) else json.dumps(camera.name)}:",
+    return [
+        f"{key}:",
+        *([f"   name: {_value(camera.name)}"] if key != camera.name else []),
         f"   image_width: {camera.size_px[0]}",
         f"   image_height: {camera.size_px[1]}",
         *(["   camera_model: fisheye"] if camera.lens == "fisheye" else []),
         *_matrix("camera_matrix", camera.matrix.tolist()),
+        *(line for name, numbers in vectors.items() for line in _matrix(name, [[number] for number in numbers])),
     ]
-    for name, numbers in vectors.items():
-        lines += _matrix(name, [[number] for number in numbers]) if numbers else []
-    return "\n".join(lines)
 
 
 def _matrix(name: str, rows: list[list[float]]) -> list[str]:

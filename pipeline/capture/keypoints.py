@@ -276,7 +276,11 @@ def _paired(
 
 def _unknown_size(camera: Camera, calibration: Path) -> Problem:
     message = "The calibration does not contain the size of the picture, which keypoints need."
-    return Problem(INVALID_SIZE, message, file=calibration.name, camera=camera.name, field="size")
+    hint = (
+        "Add image_width and image_height to each camera of the file, or write a file that has the size: "
+        f"multicap calibration convert {calibration.name} sized.json --size 1920x1080."
+    )
+    return Problem(INVALID_SIZE, message, file=calibration.name, camera=camera.name, field="size", hint=hint)
 
 
 def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Problem]) -> JointSet | None:

@@ -43,7 +43,7 @@ PARAMETER_RANGE = COMMANDS.code(
     "parameter_range", _COMMAND, "The value of the parameter is not allowed.", "Use an allowed value."
 )
 PARAMETER_UNREADABLE = COMMANDS.code(
-    "parameter_unreadable", _COMMAND, "The option is not NAME=NUMBER.", "Write it as in the hint."
+    "parameter_unreadable", _COMMAND, "The option is not NAME=NUMBER, or not WIDTHxHEIGHT.", "Write it as in the hint."
 )
 NO_REFINEMENT = COMMANDS.code(
     "no_refinement",

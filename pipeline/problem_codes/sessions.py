@@ -120,8 +120,8 @@ IMAGE_SIZE = CALIBRATIONS.code("image_size", ("command",), "Photographs of a cam
 CAMERA_UNKNOWN = CALIBRATIONS.code(
     "camera_unknown",
     ("command",),
-    "The file of the intrinsics has no camera of this name.",
-    "Name the folders of the photographs as the cameras.",
+    "The calibration has no camera of this name.",
+    "Name the folders of the photographs, or the camera of the option, as the calibration does.",
 )
 UNKNOWN_VERSION = CALIBRATIONS.code("unknown_version", _FILES, "`schema_version` is not supported.", "Write version 1.")
 TOO_MANY_CAMERAS = CALIBRATIONS.code(
@@ -153,8 +153,9 @@ INVALID_NUMBER = CALIBRATIONS.code(
 UNSUPPORTED_LENS = CALIBRATIONS.code(
     "unsupported_lens",
     _FILES,
-    "The lens model is none of OpenCV's standard and fisheye models, or has a tilted sensor.",
-    "Undistort the videos, or calibrate with the standard or the fisheye model.",
+    "The lens model is none of OpenCV's standard and fisheye models, has a tilted sensor, or a field that may hold the "
+    "distortion has a name that is not read.",
+    "Undistort the videos, or calibrate with the standard or the fisheye model; name the field as the format does.",
 )
 
 

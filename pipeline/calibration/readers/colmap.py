@@ -30,6 +30,8 @@ _MODELS: Mapping[str, tuple[tuple[int, int, int, int], int]] = {
     "RADIAL": ((0, 0, 1, 2), 2),
     "OPENCV": ((0, 1, 2, 3), 4),
     "FULL_OPENCV": ((0, 1, 2, 3), 8),
+    "SIMPLE_FISHEYE": ((0, 0, 1, 2), 0),
+    "FISHEYE": ((0, 1, 2, 3), 0),
     "SIMPLE_RADIAL_FISHEYE": ((0, 0, 1, 2), 1),
     "RADIAL_FISHEYE": ((0, 0, 1, 2), 2),
     "OPENCV_FISHEYE": ((0, 1, 2, 3), 4),
@@ -117,5 +119,5 @@ def _raw(name: str, image: list[str], lenses: Mapping[str, list[str]], reading: 
         distortion=coefficients,
         rotation=quaternion_matrix(np.array([qx, qy, qz, qw])),
         translation_m=translation,
-        lens="fisheye" if model.endswith("_FISHEYE") else "standard",
+        lens="fisheye" if model.endswith("FISHEYE") else "standard",
     )

@@ -12,8 +12,8 @@ from pipeline.calibration.readers.fields import read_camera
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS
 
-# Starts of the keys of a camera by field, those first that count where there are several.
-_PREFIXES = {"K": ("K",), "dist": ("dist", "D"), "R": ("Rot", "R"), "T": ("T",), "W": ("W",), "H": ("H",)}
+# Starts of the keys whose values name a camera.
+_STARTS = ("K_", "R_", "Rot_", "T_")
 
 
 def is_rig(fields: Mapping[str, Any]) -> bool:
@@ -24,22 +24,23 @@ def is_rig(fields: Mapping[str, Any]) -> bool:
 def read(fields: Mapping[str, Any], file: str) -> CameraFile:
     """Read the cameras of a mapping; ``InputError`` lists all its problems."""
     reading = Reading(file)
-    starts = [f"{prefix}_" for field in ("K", "R", "T") for prefix in _PREFIXES[field]]
     # A camera may have the intrinsics alone, or the extrinsics.
     names = dict.fromkeys(
         key.removeprefix(start)
         for key, value in fields.items()
-        for start in starts
+        for start in _STARTS
         if key.startswith(start) and isinstance(value, list)
     )
-    raw = [read_camera(name, _fields_of(name, fields), reading) for name in islice(names, MAX_CAMERAS + 1)]
+    by_camera: dict[str, dict[str, Any]] = {name: {} for name in islice(names, MAX_CAMERAS + 1)}
+    beside: dict[str, Any] = {}
+    # A name may end as another one does: `K_cam_1` is of `cam_1`, not of `1`.
+    longest_first = sorted(by_camera, key=len, reverse=True)
+    for key, value in fields.items():
+        name = next((name for name in longest_first if key.endswith(f"_{name}")), None)
+        (beside if name is None else by_camera[name])[key.removesuffix(f"_{name}")] = value
+    reading.pass_over(beside, frozenset({"names"}))
+    for of_camera in by_camera.values():
+        # The matrix counts where there is a vector, too.
+        of_camera["R"] = of_camera.pop("Rot", of_camera.get("R"))
+    raw = [read_camera(name, of_camera, reading) for name, of_camera in by_camera.items()]
     return reading.contents("EasyMocap", raw, None)
-
-
-def _fields_of(name: str, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of one camera without its name."""
-    found = {
-        field: next((fields[key] for prefix in prefixes if (key := f"{prefix}_{name}") in fields), None)
-        for field, prefixes in _PREFIXES.items()
-    }
-    return {field: value for field, value in found.items() if value is not None}

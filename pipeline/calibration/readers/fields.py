@@ -4,7 +4,9 @@
 for points that are rows; the place of the principal point tells.
 """
 
+import re
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,8 +15,9 @@ from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.readers.rotations import read_rotation
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import RawCamera
+from pipeline.errors import listed_names
 from pipeline.parsing import UnreadableError, read_numbers
-from pipeline.problem_codes.sessions import IMAGE_SIZE, UNSUPPORTED_LENS
+from pipeline.problem_codes.sessions import INVALID_SIZE, UNSUPPORTED_LENS
 
 _MATRIX = (
     "camera_matrix",
@@ -45,16 +48,19 @@ _ROTATION = ("rotation_matrix", "rotation", "rvec", "R")
 _TRANSLATION = ("translation_vector", "translation", "tvec", "T", "t")
 # OpenPose's ``CameraMatrix`` is the pose.
 _TRANSFORM = ("extrinsic_matrix", "extrinsics", "extrinsic", "RT", "CameraMatrix")
-_SIZE = (IMAGE_SIZE, "imageSize", "imgSize", "img_size", "resolution", "size")
-_WIDTH = ("image_width", "image_Width", "imageWidth", "width", "W")
-_HEIGHT = ("image_height", "image_Height", "imageHeight", "height", "H")
-_LENS = ("distortion_model", "camera_model", "lens_model", "model")
+# In lower case and without ``_`` and ``-``: ``imgSize``, ``img_size``, ``Image-Size``.
+_SIZE = re.compile("(image|img|im|frame|video|picture)?(size|resolution)(px)?")
+_WIDTH = re.compile("((image|img|im|frame|video|picture)?width|(image|img|im)?w|resx)(px)?")
+_HEIGHT = re.compile("((image|img|im|frame|video|picture)?height|(image|img|im)?h|resy)(px)?")
+# NumPy's shape of a picture: rows, columns, and perhaps channels.
+_SHAPE = re.compile("(image|img|im|frame|video|picture)?shape")
+_LENS = ("distortion_model", "distortionModel", "camera_model", "cameraModel", "lens_model", "lensModel", "model")
 _FISHEYE = ("fisheye", "fisheye_model", "is_fisheye")
 _FISHEYE_MODELS = frozenset({"fisheye", "equidistant", "kannala_brandt", "kannala-brandt", "opencv_fisheye"})
 _UNSUPPORTED_MODELS = frozenset({"omnidir", "omni", "mei"})
 _OF_LENS = (*_MATRIX, *_DISTORTION, *_LENS, *_FISHEYE)
 _OF_POSE = (*_ROTATION, *_TRANSLATION, *_TRANSFORM)
-_KNOWN = frozenset({"name", "CameraMatrixInitial", *_OF_LENS, *_OF_POSE, *_SIZE, *_WIDTH, *_HEIGHT})
+_KNOWN = frozenset({"name", "CameraMatrixInitial", *_OF_LENS, *_OF_POSE})
 _OF_CAMERA = (*_MATRIX, *_OF_POSE)
 
 
@@ -70,7 +76,6 @@ def has_matrix(fields: Mapping[str, Any]) -> bool:
 
 def read_camera(name: str, fields: Mapping[str, Any], reading: Reading) -> RawCamera:
     """Take the values of a camera out of its fields; what is malformed is left to the checks."""
-    reading.pass_over(fields, _KNOWN)
     if _model(fields) in _UNSUPPORTED_MODELS:
         message = "Omnidirectional lens models are not supported."
         hint = "Undistort the videos, or calibrate with the standard or the fisheye model."
@@ -86,15 +91,57 @@ def read_camera(name: str, fields: Mapping[str, Any], reading: Reading) -> RawCa
     if is_transposed and cam_from_world is not None and np.shape(rotation) == (3, 3):
         cam_from_world = cam_from_world.T
     distortion = _first(fields, _DISTORTION)
-    return RawCamera(
+    raw = RawCamera(
         name=name,
-        size_px=_size(fields),
+        size_px=read_size(name, fields, reading),
         matrix=matrix,
         distortion=[] if distortion is None else flat(distortion),
         rotation=cam_from_world,
         translation_m=flat(translation),
         lens="fisheye" if _is_fisheye(fields) else "standard",
     )
+    reading.pass_over(fields, _KNOWN | size_names(fields), raw)
+    return raw
+
+
+def size_names(fields: Mapping[str, Any]) -> frozenset[str]:
+    """Names of the fields that state the size of the picture, or a side of it."""
+    return frozenset(
+        name for name in fields if any(pattern.fullmatch(_plain(name)) for pattern in (_SIZE, _SHAPE, _WIDTH, _HEIGHT))
+    )
+
+
+def read_size(name: str, fields: Mapping[str, Any], reading: Reading) -> Any:
+    """Width and height of a camera's picture, ``UNKNOWN_SIZE`` if no field states them.
+
+    Fields that contradict each other are a problem of the camera.
+    """
+    stated: dict[str, Any] = {}
+    for field, value in fields.items():
+        if value is not None and _SIZE.fullmatch(_plain(field)):
+            stated[field] = flat(value)
+        elif isinstance(value, list) and _SHAPE.fullmatch(_plain(field)):
+            stated[field] = value[1::-1]
+    for width, height in product(_named(fields, _WIDTH), _named(fields, _HEIGHT)):
+        stated[f"{width}, {height}"] = [fields[width], fields[height]]
+    sizes = list(stated.values())
+    if any(size != sizes[0] for size in sizes):
+        message = f"The fields {listed_names(list(stated))} state different sizes of the picture."
+        reading.complain(INVALID_SIZE, message, name, "size", "Keep the size that the camera matrix is of.")
+    return sizes[0] if sizes else UNKNOWN_SIZE
+
+
+def _named(fields: Mapping[str, Any], pattern: re.Pattern[str]) -> list[str]:
+    """Fields with a name of the pattern and a value that is no list: ``H`` may be a homography."""
+    return [
+        field
+        for field, value in fields.items()
+        if value is not None and not isinstance(value, list | dict) and pattern.fullmatch(_plain(field))
+    ]
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("_", "").replace("-", "")
 
 
 def _first(fields: Mapping[str, Any], names: Sequence[str]) -> Any:
@@ -109,14 +156,6 @@ def _model(fields: Mapping[str, Any]) -> str:
     """Name of the lens model in lower case, empty if there is none."""
     model = _first(fields, _LENS)
     return model.lower() if isinstance(model, str) else ""
-
-
-def _size(fields: Mapping[str, Any]) -> Any:
-    width, height = _first(fields, _WIDTH), _first(fields, _HEIGHT)
-    if width is not None and height is not None:
-        return [width, height]
-    size = _first(fields, _SIZE)
-    return UNKNOWN_SIZE if size is None else flat(size)
 
 
 def flat(value: Any) -> Any:

@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
+from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.readers.fields import read_size, size_names
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.parsing import UnreadableError, read_numbers
 from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
 
 _PANOPTIC = frozenset({"K", "R", "t", "distCoef", "resolution"})
+_PANOPTIC_PASSED_OVER = frozenset({"name", "type", "panel", "node"})
 _VOXELPOSE = frozenset({"R", "T", "fx", "fy", "cx", "cy", "k", "p"})
 # Starts of the names of video files, by the type of camera.
 _VIDEOS = {"hd": "hd", "vga": "vga", "kinect-color": "kinect"}
@@ -40,8 +42,9 @@ def read_document(document: Mapping[str, Any], file: str) -> CameraFile | None:
         return _read_panoptic(listed, file)
     if cameras := _voxelpose_cameras(document):
         # One camera above the limit suffices to report that there are too many.
-        raw = [_raw_voxelpose(name, camera) for name, camera in islice(cameras.items(), MAX_CAMERAS + 1)]
-        return Reading(file).contents("VoxelPose JSON", raw, "mm")
+        reading = Reading(file)
+        raw = [_raw_voxelpose(name, camera, reading) for name, camera in islice(cameras.items(), MAX_CAMERAS + 1)]
+        return reading.contents("VoxelPose JSON", raw, "mm")
     information = document.get("cameras_info")
     if isinstance(information, dict) and isinstance(parameters := information.get("camParams"), dict):
         return _read_mvor(parameters, file)
@@ -64,6 +67,8 @@ def _read_panoptic(listed: Sequence[Mapping[str, Any]], file: str) -> CameraFile
         reading.leave_out(vga, f"VGA, of more than {MAX_CAMERAS} cameras")
         listed = [camera for camera in listed if camera.get("type") != "vga"][: MAX_CAMERAS + 1]
     raw = [_raw_panoptic(camera) for camera in listed]
+    for camera, raw_camera in zip(listed, raw, strict=True):
+        reading.pass_over(camera, _PANOPTIC | _PANOPTIC_PASSED_OVER, raw_camera)
     return reading.contents("CMU Panoptic JSON", raw, "cm", axes="y down, turned to Z up")
 
 
@@ -81,21 +86,23 @@ def _raw_panoptic(camera: Mapping[str, Any]) -> RawCamera:
     )
 
 
-def _raw_voxelpose(name: str, camera: Mapping[str, Any]) -> RawCamera:
+def _raw_voxelpose(name: str, camera: Mapping[str, Any], reading: Reading) -> RawCamera:
     try:
         radial, tangential = (_row(camera[key]) for key in ("k", "p"))
         distortion: Any = [*radial[:2], *tangential, *radial[2:]]
     except UnreadableError:
         distortion = "unreadable"
-    return RawCamera(
+    raw = RawCamera(
         name=name,
-        size_px=UNKNOWN_SIZE,
+        size_px=read_size(name, camera, reading),
         matrix=[[camera["fx"], 0.0, camera["cx"]], [0.0, camera["fy"], camera["cy"]], [0.0, 0.0, 1.0]],
         distortion=distortion,
         rotation=camera["R"],
         translation_m=_from_centre(camera["R"], camera["T"]),
         section=f"Camera{name}",
     )
+    reading.pass_over(camera, _VOXELPOSE | size_names(camera), raw)
+    return raw
 
 
 def _read_mvor(parameters: Mapping[str, Any], file: str) -> CameraFile:

@@ -59,12 +59,13 @@ def _read_own(document: Mapping[str, Any], listed: list[dict[str, Any]], file: s
         reading.complain(UNKNOWN_VERSION, f"schema_version must be {SCHEMA_VERSION}.", field="schema_version")
     # One camera above the limit suffices to report that there are too many.
     listed = listed[: MAX_CAMERAS + 1]
-    for camera in listed:
-        reading.pass_over(camera, _OWN)
+    raw = [_raw(camera) for camera in listed]
+    for camera, raw_camera in zip(listed, raw, strict=True):
+        reading.pass_over(camera, _OWN, raw_camera)
         if camera.get("lens", "standard") not in _LENSES:
             message = f"The lens must be one of {', '.join(_LENSES)}."
             reading.complain(UNSUPPORTED_LENS, message, str(camera.get("name")), "lens")
-    return reading.contents("Multicap JSON", [_raw(camera) for camera in listed], "m")
+    return reading.contents("Multicap JSON", raw, "m")
 
 
 def _raw(camera: Mapping[str, Any]) -> RawCamera:

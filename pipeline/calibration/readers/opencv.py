@@ -4,14 +4,14 @@ OpenCV does not determine how a rig is stored; ``fields`` has the names that are
 millimetres, with transposed matrices. 4D Association and data sets like it have one JSON object, with flat matrices.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any
 
 from pipeline.calibration.contents import UNITS_M, CameraFile, scaled
 from pipeline.calibration.readers import easymocap
-from pipeline.calibration.readers.fields import has_matrix, is_camera, read_camera
+from pipeline.calibration.readers.fields import has_matrix, is_camera, read_camera, size_names
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.units import possible_units
 from pipeline.calibration.validate import MAX_CAMERAS
@@ -33,9 +33,13 @@ def read_fields(fields: Mapping[str, Any], file: str) -> CameraFile | None:
         listed = {_name(item, number): item for number, item in enumerate(listed) if is_camera(item)}
     if not isinstance(listed, dict):
         return None
+    rig = {name: item for name, item in listed.items() if is_camera(item)}
+    if not any(map(has_matrix, rig.values())):
+        return None
+    reading = Reading(file)
+    reading.pass_over(fields, frozenset({"cameras", *rig}))
     # One camera above the limit suffices to report that there are too many.
-    rig = dict(islice(((name, item) for name, item in listed.items() if is_camera(item)), MAX_CAMERAS + 1))
-    return _read_rig(rig, file) if any(map(has_matrix, rig.values())) else None
+    return _read_rig(dict(islice(rig.items(), MAX_CAMERAS + 1)), reading)
 
 
 def _name(item: Mapping[str, Any], number: int) -> str:
@@ -43,13 +47,22 @@ def _name(item: Mapping[str, Any], number: int) -> str:
     return str(next((item[field] for field in _NAMES if isinstance(item.get(field), (str, int))), number))
 
 
-def _read_rig(rig: Mapping[str, Mapping[str, Any]], file: str) -> CameraFile:
-    reading = Reading(file)
-    raw = [read_camera(name, fields, reading) for name, fields in rig.items()]
-    if all(fields.keys() == _JARVIS for fields in rig.values()):
+def _read_rig(rig: Mapping[str, Mapping[str, Any]], reading: Reading) -> CameraFile:
+    names = _own_names(rig)
+    raw = [
+        replace(read_camera(name, fields, reading), section=key if key != name else "")
+        for (key, fields), name in zip(rig.items(), names, strict=True)
+    ]
+    if all(fields.keys() - size_names(fields) == _JARVIS for fields in rig.values()):
         return _in_millimetres(reading.contents("JARVIS", raw, None))
     is_4d = any(_4D_ASSOCIATION in fields for fields in rig.values())
     return reading.contents("4D Association JSON" if is_4d else "OpenCV", raw, None)
+
+
+def _own_names(rig: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
+    """Names of cameras: their fields ``name``, where these tell all cameras apart, else their keys."""
+    names = [fields.get("name") or key for key, fields in rig.items()]
+    return names if all(isinstance(name, str) for name in names) and len(set(names)) == len(rig) else list(rig)
 
 
 def _in_millimetres(contents: CameraFile) -> CameraFile:

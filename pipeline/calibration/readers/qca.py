@@ -4,9 +4,15 @@ Intrinsics are in 1/64 pixel of the sensor, lengths in millimetres. The video is
 The transform holds the camera's centre c and its orientation R with y up and z backwards:
 ``x_cv = diag(1, -1, -1) R (x - c)``. ``model`` names the hardware. ``viewrotation`` is how Qualisys shows the picture:
 videos are stored without it.
+
+Pose2Sim converts both ways between QCA and its TOML, and counts the distortion in 64ths there, too, though it has no
+unit. The distortion is right after both ways, 64 times too large in a QCA file of a camera that a board calibrated, and
+a 64th in a TOML file of a Qualisys camera. ``is_64th`` tells by the decimals.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -21,6 +27,10 @@ from pipeline.problem_codes.sessions import CALIBRATION_EMPTY, UNSUPPORTED_LENS
 ROOT = "calibration"
 
 _SUBPIXELS = 64.0
+# Pose2Sim's attribute ``created``.
+_POSE2SIM = "sometimes ago"
+# Decimals of a distortion in Qualisys's files.
+_NUM_DECIMALS = 6
 _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 _UNUSED = {"active": {"0", "false"}, "calibrated": {"0", "false"}}
 
@@ -43,7 +53,43 @@ def read(content: bytes, file: str) -> CameraFile:
     reading.note_about(turned, "turned in Qualisys's views; the video is taken as it is stored, not turned")
     # One camera above the limit suffices to report that there are too many.
     raw = [_raw(element, reading) for element in islice(serving, MAX_CAMERAS + 1)]
+    if calibration is not None and calibration.get("created") == _POSE2SIM:
+        raw = _by_pose2sim(raw, reading)
     return reading.contents("Qualisys QCA", raw, "mm", axes="Z up, as Qualisys calibrates")
+
+
+def is_64th(distortion: Sequence[float], parts: float = _SUBPIXELS) -> bool:
+    """Return whether coefficients are a 64th, or another part, of coefficients that Qualisys wrote."""
+    whole = [coefficient * parts for coefficient in distortion]
+    return all(map(_is_written, whole)) and not all(map(_is_written, distortion))
+
+
+def _is_written(coefficient: float) -> bool:
+    return coefficient == round(coefficient, _NUM_DECIMALS)
+
+
+def _by_pose2sim(raw: Sequence[RawCamera], reading: Reading) -> list[RawCamera]:
+    """Correct the cameras of a QCA file that Pose2Sim made of a TOML file."""
+    enlarged = [
+        camera.name
+        for camera in raw
+        if any(camera.distortion) and not is_64th([coefficient / _SUBPIXELS for coefficient in camera.distortion])
+    ]
+    reading.notes.append(
+        f"{reading.file}: Pose2Sim wrote the file. If it was made of a TOML file, its pictures are stated a pixel too "
+        "large: the size of the videos counts."
+    )
+    reading.note_about(enlarged, "stated with 64 times its distortion by Pose2Sim, which is divided by 64")
+    return [
+        replace(
+            camera,
+            size_px=[side - 1 for side in camera.size_px],
+            distortion=[coefficient / _SUBPIXELS for coefficient in camera.distortion],
+        )
+        if camera.name in enlarged
+        else camera
+        for camera in raw
+    ]
 
 
 def _films_video(element: Any) -> bool:

@@ -7,10 +7,12 @@ millimetres; the unit of the others is that of the board. Caliscope's own ``came
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.readers import qca
 from pipeline.calibration.readers.fields import flat
 from pipeline.calibration.readers.rotations import read_rotation
 from pipeline.calibration.reading import Reading
@@ -29,6 +31,9 @@ _FREEMOCAP_METADATA = frozenset({"charuco_square_size", "groundplane_calibration
 _MIN_SQUARE_MM = 2.0
 # Sections that are not cameras.
 _IGNORED = frozenset({"metadata"})
+# Parts of Qualisys's distortion that Pose2Sim writes, without and with a binning of two pixels.
+_PARTS = (64, 128)
+_NUM_OF_POSE2SIM = 4
 # Older versions of Caliscope write a missing value as this text.
 _NULL = "null"
 
@@ -46,15 +51,33 @@ def read(content: bytes, file: str) -> CameraFile:
         # Videos are called cam_0, of older versions port_0.
         named = {f"cam_{number}": (f"port_{number}", section) for number, section in arrayed.items()}
         return reading.contents("Caliscope", _cameras(named, reading), None)
-    others = [name for name, section in sections.items() if name not in _IGNORED and not _is_camera(section)]
-    reading.pass_over(others, frozenset())
     named = {name: (name, section) for name, section in sections.items() if _is_camera(section)}
+    reading.pass_over(sections, _IGNORED | named.keys())
     raw = _cameras(named, reading)
+    bent = [camera for camera in raw if isinstance(camera.distortion, list) and any(camera.distortion)]
+    parts = next((parts for parts in _PARTS if all(_is_of_qualisys(camera, parts) for camera in bent)), 1)
+    if bent and parts > 1:
+        message = f"Pose2Sim divided the distortion of the Qualisys cameras by {parts}: it is multiplied again"
+        reading.notes.append(f"{file}: {message}.")
+        raw = [
+            replace(camera, distortion=[parts * number for number in camera.distortion])
+            if isinstance(camera.distortion, list) and _is_of_qualisys(camera, parts)
+            else camera
+            for camera in raw
+        ]
     return (
         reading.contents("FreeMoCap TOML", raw, "mm")
         if _is_freemocap(sections)
         else reading.contents("TOML", raw, None)
     )
+
+
+def _is_of_qualisys(camera: RawCamera, parts: int) -> bool:
+    """Return whether Pose2Sim wrote a camera from a Qualisys file: it writes sizes with decimals, and four numbers."""
+    size, distortion = camera.size_px, camera.distortion
+    numbers = [*(size if isinstance(size, list) else [None]), *distortion]
+    is_pose2sim = len(distortion) == _NUM_OF_POSE2SIM and all(isinstance(number, float) for number in numbers)
+    return is_pose2sim and qca.is_64th(distortion, parts)
 
 
 def _is_camera(section: Any) -> bool:
@@ -89,10 +112,9 @@ def _loads(content: bytes) -> dict[str, Any]:
 def _raw(default_name: str, title: str, section: Mapping[str, Any], reading: Reading) -> RawCamera:
     values = {field: value for field, value in section.items() if value != _NULL}
     name = values.get("name", default_name)
-    reading.pass_over(values, _KNOWN | _PASSED_OVER)
     if not isinstance(values.get("fisheye", False), bool):
         reading.complain(UNSUPPORTED_LENS, "The field fisheye must be true or false.", str(name), "fisheye")
-    return RawCamera(
+    raw = RawCamera(
         name=name,
         size_px=values.get("size"),
         matrix=values.get("matrix"),
@@ -102,3 +124,5 @@ def _raw(default_name: str, title: str, section: Mapping[str, Any], reading: Rea
         section=title,
         lens="fisheye" if values.get("fisheye") is True else "standard",
     )
+    reading.pass_over(values, _KNOWN | _PASSED_OVER, raw)
+    return raw

@@ -79,6 +79,16 @@ def test_camera_of_the_stored_picture_does_not_fit_one_that_is_mirrored_and_turn
     assert fit_to_picture(camera((1920, 1080)), (1080, 1920), 90, is_mirrored=True) is None
 
 
+@pytest.mark.parametrize("off_px", [1, -1])
+@pytest.mark.parametrize("size_px", [(1920, 1080), (1000, 1000)])
+def test_sides_that_are_counted_one_pixel_off_leave_the_matrix(size_px: tuple[int, int], off_px: int) -> None:
+    width, height = size_px
+    before = camera((width + off_px, height + off_px), (-0.1, 0.05, 0.001, -0.002))
+    np.testing.assert_array_equal(project(fitted(before, size_px, 0), POINTS_M), project(before, POINTS_M))
+    if width != height:
+        assert fit_to_picture(camera((width + off_px, height - off_px)), size_px, 0) is None
+
+
 def test_padding_is_said_by_side_and_number() -> None:
     for shown_px, rotation_deg, words in (
         ((1080, 1920), 0, "8 columns at the right"),

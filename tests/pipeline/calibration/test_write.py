@@ -19,7 +19,15 @@ from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fis
 
 @pytest.mark.parametrize("ending", ENCODERS)
 def test_what_is_written_is_read(tmp_path: Path, ending: str) -> None:
-    rig = (*RIG, camera('Kamera "1" é: #', 0.5, ()), camera("01", 1.0, tuple(0.01 * np.arange(12))), fisheye("f", 2.0))
+    rig = (
+        *RIG,
+        camera('Kamera "1" é: #', 0.5, ()),
+        camera("01", 1.0, tuple(0.01 * np.arange(12))),
+        fisheye("f", 2.0),
+        camera("\N{MOVIE CAMERA} 2", 0.2),
+        camera("cameras", 0.1),
+        camera("camera_3", 0.4),
+    )
     path = tmp_path / f"rig{ending}"
     path.write_bytes(ENCODERS[ending](rig))
     assert_rig(read_contents(path), rig, num_digits=9)
@@ -58,7 +66,9 @@ def test_every_camera_survives(
     (read,) = read_contents(path, "m").cameras
     assert (read.name, read.size_px, read.lens) == (written.name, written.size_px, written.lens)
     np.testing.assert_array_equal(read.matrix, written.matrix)
-    np.testing.assert_array_equal(read.distortion, written.distortion)
+    num_coefficients = len(written.distortion)
+    np.testing.assert_array_equal(read.distortion[:num_coefficients], written.distortion)
+    assert not read.distortion[num_coefficients:].any()
     np.testing.assert_array_equal(read.cam_from_world.translation_m, written.cam_from_world.translation_m)
     np.testing.assert_allclose(read.cam_from_world.rotation, written.cam_from_world.rotation, atol=1e-12)
 
@@ -82,6 +92,33 @@ def test_caliscope_finds_what_its_reader_looks_for(tmp_path: Path) -> None:
     assert all(
         len(one["rotation"]) == len(one["translation"]) == 3 and len(one["size"]) == 2 for one in cameras.values()
     )
+
+
+@pytest.mark.parametrize("name", ["anipose", "caliscope", "opencv"])
+def test_lens_without_distortion_has_five_zeros(name: str) -> None:
+    text = FORMATS[name][1]([camera("plain", 0.1, ())]).decode()
+    assert text.count("0.0, 0.0, 0.0, 0.0, 0.0") == 1
+
+
+def test_sections_of_anipose_are_in_the_order_of_the_cameras_as_text() -> None:
+    """aniposelib sorts them: cam_10 would come before cam_2."""
+    for count in (10, 11, 12, 101):
+        rig = [camera(f"c{number}", 0.01 * number) for number in range(count)]
+        sections = tomllib.loads(FORMATS["anipose"][1](rig).decode())
+        assert [sections[title]["name"] for title in sorted(sections)] == [one.name for one in rig]
+    assert list(tomllib.loads(FORMATS["anipose"][1](RIG).decode())) == ["cam_0", "cam_1"]
+
+
+def test_names_that_are_no_keys_of_opencv_are_fields(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yml"
+    rig = (camera("01", 0.1), camera("camera_0", 0.2), camera("a b", 0.3))
+    path.write_bytes(ENCODERS[".yml"](rig))
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    keys = list(storage.root().keys())
+    assert keys == ["camera_1", "camera_0", "camera_2"]
+    assert [storage.getNode(key).getNode("name").string() for key in keys] == ["01", "", "a b"]
+    storage.release()
+    assert [one.section for one in read_contents(path).cameras] == ["camera_1", "", "camera_2"]
 
 
 def test_opencv_reads_its_yaml(tmp_path: Path) -> None:

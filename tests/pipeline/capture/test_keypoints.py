@@ -235,7 +235,9 @@ def test_a_calibration_without_sizes_is_refused(scene: Path) -> None:
     names = [camera["name"] for camera in json.loads((scene / "calibration.json").read_text())["cameras"]]
     cameras = {name: {"R": np.eye(3).tolist(), "T": [0.0, 0.0, float(k)], **lens} for k, name in enumerate(names)}
     (scene / "calibration.json").write_text(json.dumps(cameras))
-    assert "does not contain the size" in problems_of(scene)["invalid_size"]
+    problem = problems_of(scene)["invalid_size"]
+    assert "does not contain the size" in problem
+    assert "--size 1920x1080" in problem
 
 
 def test_missing_folders(tmp_path: Path, scene: Path) -> None:

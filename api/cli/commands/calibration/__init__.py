@@ -1,8 +1,11 @@
 """`multicap calibration`: show, check and convert calibration files."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from api.cli.commands.calibration import check
@@ -12,9 +15,11 @@ from api.cli.options import UnitsOption, UpOption
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.write import ENCODERS
 from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
+from pipeline.errors import InputError, Problem, listed_names
 from pipeline.geometry.camera import center_in_world
-from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, INVALID_SIZE
+from pipeline.parsing import SIDE_PX
+from pipeline.problem_codes.commands import PARAMETER_UNREADABLE
+from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
 
 app = typer.Typer(help="Calibration files: show, check, convert.", no_args_is_help=True)
 
@@ -45,12 +50,20 @@ def convert(
     target: Annotated[Path, typer.Argument(metavar="TARGET", help=f"File to write: {', '.join(ENCODERS)}.")],
     units: UnitsOption = None,
     up: UpOption = "z",
+    size: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="WIDTHxHEIGHT|CAMERA=WIDTHxHEIGHT",
+            help="Size of the pictures, where the calibration does not contain it: of all cameras, or of one; "
+            "repeatable.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a calibration as Multicap's JSON, Caliscope's TOML or OpenCV's YAML, in metres and with Z up."""
+    """Write a calibration as Multicap's JSON, anipose's TOML or OpenCV's YAML, in metres and with Z up."""
     with reporting(as_json):
         contents = read(file, units, up)
-        problems = [_unsized(file, camera) for camera in contents.cameras if camera.size_px == UNKNOWN_SIZE]
+        contents, problems = _sized(file, contents, size or ())
         if target.suffix.lower() not in ENCODERS:
             hint = f"Use one of {', '.join(ENCODERS)}."
             problems.append(Problem(CALIBRATION_FORMAT, "This ending is not supported.", file=target.name, hint=hint))
@@ -65,9 +78,34 @@ def convert(
     console.print(f"{len(contents.cameras)} cameras in {target}")
 
 
-def _unsized(file: Path, camera: Camera) -> Problem:
-    message = "The calibration does not contain the size of the picture."
-    return Problem(INVALID_SIZE, message, file=file.name, camera=camera.name, field="size")
+def _sized(file: Path, contents: CameraFile, stated: Sequence[str]) -> tuple[CameraFile, list[Problem]]:
+    """Give cameras the stated sizes; report wrong statements, and cameras without a size."""
+    problems = []
+    sizes_px: dict[str, tuple[int, int]] = {}
+    names = {camera.name for camera in contents.cameras}
+    for text in stated:
+        name, _, sides = text.rpartition("=")
+        width, _, height = sides.lower().partition("x")
+        if not (width.isdecimal() and height.isdecimal() and SIDE_PX.holds(np.array([width, height], float))):
+            message = f"{text!r} is not WIDTHxHEIGHT or CAMERA=WIDTHxHEIGHT, of {SIDE_PX}."
+            problems.append(Problem(PARAMETER_UNREADABLE, message, hint="Write it as 1920x1080 or left=1920x1080."))
+        elif name and name not in names:
+            hint = f"The file has {listed_names(sorted(names))}."
+            problems.append(Problem(CAMERA_UNKNOWN, "The file has no camera of this name.", file.name, name, hint=hint))
+        else:
+            sizes_px[name] = (int(width), int(height))
+    cameras = []
+    for camera in contents.cameras:
+        size_px = sizes_px.get(camera.name, sizes_px.get("", camera.size_px))
+        if camera.size_px not in (UNKNOWN_SIZE, size_px):
+            message = f"The calibration contains the size of the picture, {camera.size_px[0]} x {camera.size_px[1]}."
+            problems.append(Problem(INVALID_SIZE, message, file.name, camera.name, "size", "Omit --size."))
+        elif size_px == UNKNOWN_SIZE:
+            message = "The calibration does not contain the size of the picture."
+            hint = "State it: --size 1920x1080, or --size CAMERA=1920x1080 for each camera."
+            problems.append(Problem(INVALID_SIZE, message, file.name, camera.name, "size", hint))
+        cameras.append(replace(camera, size_px=size_px))
+    return replace(contents, cameras=tuple(cameras)), problems
 
 
 def _show_statement(contents: CameraFile, units: str | None) -> None:

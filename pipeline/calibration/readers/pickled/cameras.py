@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
+from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.readers.fields import read_size, size_names
 from pipeline.calibration.readers.pickled.interpreter import read_values
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
@@ -23,6 +24,9 @@ from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
 
 _OPENCAP = frozenset({"intrinsicMat", "distortion", "imageSize"})
 _MVPOSE = frozenset({"K", "RT"})
+# Fields that repeat others.
+_OPENCAP_PASSED_OVER = frozenset({"rotation", "translation", "rotation_EulerAngles"})
+_MVPOSE_PASSED_OVER = frozenset({"P"})
 # Least length of the mean of the cameras' up directions that tells the vertical.
 _MIN_MEAN_UP = 0.5
 _BOARD_NOTE = "the cameras don't tell the vertical; OpenCap's board is taken to have stood upright"
@@ -47,21 +51,31 @@ def read_members(members: Mapping[str, bytes], file: str) -> CameraFile:
     if not all(isinstance(document, dict) for document in documents.values()):
         raise UnreadableError
     if len(documents) == 1 and next(iter(documents.values())).keys() >= _MVPOSE:
-        return Reading(file).contents("MVPose pickle", _mvpose(next(iter(documents.values()))), None)
+        reading = Reading(file)
+        return reading.contents("MVPose pickle", _mvpose(next(iter(documents.values())), reading), None)
     if not all(document.keys() >= _OPENCAP for document in documents.values()):
         raise UnreadableError
-    raw = [_raw_opencap(name, document) for name, document in documents.items()]
-    return _turned_upright(Reading(file).contents("OpenCap", raw, "mm"), file)
+    raw, reading = [_raw_opencap(name, document) for name, document in documents.items()], Reading(file)
+    for document, raw_camera in zip(documents.values(), raw, strict=True):
+        reading.pass_over(document, _OPENCAP | _OPENCAP_PASSED_OVER, raw_camera)
+    return _turned_upright(reading.contents("OpenCap", raw, "mm"), file)
 
 
-def _mvpose(document: Mapping[str, Any]) -> list[RawCamera]:
+def _mvpose(document: Mapping[str, Any], reading: Reading) -> list[RawCamera]:
     matrices, poses = _stack(document["K"], (3, 3)), _stack(document["RT"], (3, 4))
     if len(matrices) != len(poses):
         raise UnreadableError
-    raw = [
-        RawCamera(str(number), UNKNOWN_SIZE, matrix, [], pose[:, :3], pose[:, 3], section=f"Camera{number}")
-        for number, (matrix, pose) in enumerate(zip(matrices, poses, strict=True))
-    ]
+    raw = []
+    for number, (matrix, pose) in enumerate(zip(matrices, poses, strict=True)):
+        # Other fields are stacks too, or of all cameras, such as a pair of sides.
+        fields = {
+            key: value[number] if isinstance(value, list) and np.ndim(value) > 1 and len(value) == len(poses) else value
+            for key, value in document.items()
+            if key not in _MVPOSE | _MVPOSE_PASSED_OVER
+        }
+        name, size_px = str(number), read_size(str(number), fields, reading)
+        raw.append(RawCamera(name, size_px, matrix, [], pose[:, :3], pose[:, 3], section=f"Camera{number}"))
+        reading.pass_over(fields, size_names(fields), raw[-1])
     return raw[: MAX_CAMERAS + 1]
 
 

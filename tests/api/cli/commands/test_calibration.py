@@ -103,6 +103,27 @@ def test_what_cannot_be_converted(tmp_path: Path, rig: Path) -> None:
     assert problems("show", str(in_mm)) == ["calibration_units_unstated"]
 
 
+def test_convert_takes_sizes_that_the_file_does_not_contain(tmp_path: Path, rig: Path) -> None:
+    unsized, target = tmp_path / "unsized.yml", tmp_path / "sized.json"
+    unsized.write_text("\n".join(line for line in rig.read_text().splitlines() if "image_" not in line))
+
+    def convert(source: Path, *sizes: str) -> Any:
+        options = [f"--size={size}" for size in sizes]
+        result = runner.invoke(app, ["calibration", "convert", str(source), str(target), "--json", *options])
+        return json.loads(result.stdout)
+
+    hints = [problem["hint"] for problem in convert(unsized, "left=1280x720")["problems"]]
+    assert len(hints) == 1
+    assert "--size" in hints[0]
+    assert not target.exists()
+    convert(unsized, "1280x720", "right=1920X1080")
+    assert [camera.size_px for camera in read_contents(target).cameras] == [(1280, 720), (1920, 1080)]
+    wrong = convert(unsized, "1280", "0x720", "third=1280x720", "1280x720")["problems"]
+    assert [problem["code"] for problem in wrong] == ["parameter_unreadable", "parameter_unreadable", "camera_unknown"]
+    stated = convert(rig, "1920x1080", "left=1280x720")["problems"]
+    assert [(problem["code"], problem["camera"]) for problem in stated] == [("invalid_size", "left")]
+
+
 def test_the_unit_is_asked_for(tmp_path: Path) -> None:
     in_mm = tmp_path / "in_mm.yml"
     in_mm.write_bytes(encode_opencv([scaled(camera, 1000.0) for camera in RIG]))

@@ -58,6 +58,26 @@ def test_easymocap(tmp_path: Path, way: str, with_sizes: bool) -> None:
     assert_rig(contents)
 
 
+def test_easymocap_with_sizes_and_lenses_under_other_names(tmp_path: Path) -> None:
+    intri, extri = easymocap(False)
+    for one in RIG:
+        intri |= {f"image_width_{one.name}": one.size_px[0], f"image_height_{one.name}": one.size_px[1]}
+    assert_rig(read_contents(write(tmp_path, "zip", intri, extri)))
+    intri["distorsion_left"] = intri.pop("dist_left")
+    assert problems_of(write(tmp_path, "zip", intri, extri)) == [("unsupported_lens", None)]
+
+
+def test_name_that_ends_as_another_one_keeps_its_fields(tmp_path: Path) -> None:
+    rig = (replace(RIG[0], name="1"), replace(RIG[1], name="cam_1"))
+    parts: list[dict[str, Any]] = [{}, {}]
+    for part, fields in zip(parts, easymocap(True), strict=True):
+        for key, value in fields.items():
+            part[key.replace("left", "1").replace("right", "cam_1")] = value
+    contents = read_contents(write(tmp_path, "zip", *parts))
+    assert contents.notes == ()
+    assert_rig(contents, rig)
+
+
 def test_easymocap_without_extrinsics(tmp_path: Path) -> None:
     path = write_storage(tmp_path / "intri.yml", easymocap(True)[0])
     assert problems_of(path) == [("calibration_unposed", None)]

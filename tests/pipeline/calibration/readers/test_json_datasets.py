@@ -78,6 +78,22 @@ def test_voxelpose_has_centres_in_millimetres(tmp_path: Path) -> None:
     assert contents.cameras[0].section == "Cameraleft"
 
 
+@pytest.mark.parametrize("size", [{"image_width": 1920, "image_height": 1080}, {"size": [1920, 1080]}])
+def test_voxelpose_with_a_size(tmp_path: Path, size: dict[str, Any]) -> None:
+    document = {one.name: voxelpose(one) | size | {"model": "Basler"} for one in RIG}
+    contents = read_contents(write(tmp_path / "rig.json", document))
+    assert contents.notes == ("rig.json: fields that are not read: model.",)
+    assert_rig(contents)
+
+
+def test_lens_that_voxelpose_and_panoptic_do_not_name_is_a_problem(tmp_path: Path) -> None:
+    for document in (
+        {one.name: voxelpose(one) | {"kc": one.distortion.tolist()[:4]} for one in RIG},
+        {"cameras": [panoptic(one) | {"kc": one.distortion.tolist()[:4]} for one in RIG]},
+    ):
+        assert problems_of(write(tmp_path / "rig.json", document)) == [("unsupported_lens", None)]
+
+
 def test_faster_voxelpose_lists_the_cameras_of_a_sequence(tmp_path: Path) -> None:
     path = write(tmp_path / "calibration.json", {"customized_sequence": [voxelpose(camera) for camera in RIG]})
     contents = read_contents(path)

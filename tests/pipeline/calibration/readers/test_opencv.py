@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents
 from pipeline.data.cameras import Camera
+from pipeline.errors import InputError
 from tests.pipeline.calibration.readers.filestorage import write_storage
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye, problems_of
 
@@ -215,6 +216,16 @@ def test_openpose(tmp_path: Path) -> None:
     assert_rig(contents, tuple(replace(rig_camera, size_px=UNKNOWN_SIZE) for rig_camera in RIG))
 
 
+def test_names_within_a_mapping_count_where_they_tell_the_cameras_apart(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    named = {f"cam_{k}": plain(fields_of(one)) | {"name": one.name} for k, one in enumerate(RIG)}
+    path.write_text(json.dumps(named))
+    contents = read_contents(path)
+    assert [(one.name, one.section) for one in contents.cameras] == [("left", "cam_0"), ("right", "cam_1")]
+    path.write_text(json.dumps({key: fields | {"name": "GoPro"} for key, fields in named.items()}))
+    assert [(one.name, one.section) for one in read_contents(path).cameras] == [("cam_0", ""), ("cam_1", "")]
+
+
 @pytest.mark.parametrize("field", ["name", "camera_name", "serial", "id"])
 def test_names_in_a_list(tmp_path: Path, field: str) -> None:
     path = tmp_path / "rig.json"
@@ -228,3 +239,85 @@ def test_a_distortion_under_another_name_is_no_unknown_field(tmp_path: Path) -> 
     fields["right"]["radial_distortion"] = fields["right"].pop("distortion_coefficients")
     path = write_storage(tmp_path / "rig.yml", fields)
     assert problems_of(path) == [("unsupported_lens", None)]
+
+
+def mv3dpose(one: Camera) -> dict[str, Any]:
+    """Camera as mv3dpose's page states its files, whose own programs read ``distCoef``."""
+    pose = one.cam_from_world
+    return {
+        "K": one.matrix.tolist(),
+        "rvec": Rotation.from_matrix(pose.rotation).as_rotvec().tolist(),
+        "tvec": pose.translation_m.tolist(),
+        "discCoef": one.distortion.tolist(),
+        "w": one.size_px[0],
+        "h": one.size_px[1],
+    }
+
+
+def test_unread_lens_is_one_problem_that_names_field_and_cameras(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps({one.name: mv3dpose(one) for one in RIG}))
+    with pytest.raises(InputError) as error:
+        read_contents(path)
+    (problem,) = error.value.problems
+    assert (problem.code, problem.field) == ("unsupported_lens", "discCoef")
+    assert "left, right" in problem.message
+    straight = tuple(replace(one, distortion=np.zeros(5)) for one in RIG)
+    path.write_text(json.dumps({one.name: mv3dpose(one) for one in straight}))
+    assert_rig(read_contents(path), straight)
+
+
+@pytest.mark.parametrize("beside", [{"kc": [-0.11, 0.07, 0.002, -0.003, 0.01]}, {"lens": {"k1": -0.11}}])
+def test_lens_beside_the_cameras_is_not_dropped(tmp_path: Path, beside: dict[str, Any]) -> None:
+    path = tmp_path / "rig.json"
+    cameras = {one.name: mv3dpose(one) | {"discCoef": None} for one in RIG}
+    for document in (cameras | beside, {"cameras": cameras} | beside):
+        path.write_text(json.dumps(document))
+        assert problems_of(path) == [("unsupported_lens", None)]
+
+
+@pytest.mark.parametrize(
+    "size",
+    [
+        {"w": 1920, "h": 1080},
+        {"imgsize": [1920, 1080]},
+        {"Frame_Width": 1920, "FrameHeight": 1080},
+        {"img_w": 1920, "img_h": 1080, "image_shape": [1080, 1920, 3]},
+        {"image_size": [[1920], [1080]], "W": 1920.0, "H": [[1.0, 0.0], [0.0, 1.0]]},
+    ],
+)
+def test_size_is_read_under_its_usual_names(tmp_path: Path, size: dict[str, Any]) -> None:
+    cameras = {one.name: {k: v for k, v in mv3dpose(one).items() if k not in "whdiscCoef"} for one in RIG}
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps({name: camera | size for name, camera in cameras.items()}))
+    contents = read_contents(path)
+    assert ([one.size_px for one in contents.cameras], contents.notes) == ([(1920, 1080)] * 2, ())
+
+
+def test_sizes_that_contradict_each_other_are_a_problem(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    cameras = [mv3dpose(one) | {"discCoef": None} for one in RIG]
+    path.write_text(json.dumps([cameras[0], cameras[1] | {"imgSize": [1280, 720]}]))
+    assert problems_of(path) == [("invalid_size", "1")]
+
+
+def test_size_under_another_name_is_a_problem_where_no_size_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    cameras = {one.name: mv3dpose(one) | {"discCoef": None, "dims": [1920, 1080]} for one in RIG}
+    path.write_text(json.dumps(cameras))
+    assert read_contents(path).notes == ("rig.json: fields that are not read: discCoef, dims.",)
+    del cameras["right"]["w"]
+    path.write_text(json.dumps(cameras))
+    assert problems_of(path) == [("invalid_size", None)]
+
+
+def test_jarvis_with_a_size_is_in_millimetres_still(tmp_path: Path) -> None:
+    path = tmp_path / "rig.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for one in RIG:
+            fields = jarvis(one) | {"image_width": one.size_px[0], "image_height": one.size_px[1]}
+            part = write_storage(tmp_path / f"{one.name}.yaml", fields)
+            archive.write(part, part.name)
+    contents = read_contents(path)
+    assert (contents.format, contents.unit) == ("JARVIS", "mm")
+    assert_rig(contents)

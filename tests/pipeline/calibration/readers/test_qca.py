@@ -90,6 +90,36 @@ def test_parameters_of_the_real_time_protocol(tmp_path: Path) -> None:
     np.testing.assert_allclose(contents.cameras[0].cam_from_world.inverse().translation_m, [1.0, -2.0, 1.5])
 
 
+def pose2sim(path: Path, distortion: tuple[float, float], size_px: tuple[int, int] = (1920, 1080)) -> CameraFile:
+    """File that Pose2Sim makes of a TOML file: the last pixel's number is the side, the distortion in 64ths."""
+    text = document(camera("24021", 'model="none"', (0, 0, *size_px))).replace(
+        'source="a.qca"', 'created="sometimes ago"'
+    )
+    k1, k2 = (str(64 * coefficient) for coefficient in distortion)
+    path.write_text(
+        text.replace('tion1="0.1"', f'tion1="{k1}"', 1).replace('ialDistortion2="0"', f'ialDistortion2="{k2}"')
+    )
+    return read_contents(path)
+
+
+@pytest.mark.parametrize("distortion", [(-0.11, 0.07), (-0.0712345678901, 0.03), (0.0, 1e-3 / 3)])
+def test_pose2sim_enlarges_the_lens_of_its_own_calibrations(tmp_path: Path, distortion: tuple[float, float]) -> None:
+    contents = pose2sim(tmp_path / "calib.qca.txt", distortion)
+    (one,) = contents.cameras
+    assert one.size_px == (1920, 1080)
+    np.testing.assert_allclose(one.distortion, [*distortion, 0.0, 0.0, 0.0], rtol=1e-12)
+    assert "24021 is stated with 64 times its distortion" in contents.notes[1]
+
+
+def test_pose2sim_keeps_the_lens_of_qualisys_in_its_way_there_and_back(tmp_path: Path) -> None:
+    """Its TOML has a 64th of the distortion, as numbers of Qualisys: -0.046183, 0.139983."""
+    contents = pose2sim(tmp_path / "calib.qca.txt", (-0.046183 / 64, 0.139983 / 64), (1087, 1919))
+    (one,) = contents.cameras
+    assert (one.size_px, one.distortion.tolist()) == ((1088, 1920), [-0.046183, 0.139983, 0.0, 0.0, 0.0])
+    assert len(contents.notes) == 1
+    assert "the size of the videos counts" in contents.notes[0]
+
+
 def test_the_turn_of_views_is_noted(tmp_path: Path) -> None:
     """Qualisys turns the picture in its windows; the video, and so the calibration, is not turned."""
     cameras = camera("24021", 'viewrotation="0"'), camera("24022", 'viewrotation="90"')

@@ -81,6 +81,25 @@ def test_pose2sim(tmp_path: Path) -> None:
     assert_rig(read_contents(path), rig)
 
 
+@pytest.mark.parametrize("parts", [64, 128])
+def test_pose2sim_divides_the_lens_of_qualisys(tmp_path: Path, parts: int) -> None:
+    """Numbers with the six decimals of Qualisys's file; the second part is that of pixels that are binned."""
+    rig = tuple(replace(one, distortion=np.array([-0.110853, 0.070001, 0.000607, 0.0])) for one in RIG)
+    parted = tuple(replace(one, distortion=one.distortion / parts) for one in rig)
+    path = write(tmp_path / "Calib_qualisys.toml", 1.0, "adjusted = false\nerror = 0.0", parted, "fisheye = false")
+    assert_rig(read_contents(path), parted)
+    path.write_text(path.read_text().replace("[ 1920, 1080,]", "[ 1920.0, 1080.0]"))
+    contents = read_contents(path)
+    assert_rig(contents, rig)
+    assert f"divided the distortion of the Qualisys cameras by {parts}" in contents.notes[0]
+
+
+def test_lens_in_a_section_beside_the_cameras_is_not_dropped(tmp_path: Path) -> None:
+    path = write(tmp_path / "rig.toml", 1.0, "error = 0.3")
+    path.write_text(path.read_text() + "\n[lens]\ncoeffs = [-0.1, 0.2, 0.0, 0.0]\n")
+    assert problems_of(path) == [("unsupported_lens", None)]
+
+
 def test_fisheye(tmp_path: Path) -> None:
     rig = (fisheye("left", 0.3), fisheye("right", -0.8))
     path = write(tmp_path / "calibration.toml", 1.0, "adjusted = true\nerror = 0.3", rig, "fisheye = true")

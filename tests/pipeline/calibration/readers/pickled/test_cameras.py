@@ -111,17 +111,20 @@ def test_a_portrait_phone_has_its_height_first(tmp_path: Path) -> None:
     assert (camera.name, camera.size_px) == ("Cam0", (720, 1280))
 
 
-@pytest.mark.parametrize("protocol", [3, 5])
-def test_mvpose(tmp_path: Path, protocol: int) -> None:
+def mvpose() -> dict[str, Any]:
     poses = [np.column_stack([one.cam_from_world.rotation, one.cam_from_world.translation_m]) for one in RIG]
     matrices = np.stack([one.matrix for one in RIG])
-    document = {
+    return {
         "K": matrices.astype(np.float32),
         "P": matrices @ np.stack(poses),
         "RT": np.stack(poses).astype(np.float32),
     }
+
+
+@pytest.mark.parametrize("protocol", [3, 5])
+def test_mvpose(tmp_path: Path, protocol: int) -> None:
     path = tmp_path / "camera_parameter.pickle"
-    path.write_bytes(pickle.dumps(document, protocol))
+    path.write_bytes(pickle.dumps(mvpose(), protocol))
     contents = read_contents(path)
     assert (contents.format, contents.unit) == ("MVPose pickle", None)
     assert [one.section for one in contents.cameras] == ["Camera0", "Camera1"]
@@ -129,6 +132,26 @@ def test_mvpose(tmp_path: Path, protocol: int) -> None:
     assert_rig(contents, plain, num_digits=2)
     in_mm = read_contents(path, "mm").cameras[0].cam_from_world.translation_m
     np.testing.assert_allclose(in_mm, contents.cameras[0].cam_from_world.translation_m / 1000, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "size", [{"image_size": [1920, 1080]}, {"imgsize": np.array([[1920, 1080]] * 2)}, {"w": 1920, "h": 1080}]
+)
+def test_mvpose_with_sizes(tmp_path: Path, size: dict[str, Any]) -> None:
+    document = mvpose() | size | {"sequence": "walk"}
+    path = tmp_path / "camera_parameter.pickle"
+    path.write_bytes(pickle.dumps(document))
+    contents = read_contents(path)
+    assert [one.size_px for one in contents.cameras] == [(1920, 1080)] * 2
+    assert contents.notes == ("camera_parameter.pickle: fields that are not read: sequence.",)
+    path.write_bytes(pickle.dumps(document | {"dist": np.stack([one.distortion for one in RIG])}))
+    assert problems_of(path) == [("unsupported_lens", None)]
+
+
+def test_lens_that_opencap_does_not_name_is_a_problem(tmp_path: Path) -> None:
+    path = tmp_path / "Cam0.pickle"
+    path.write_bytes(pickle.dumps(opencap(RIG[0]) | {"lens": 2.0 * RIG[0].distortion}))
+    assert problems_of(path) == [("unsupported_lens", None)]
 
 
 @pytest.mark.parametrize(
