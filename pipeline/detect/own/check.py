@@ -5,6 +5,7 @@ shapes that the network gives for a black image.
 """
 
 import json
+import re
 import resource
 import sys
 from collections.abc import Iterator
@@ -19,6 +20,17 @@ _MAX_MEMORY_BYTES = 6 * 2**30
 # Beside the start of the process; networks of a profile take less than a second for an image.
 _MAX_CPU_S = 10
 _DOMAINS = {"", "ai.onnx"}
+# Reasons of ONNX Runtime for models that are too new.
+_NEW_OPSET = re.compile(r"Opset (\d+) is under development.* till opset (\d+)", re.DOTALL)
+_NEW_IR = re.compile(r"Unsupported model IR version: (\d+), max supported IR version: (\d+)")
+# What it writes before the reason: its code, the file, the node, and a place in its source. The operator is kept.
+_PREAMBLE = re.compile(
+    r"\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .* failed: ?|Exception during initialization: |"
+    r"(?:Non-zero status code returned while running |This is an invalid model\. In Node, \(\"[^\"]*\", )(\w+)"
+    r"(?: node\. Name:'[^']*' Status Message: |,.* , Error )|"
+    r"\S*\.(?:h|hpp|cc|cpp):\d+ [^()]*\([^()]*\)(?: const)? "
+)
+_MAX_REASON = 1000
 
 
 def main(path: str, width: str, height: str) -> None:
@@ -28,9 +40,31 @@ def main(path: str, width: str, height: str) -> None:
     try:
         result = check(Path(path), (int(width), int(height)))
     except Exception as error:
-        first = (str(error).strip() or type(error).__name__).splitlines()[0]
-        result = {"problem": f"it is damaged or can't be run ({first[:200]})"}
+        result = {"problem": reason(str(error).strip() or type(error).__name__)}
     sys.stdout.write(json.dumps(result))
+
+
+def reason(message: str) -> str:
+    """Reason for which a model can't be run, from a message of ONNX Runtime or of the package onnx.
+
+    >>> reason("[ONNXRuntimeError] : 1 : FAIL : Load model from a.onnx failed:/src/a.cc:7 void f(int) No shape.")
+    "it is damaged or can't be run (No shape)"
+    """
+    if new := _NEW_OPSET.search(message):
+        opset, newest = new.groups()
+        return (
+            f"its opset is {opset}, and ONNX Runtime {onnxruntime.__version__} reads opsets up to {newest}; export it "
+            f"with opset {newest} or an older one"
+        )
+    if new := _NEW_IR.search(message):
+        version, newest = new.groups()
+        return (
+            f"its IR version is {version}, and ONNX Runtime {onnxruntime.__version__} reads versions up to {newest}; "
+            "export it with an older version of the package onnx"
+        )
+    text = " ".join(_PREAMBLE.sub(lambda part: f"{part[1]}: " if part[1] else "", message).split()).removesuffix(".")
+    # Reasons stand at the end.
+    return f"it is damaged or can't be run ({text[-_MAX_REASON:]})"
 
 
 def check(path: Path, input_px: tuple[int, int]) -> dict[str, Any]:
@@ -38,11 +72,12 @@ def check(path: Path, input_px: tuple[int, int]) -> dict[str, Any]:
     model = onnx.load(path, load_external_data=False)
     if problem := _problem(model):
         return {"problem": problem}
-    onnx.checker.check_model(model)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
+    # First, since it says which versions it reads; the package onnx reads others.
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    onnx.checker.check_model(model)
     inputs = session.get_inputs()
     if len(inputs) != 1 or inputs[0].type != "tensor(float)" or len(inputs[0].shape) != 4:
         return {"problem": "it must have one input of float32: (1, 3, height, width)"}

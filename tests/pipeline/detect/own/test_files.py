@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -82,6 +83,38 @@ def test_another_network_is_refused(tmp_path: Path, model: onnx.ModelProto, mess
     with pytest.raises(ModelError, match=message):
         add_own(write(model, tmp_path / "net.onnx"), SIMCC)
     assert own_names() == ()
+
+
+def changed(opset: int = 13, ir_version: int = 8, op_type: str = "Tile") -> onnx.ModelProto:
+    """Small network with another version, or with another operator at its end."""
+    model = simcc()
+    model.opset_import[0].version, model.ir_version, model.graph.node[-1].op_type = opset, ir_version, op_type
+    return model
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (
+            changed(opset=99),
+            r"its opset is 99, and ONNX Runtime [\d.]+ reads opsets up to (\d+); export it with opset \1",
+        ),
+        (changed(ir_version=99), r"its IR version is 99, and ONNX Runtime [\d.]+ reads versions up to \d+; export it"),
+        (
+            changed(op_type="Fold"),
+            r"it is damaged or can't be run \(Fold: No Op registered for Fold with domain_version of 13",
+        ),
+        (
+            changed(op_type="Gather"),
+            r"can't be run \(Gather: indices element out of data bounds, idx=1 must be within",
+        ),
+    ],
+)
+def test_reason_of_onnx_runtime_is_given(tmp_path: Path, model: onnx.ModelProto, message: str) -> None:
+    with pytest.raises(ModelError) as error:
+        add_own(write(model, tmp_path / "net.onnx"), SIMCC)
+    assert re.search(message, str(error.value))
+    assert str(tmp_path) not in str(error.value)
 
 
 @pytest.mark.parametrize("content", [b"", b"no network", bytes(1000)])
