@@ -1,7 +1,7 @@
 """Celery application of the workers: one task, and handlers that prepare each worker process.
 
 A message only tells workers that there is work; they claim it in the database. A message is acknowledged after its
-work, and returns to the queue if its worker is lost. The limits below only bound failures that the reaper repairs.
+work, and returns to the queue if its worker is lost.
 """
 
 import os
@@ -30,8 +30,8 @@ from worker.settings import WorkerSettings
 from worker.telemetry import tracing
 from worker.telemetry.logs import configure_logs
 
-# Longer than the longest chunk, the association of a capture of several hours.
-_TIME_LIMIT_S = 3600
+# Time after which the broker sends a message again that no worker has acknowledged: it only wakes a worker once more.
+_REDELIVERY_S = 3600
 
 # Longer than the broker keeps a worker waiting for a message, a second.
 _BROKER_TIMEOUT_S = 15.0
@@ -49,7 +49,6 @@ def create_celery(settings: WorkerSettings) -> Celery:
         task_ignore_result=True,
         task_acks_late=True,
         task_reject_on_worker_lost=True,
-        task_time_limit=_TIME_LIMIT_S,
         worker_pool="worker.process.pool:PromptPool",
         worker_prefetch_multiplier=1,
         # Numeric libraries take seconds to load on a busy machine. Without a cache for compiled kernels every process
@@ -59,7 +58,7 @@ def create_celery(settings: WorkerSettings) -> Celery:
         broker_connection_retry_on_startup=True,
         broker_connection_max_retries=None,
         broker_transport_options={
-            "visibility_timeout": _TIME_LIMIT_S + 600,
+            "visibility_timeout": _REDELIVERY_S,
             "unacked_restore_interval": 10,
             "unacked_restore_throttle": 1,
             **transport_options(_BROKER_TIMEOUT_S),

@@ -1,7 +1,7 @@
 """Problems of jobs made from exceptions: sentences for the client, and whether another attempt may succeed."""
 
 from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused, listed
-from pipeline.problem_codes.jobs import MEMORY_LIMIT
+from pipeline.problem_codes.jobs import MEMORY_LIMIT, TIME_LIMIT
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.requests import ARTIFACTS_REFUSED, INTERNAL_ERROR, STORAGE_FULL
 from worker.jobs.errors import ArtifactsRefused
@@ -19,6 +19,18 @@ def waiting_for(outage: Outage, stage: str | None = None) -> JobProblem:
         f"The {_NAMES[outage]} does not respond; the job waits for it.",
         stage=stage,
         hint="Nothing has to be done: the job continues by itself, and no attempt is lost.",
+        retryable=True,
+    )
+
+
+def too_long(stage: str) -> JobProblem:
+    """Build the problem of a chunk that was stopped because it took many times its foreseen time."""
+    return JobProblem(
+        TIME_LIMIT,
+        f"A chunk of the stage {stage} took many times as long as foreseen, and was stopped.",
+        stage=stage,
+        hint="Retry the job. If it fails again, the workers' logs show where it hung; on slow machines the operator "
+        "raises MULTICAP_CHUNK_TIME_FACTOR.",
         retryable=True,
     )
 

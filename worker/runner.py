@@ -22,8 +22,8 @@ from worker.jobs.model.jobs import Result
 from worker.jobs.model.work import Ability, Claim, KeptPiece
 from worker.jobs.outages import Outage, outage_of
 from worker.jobs.store import JobStore
-from worker.lease import Lease
-from worker.problems import problem_of, waiting_for
+from worker.lease import Lease, time_limit_s
+from worker.problems import problem_of, too_long, waiting_for
 from worker.process.presence import process_name
 from worker.process.scratch import scratch_folder
 from worker.telemetry import tracing
@@ -62,6 +62,8 @@ class Runner:
         What the worker can run.
     pass_on
         Wakes a worker with another ability.
+    chunk_time_factor
+        See ``WorkerSettings``.
     """
 
     def __init__(
@@ -77,9 +79,10 @@ class Runner:
         has_room: Callable[[], bool],
         ability: Ability,
         pass_on: Callable[[], object],
+        chunk_time_factor: float = 10.0,
     ) -> None:
         self._store, self._artifacts, self._publish, self._run_chunk = store, artifacts, publish, run
-        self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
+        self._lease_s, self._heartbeat_s, self._chunk_time_factor = lease_s, heartbeat_s, chunk_time_factor
         self._stopping, self._on_stuck, self._has_room = stopping, on_stuck, has_room
         self._name = process_name()
         self._ability, self._pass_on = ability, pass_on
@@ -168,7 +171,7 @@ class Runner:
             except StoppedError:
                 log.info("chunk_stopped")
                 span.set_attribute("multicap.stopped", True)
-                record = partial(self._store.leases.release, *_held(claim))
+                record = self._stopped(claim, lease)
             except DamagedOutputsError as error:
                 log.warning("outputs_damaged", stage=error.stage, chunks=sorted(error.chunks))
                 record = partial(self._store.leases.compute_again, *_held(claim), error.stage, error.chunks)
@@ -180,6 +183,12 @@ class Runner:
                 record = self._failure(claim, error)
             if self._report(claim, lease, record):
                 self._publish()
+
+    def _stopped(self, claim: Claim, lease: Lease) -> Callable[[], bool]:
+        """Report of a chunk that was stopped before its end."""
+        if lease.is_too_long:
+            return partial(self._store.leases.fail, *_held(claim), too_long(claim.stage))
+        return partial(self._store.leases.release, *_held(claim))
 
     def _failure(self, claim: Claim, error: Exception) -> Callable[[], bool]:
         """Report of a chunk that failed, or that met an outage."""
@@ -216,11 +225,13 @@ class Runner:
         def on_stuck() -> None:
             log.warning("chunk_stuck", job=claim.job_id, stage=claim.stage, chunk=claim.index)
             try:
-                self._store.leases.release(claim.chunk_id, claim.lease_token)
+                self._stopped(claim, lease)()
             finally:
                 self._on_stuck()
 
-        return Lease(self._store, claim, self._lease_s, self._heartbeat_s, self._stopping, on_stuck)
+        limit_s = time_limit_s(claim.unit_count, self._chunk_time_factor)
+        lease = Lease(self._store, claim, self._lease_s, self._heartbeat_s, self._stopping, on_stuck, limit_s)
+        return lease
 
     def _finish(self, claim: Claim, lease: Lease) -> Callable[[], bool]:
         """Run a chunk, or find its output; return the report of it, which says whether more work became ready."""

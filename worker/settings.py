@@ -235,6 +235,12 @@ class WorkerSettings(StorageSettings):
         description="What runs the networks of workers, see docs/providers.md; auto is CUDA where it works, else the "
         "CPU.",
     )
+    chunk_time_factor: float = Field(
+        default=10.0,
+        gt=0,
+        description="A chunk is stopped after ten minutes and this many times the time foreseen for it: a tenth of a "
+        "second for each of its units, such as frames of a camera.",
+    )
     claim_for_s: float = Field(
         default=300.0, gt=0, description="Time for which a worker claims chunks after one message."
     )

@@ -1,12 +1,15 @@
 """Task of the workers: run ready chunks. Also what a worker process loads, and the state that it reports."""
 
 import contextlib
+import faulthandler
 import functools
 import mmap
 import os
 import signal
+import sys
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 
 import structlog
@@ -17,6 +20,8 @@ from pipeline.detect.providers.find import current_provider
 from pipeline.runtime.kernel_cache import is_complete
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import STAGES
+from pipeline.stages.stage import Output
+from worker.chunk import Work
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
@@ -24,6 +29,7 @@ from worker.jobs.model.work import Ability
 from worker.jobs.queue import Queue, WorkQueue
 from worker.jobs.store import JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
+from worker.lease import STOP_GRACE_S, time_limit_s
 from worker.process.compilation import COMPILING
 from worker.process.machine_memory import machine_memory_bytes
 from worker.process.presence import Presence, process_name, remove_killed
@@ -92,15 +98,30 @@ def process_runner() -> Runner:
         store=JobStore(settings.resolved_database_url),
         artifacts=artifacts,
         publish=queue.publish,
-        run=run_chunk,
+        run=_watched(run_chunk, settings.chunk_time_factor),
         lease_s=settings.lease_s,
         heartbeat_s=settings.heartbeat_s,
         stopping=shutting_down.is_set,
         on_stuck=_end_process,
         has_room=_disk().has_room,
         ability=_ability(settings),
+        chunk_time_factor=settings.chunk_time_factor,
         pass_on=partial(queue.publish, Queue.CPU if current_provider().is_gpu else Queue.GPU),
     )
+
+
+def _watched(run: Callable[[Work], Output], factor: float) -> Callable[[Work], Output]:
+    """Let a chunk end its process after its time limit even if it never lets Python's other threads run."""
+
+    def run_watched(work: Work) -> Output:
+        limit_s = time_limit_s(work.claim.unit_count, factor) + 2 * STOP_GRACE_S
+        faulthandler.dump_traceback_later(limit_s, exit=True, file=sys.__stderr__)
+        try:
+            return run(work)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+
+    return run_watched
 
 
 def _ability(settings: WorkerSettings) -> Ability:

@@ -3,7 +3,7 @@
 Every replica of the API reports the same figures of jobs: read one replica, or take the largest value.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -13,10 +13,13 @@ from api.live.metrics import LiveMetrics
 from api.recordings.metrics import RecordingMetrics
 from worker.jobs.database.totals import Total
 from worker.jobs.files.disk import DiskSpace
+from worker.jobs.model.work import RunningChunk
 from worker.jobs.store import JobStore
 
 _PREFIX = "multicap"
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0, 600.0)
+# Chunks that have run for less time are no metrics: they would make new labels every few seconds.
+_LONG_S = 60.0
 # Label and help text of each sum.
 _TOTALS = {
     Total.LEASES_LOST: ("stage", "Chunks whose worker stopped responding."),
@@ -100,3 +103,20 @@ class _JobCollector(Collector):
             yield gauge
         longest = "Waiting time of the first job in the queue."
         yield GaugeMetricFamily(f"{_PREFIX}_longest_queued_seconds", longest, figures.longest_queued_s)
+        yield from _of_running_chunks(figures.running)
+
+
+def _of_running_chunks(running: Sequence[RunningChunk]) -> Iterator[Metric]:
+    """Oldest running chunk, and the one that has not moved for longest: no more, as each has labels of its own."""
+    running = [chunk for chunk in running if chunk.age_s >= _LONG_S]
+    oldest = max(running, key=lambda chunk: chunk.age_s, default=None)
+    stillest = max(running, key=lambda chunk: chunk.still_s, default=None)
+    for name, text, chunk, value in (
+        ("oldest_chunk_seconds", "Time since the oldest running chunk was begun.", oldest, lambda chunk: chunk.age_s),
+        ("oldest_chunk_progress", "Share of it that is done, from 0 to 1.", oldest, lambda chunk: chunk.progress),
+        ("stillest_chunk_seconds", "Longest time without progress of a chunk.", stillest, lambda chunk: chunk.still_s),
+    ):
+        gauge = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=("tenant", "job_id", "stage", "chunk"))
+        if chunk is not None:
+            gauge.add_metric((chunk.tenant, chunk.job_id, chunk.stage, str(chunk.index)), value(chunk))
+        yield gauge

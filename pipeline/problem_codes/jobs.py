@@ -41,6 +41,12 @@ MEMORY_LIMIT = JOBS.code(
     "A chunk needs more memory than a worker may use, or a command more than there is.",
     "Use fewer frames, or have the operator raise `MULTICAP_MEMORY_BYTES`.",
 )
+TIME_LIMIT = JOBS.code(
+    "time_limit",
+    ("job", "attempt"),
+    "A chunk took many times as long as foreseen, twice, and was stopped.",
+    "Retry the job. The operator reads the workers' logs, or raises `MULTICAP_CHUNK_TIME_FACTOR` on slow machines.",
+)
 INPUT_DAMAGED = JOBS.code(
     "input_damaged",
     ("job",),

@@ -33,6 +33,7 @@ from tests.worker.conftest import (
     run_side_by_side,
     slow_detect,
 )
+from worker import lease
 from worker.chunk import Work
 from worker.jobs.model.jobs import JobRecord
 from worker.jobs.model.states import ChunkState, JobState
@@ -228,6 +229,62 @@ def test_a_pass_that_does_not_notice_is_given_up(bench: RunnerBench) -> None:
     thread.join()
     assert took_s < 5
     assert state is JobState.CANCELED
+
+
+def limit_to(seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every chunk be stopped after some seconds."""
+    monkeypatch.setattr(lease, "_SHORTEST_LIMIT_S", seconds)
+    monkeypatch.setattr(lease, "_UNIT_S", 0.0)
+
+
+def test_a_chunk_that_renews_its_lease_without_progress_is_stopped_twice_and_fails_its_job(
+    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def hanging(work: Work) -> Output:
+        while True:
+            time.sleep(0.01)
+            work.check()
+
+    limit_to(0.6, monkeypatch)
+    bench.stages[DETECT] = hanging
+    job = bench.create_job()
+    bench.runner(heartbeat_s=0.1).work(60.0)
+    failed = bench.store.jobs.get(job.id)
+    assert failed.state is JobState.FAILED
+    assert failed.problem is not None
+    assert (failed.problem.code, failed.problem.stage) == ("time_limit", DETECT)
+    (attempt,) = bench.store.jobs.attempts(job.id)
+    assert [(failure.chunk_index, failure.chunk_try) for failure in attempt.failures] == [(0, 1), (0, 2)]
+    assert "in hanging" in capfd.readouterr().out  # the place where it hung
+
+
+def test_a_chunk_that_hangs_in_one_call_loses_its_try_before_its_process_ends(
+    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hang = threading.Event()
+
+    def hanging(work: Work) -> Output:
+        hang.wait(20)
+        return detect(work)
+
+    limit_to(0.6, monkeypatch)
+    bench.stages[DETECT] = hanging
+    job = bench.create_job()
+    thread = in_thread(bench)
+    started_s = time.monotonic()
+    while not bench.stuck and time.monotonic() < started_s + 20:
+        time.sleep(0.02)
+    (attempt,) = bench.store.jobs.attempts(job.id)
+    hang.set()
+    bench.stopping = True
+    thread.join()
+    assert [failure.problem.code for failure in attempt.failures] == ["time_limit"]
+
+
+def test_the_time_limit_grows_with_the_units_of_a_chunk() -> None:
+    assert lease.time_limit_s(10_000, 10.0) - lease.time_limit_s(1_000, 10.0) == pytest.approx(9_000.0)
+    assert lease.time_limit_s(1_000, 20.0) - lease.time_limit_s(1_000, 10.0) == pytest.approx(1_000.0)
+    assert lease.time_limit_s(1, 10.0) > 300.0
 
 
 def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_path: Path) -> None:

@@ -1,5 +1,8 @@
 """Metrics, read by Prometheus' own parser."""
 
+import sqlite3
+
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.api.conftest import Live, raw
@@ -35,6 +38,40 @@ def test_requests_are_counted_by_route_not_by_what_strangers_call(live: Live) ->
     assert requests_to(live, "GET", "unknown", "404") == unknown + 2
     assert requests_to(live, "other", "unknown", "404") == odd + 1
     assert not any("no/such" in str(key) or "PURGE" in str(key) for key in samples(live))
+
+
+def test_the_oldest_running_chunk_and_the_one_without_progress_are_named(live: Live) -> None:
+    job_id = live.job_id()
+    store = live.services.store
+    oldest, stillest = store.leases.claim("one", 3600.0), store.leases.claim("two", 3600.0)
+    assert oldest is not None
+    assert stillest is not None
+    store.leases.heartbeat(oldest.chunk_id, oldest.lease_token, oldest.unit_count, 3600.0)
+
+    def running() -> dict[str, tuple[dict[str, str], float]]:
+        return {name: (dict(labels), value) for (name, labels), value in samples(live).items() if "_chunk_" in name}
+
+    assert running() == {}  # they have just begun
+    with sqlite3.connect(live.settings.data_dir / "multicap.db") as database:
+        begun = "UPDATE chunks SET claimed_at = claimed_at - ?, moved_at = moved_at - ? WHERE id = ?"
+        database.execute(begun, [1000.0, 10.0, oldest.chunk_id])
+        database.execute(begun, [500.0, 400.0, stillest.chunk_id])
+    found = running()
+    labels = {"tenant": "default", "job_id": job_id, "stage": oldest.stage}
+    assert found["multicap_oldest_chunk_seconds"] == (
+        labels | {"chunk": str(oldest.index)},
+        pytest.approx(1000.0, abs=100.0),
+    )
+    assert found["multicap_oldest_chunk_progress"] == (labels | {"chunk": str(oldest.index)}, 1.0)
+    assert found["multicap_stillest_chunk_seconds"] == (
+        labels | {"chunk": str(stillest.index)},
+        pytest.approx(400.0, abs=100.0),
+    )
+    # Progress is what a heartbeat reports beyond the last one, and a heartbeat alone is none.
+    store.leases.heartbeat(stillest.chunk_id, stillest.lease_token, 0, 3600.0)
+    assert running()["multicap_stillest_chunk_seconds"][0]["chunk"] == str(stillest.index)
+    store.leases.heartbeat(stillest.chunk_id, stillest.lease_token, 1, 3600.0)
+    assert running()["multicap_stillest_chunk_seconds"][0]["chunk"] == str(oldest.index)
 
 
 def test_jobs_are_counted(live: Live) -> None:

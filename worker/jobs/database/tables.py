@@ -187,10 +187,29 @@ chunks = Table(
     Column("copy_until", UtcTimestamp),
     Column("started_at", UtcTimestamp),  # of the first try
     Column("claimed_at", UtcTimestamp),  # of the last try
+    Column("moved_at", UtcTimestamp),  # last progress, or begin of the last try
+    Column("lost_tries", Integer, nullable=False, server_default="0"),  # tries that cost their workers
+    Column("due_at", UtcTimestamp),  # earliest begin of the next try; null: at once
     Column("finished_at", UtcTimestamp),
     UniqueConstraint("job_id", "stage_index", "chunk_index"),
     Index(None, "state", "job_id", "stage_index", "chunk_index"),
     sqlite_autoincrement=True,  # a retry replaces a job's chunks: an old number must not come to mean a new chunk
+)
+
+# Chunks with lost tries are few, and each claim reads them.
+Index(
+    "ix_chunks_lost_tries",
+    chunks.c.state,
+    sqlite_where=chunks.c.lost_tries > 0,
+    postgresql_where=chunks.c.lost_tries > 0,
+)
+
+# Last turn of each tenant at the workers.
+turns = Table(
+    "turns",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("claimed_at", UtcTimestamp, nullable=False),
 )
 
 results = Table(

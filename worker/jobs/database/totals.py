@@ -10,7 +10,7 @@ from sqlalchemy import Connection, func, select
 from worker.jobs.database.connection import add_up, now
 from worker.jobs.database.tables import chunks, jobs, totals
 from worker.jobs.model.states import UNFINISHED, ChunkState, JobState
-from worker.jobs.model.work import Figures
+from worker.jobs.model.work import Figures, RunningChunk
 
 
 class Total(StrEnum):
@@ -37,6 +37,19 @@ def read_figures(connection: Connection) -> Figures:
     """Read all totals, and how much work there is now."""
     by_state = select(jobs.c.state, func.count().label("number")).group_by(jobs.c.state)
     unfinished = select(chunks.c.state, func.count().label("number")).join(jobs).where(jobs.c.state.in_(UNFINISHED))
+    running = (
+        select(
+            jobs.c.tenant,
+            chunks.c.job_id,
+            chunks.c.stage,
+            chunks.c.chunk_index,
+            now() - chunks.c.claimed_at,
+            now() - chunks.c.moved_at,
+            1.0 * chunks.c.done_units / chunks.c.unit_count,
+        )
+        .join(jobs)
+        .where(chunks.c.state == ChunkState.RUNNING, chunks.c.moved_at.is_not(None))
+    )
     waiting = select(func.max(now() - jobs.c.queued_at)).where(jobs.c.state == JobState.QUEUED)
     return Figures(
         totals={(row.name, row.label): row.value for row in connection.execute(select(totals))},
@@ -47,4 +60,5 @@ def read_figures(connection: Connection) -> Figures:
             if row.state in {ChunkState.WAITING, ChunkState.READY, ChunkState.RUNNING}
         },
         longest_queued_s=max(0.0, connection.scalar(waiting) or 0.0),
+        running=[RunningChunk(*row) for row in connection.execute(running)],
     )

@@ -1,6 +1,6 @@
 """Work of the workers: plans, claims of chunks, their outputs, files to remove, and figures of all of it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -134,6 +134,19 @@ class Removal:
 
 
 @dataclass(frozen=True, slots=True)
+class RunningChunk:
+    """A chunk at work, for monitoring."""
+
+    tenant: str
+    job_id: str
+    stage: str
+    index: int
+    age_s: float  # Time since its last try began
+    still_s: float  # Time since its last progress, or since its last try began
+    progress: float  # Share of its units that are done, from 0 to 1
+
+
+@dataclass(frozen=True, slots=True)
 class Figures:
     """Figures of all jobs, for monitoring."""
 
@@ -142,3 +155,4 @@ class Figures:
     jobs: Mapping[str, int]
     chunks: Mapping[str, int]
     longest_queued_s: float  # Time that the first job in the queue has waited; 0 without one
+    running: Sequence[RunningChunk]  # As many as there are workers at work

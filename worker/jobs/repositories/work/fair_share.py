@@ -3,42 +3,57 @@
 import math
 import random
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
+from datetime import UTC, datetime
 
-from sqlalchemy import ColumnElement, Connection, func, select, true
+from sqlalchemy import ColumnElement, Connection, and_, func, select, true
 
-from worker.jobs.database.connection import lock
-from worker.jobs.database.tables import chunks, jobs
+from worker.jobs.database.connection import lock, now, upsert
+from worker.jobs.database.tables import chunks, jobs, turns
 from worker.jobs.model.states import AT_WORK, ChunkState, JobState
 from worker.jobs.repositories.rights.keys import count_tenants
+from worker.jobs.repositories.work.lost_tries import lines
 from worker.jobs.repositories.work.workers import count_ready
+
+_NO_TURN = datetime.min.replace(tzinfo=UTC)
 
 
 def next_job(
-    connection: Connection,
-    takes: ColumnElement[bool] | None = None,
-    last_turns: Mapping[str, int] = MappingProxyType({}),
-) -> str | None:
+    connection: Connection, conditions: Sequence[ColumnElement[bool]] = (true(),)
+) -> tuple[str, ColumnElement[bool]] | None:
     """Job of the next chunk: of the tenant with the fewest running chunks, the oldest job with a ready chunk.
 
-    A tenant's edits of people go before its other jobs: their files take a second, and somebody waits for them. The
+    A tenant's edits of people go before its other jobs: their files take a second, and a user waits for them. The
     others are ordered by their priorities.
 
-    Tenants with equal numbers take turns, by the numbers of their ``last_turns``, and at random where these are equal,
-    so that a long queue of one tenant does not delay the others. A tenant that has its share of the workers waits, see
-    ``has_share``. Only chunks with the condition ``takes`` count; ``None``: all.
+    Tenants with equal numbers take turns, and are ordered at random before their first one, so that a long queue of one
+    tenant does not delay the others. A tenant that has its share of the workers waits, see ``has_share``. First tries
+    go before retries of chunks that cost their workers, see ``lost_tries``; after that chunks with the first of the
+    ``conditions`` go before those with the next one. Returns the job with the condition of its chunks.
     """
     tenants = sorted({tenant for state in AT_WORK for tenant in _tenants_in(connection, state)})
     num_running = _num_running(connection)
     most = _largest_share(connection)
+    in_line = lines(connection, tenants)
     random.shuffle(tenants)
+    recorded = connection.execute(select(turns).where(turns.c.tenant.in_(tenants)))
+    last_turns = {turn.tenant: turn.claimed_at for turn in recorded}
     tenants = sorted(
         (tenant for tenant in tenants if num_running[tenant] < most),
-        key=lambda tenant: (num_running[tenant], last_turns.get(tenant, 0)),
+        key=lambda tenant: (num_running[tenant], last_turns.get(tenant, _NO_TURN)),
     )
-    oldest = (_oldest_with_work(connection, tenant, true() if takes is None else takes) for tenant in tenants)
-    return next((job_id for job_id in oldest if job_id is not None), None)
+    for line in in_line:
+        for condition in conditions:
+            takes = and_(line, condition)
+            for tenant in tenants:
+                if (job_id := _oldest_with_work(connection, tenant, takes)) is not None:
+                    return job_id, takes
+    return None
+
+
+def take_turn(connection: Connection, tenant: str) -> None:
+    """Record that a tenant has had its turn; its workers are locked, see ``has_share``."""
+    upsert(connection, turns, {"tenant": tenant, "claimed_at": now()})
 
 
 def has_share(connection: Connection, tenant: str) -> bool:

@@ -11,7 +11,7 @@ from uuid_utils import uuid7
 
 from pipeline.edits import PersonSpan
 from pipeline.findings import Finding
-from pipeline.problem_codes.jobs import OUTPUT_DAMAGED, WORKER_LOST
+from pipeline.problem_codes.jobs import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
 from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.listed_results import list_results
 from worker.jobs.database.rows import edits_of, job_character_of, making_of, spec_of
@@ -36,11 +36,14 @@ from worker.jobs.repositories.attempts import note_failure
 from worker.jobs.repositories.calibrations import complete
 from worker.jobs.repositories.work.abilities import MachineFull, has_others, require_machine, turns
 from worker.jobs.repositories.work.affinity import first_chunk
-from worker.jobs.repositories.work.fair_share import has_share, next_job
+from worker.jobs.repositories.work.fair_share import has_share, next_job, take_turn
+from worker.jobs.repositories.work.lost_tries import MAX_RUNNING, lost_again, num_running
 from worker.jobs.repositories.work.stragglers import find_straggler
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
+# Maximum number of tries of a chunk that took too long: each has kept a worker for many times its foreseen time.
+_MAX_LONG_TRIES = 2
 
 
 class Leases:
@@ -52,7 +55,6 @@ class Leases:
 
     def __init__(self, transactions: Transactions) -> None:
         self._transactions = transactions
-        self._last_turns: dict[str, int] = {}  # of tenants at this process: numbers that grow
 
     def claim(self, worker: str, lease_s: float, ability: Ability = ANY_CHUNK) -> Claim | None:
         """Take the next ready chunk; without one, begin a straggler a second time; ``None`` if there is neither.
@@ -66,9 +68,8 @@ class Leases:
         with self._transactions.reading() as connection:
             conditions = turns(connection, ability)
         with contextlib.suppress(MachineFull):
-            for takes in conditions:
-                if (claim := self._next(worker, lease_s, takes, ability.machine_bytes)) is not None:
-                    return claim
+            if (claim := self._next(worker, lease_s, conditions, ability.machine_bytes)) is not None:
+                return claim
             return self._copy(worker, lease_s, conditions[-1], ability.machine_bytes)
         return None
 
@@ -77,12 +78,15 @@ class Leases:
         with self._transactions.reading() as connection:
             return has_others(connection, ability) and next_job(connection) is not None
 
-    def _next(self, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None) -> Claim | None:
+    def _next(
+        self, worker: str, lease_s: float, conditions: Sequence[ColumnElement[bool]], machine_bytes: int | None
+    ) -> Claim | None:
         while True:
             with self._transactions.reading() as connection:
-                job_id = next_job(connection, takes, self._last_turns)
-            if job_id is None:
+                work = next_job(connection, conditions)
+            if work is None:
                 return None
+            job_id, takes = work
             if (claim := self._claim_of(job_id, worker, lease_s, takes, machine_bytes)) is not None:
                 return claim
 
@@ -95,7 +99,7 @@ class Leases:
             if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
                 return None
             chunk = first_chunk(connection, job_id, takes, worker)
-            if chunk is None:
+            if chunk is None or (chunk.lost_tries and num_running(connection, job.tenant) >= MAX_RUNNING):
                 return None
             require_machine(connection, chunk, worker, machine_bytes)
             token = str(uuid7())
@@ -106,10 +110,11 @@ class Leases:
                 "lease_until": now() + lease_s,
                 "started_at": func.coalesce(chunks.c.started_at, now()),
                 "claimed_at": now(),
+                "moved_at": now(),
             }
             connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(taken))
             move_job(connection, job_id, JobState.RUNNING, started_at=now())
-        self._last_turns[job.tenant] = max(self._last_turns.values(), default=0) + 1
+            take_turn(connection, job.tenant)
         return _claim(job, chunk, token)
 
     def _copy(self, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None) -> Claim | None:
@@ -139,11 +144,8 @@ class Leases:
         The progress is the maximum over all tries of the chunk, and at most ``unit_count``.
         """
         at_work = select(jobs.c.id).where(jobs.c.id == chunks.c.job_id, jobs.c.state == JobState.RUNNING).exists()
-        further = case(
-            (chunks.c.unit_count < done_units, chunks.c.unit_count),
-            (chunks.c.done_units < done_units, done_units),
-            else_=chunks.c.done_units,
-        )
+        further = case((chunks.c.unit_count < done_units, chunks.c.unit_count), else_=done_units)
+        moved = case((chunks.c.done_units < further, now()), else_=chunks.c.moved_at)
         until = {
             f"{lease}_until": case(
                 (chunks.c[f"{lease}_token"] == lease_token, now() + lease_s), else_=chunks.c[f"{lease}_until"]
@@ -154,7 +156,11 @@ class Leases:
             renewed = connection.execute(
                 update(chunks)
                 .where(chunks.c.id == chunk_id, _is_held(lease_token), at_work)
-                .values(done_units=further, **until)
+                .values(
+                    done_units=case((chunks.c.done_units < further, further), else_=chunks.c.done_units),
+                    moved_at=moved,
+                    **until,
+                )
             )
         return renewed.rowcount == 1
 
@@ -187,7 +193,7 @@ class Leases:
             _record_findings(connection, job.id, warnings, people)
             if calibration is not None:
                 complete(connection, job.id, calibration)
-            finished: dict[str, Any] = {"done_units": chunk.unit_count, "reused": reused}
+            finished: dict[str, Any] = {"done_units": chunk.unit_count, "reused": reused, "lost_tries": 0}
             if chunk.copy_token == lease_token:
                 finished["worker"] = chunk.copy_worker
                 count(connection, Total.COPIES_FIRST, chunk.stage)
@@ -264,10 +270,11 @@ class Leases:
     def reap(self, lease_s: float, takes: bool = True) -> bool:
         """Take chunks back whose leases have ended; return whether any chunk is ready now, or a straggler.
 
-        A chunk that is taken back is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is
-        being canceled ends when its last running chunk is taken back. A chunk that a second worker runs too stays with
-        that worker. Leases longer than ``lease_s`` are shortened: they were made before the clock was put back. Unless
-        ``takes``, chunks are not taken back: their workers may still renew the leases.
+        A chunk that is taken back is ready for another try, which may have to wait, see ``lost_tries``; after
+        ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled ends when its last running chunk is taken
+        back. A chunk that a second worker runs too stays with that worker. Leases longer than ``lease_s`` are
+        shortened: they were made before the clock was put back. Unless ``takes``, chunks are not taken back: their
+        workers may still renew the leases.
         """
         with self._transactions.writing() as connection:
             for until in (chunks.c.lease_until, chunks.c.copy_until):
@@ -368,12 +375,15 @@ def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: 
         _cancel(connection, job, chunk)
         return False
     note_failure(connection, job, chunk, problem)
-    if problem.retryable and chunk.attempt < MAX_ATTEMPTS:
+    max_tries = _MAX_LONG_TRIES if problem.code == TIME_LIMIT else MAX_ATTEMPTS
+    if problem.retryable and chunk.attempt < max_tries:
+        if problem.code in {WORKER_LOST, TIME_LIMIT}:
+            values |= lost_again(chunk.lost_tries)
         move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1, **values)
         count(connection, Total.CHUNKS_RETRIED, chunk.stage)
         return True
     if problem.retryable:
-        problem = replace(problem, detail=f"{problem.detail} It was the last of {MAX_ATTEMPTS} tries.")
+        problem = replace(problem, detail=f"{problem.detail} It was the last of {max_tries} tries.")
     fail_job(connection, job.id, chunk.id, problem)
     return False
 

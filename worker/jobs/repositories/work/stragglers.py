@@ -34,6 +34,7 @@ def find_straggler(
     running = select(chunks, age_s).where(
         chunks.c.state == ChunkState.RUNNING,
         chunks.c.copy_token.is_(None),
+        chunks.c.lost_tries == 0,
         chunks.c.worker != worker,
         chunks.c.claimed_at < now() - SHORTEST_S,
         true() if takes is None else takes,

@@ -53,8 +53,8 @@ class Waits:
         )
         restore = (
             update(chunks)
-            .where(chunks.c.id == claim.chunk_id, chunks.c.attempt > claim.attempt)
-            .values(attempt=chunks.c.attempt - 1)
+            .where(chunks.c.id == claim.chunk_id, chunks.c.attempt > claim.attempt, chunks.c.lost_tries > 0)
+            .values(attempt=chunks.c.attempt - 1, lost_tries=chunks.c.lost_tries - 1, due_at=None)
         )
         with self._transactions.writing() as connection:
             if lock_job(connection, claim.job_id) is None:

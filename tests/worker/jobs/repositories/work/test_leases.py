@@ -4,11 +4,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import pytest
+import sqlalchemy as sa
 
 from pipeline.problem_codes.jobs import INPUT_ERROR
 from pipeline.problem_codes.requests import INTERNAL_ERROR
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, StoreBench, result, stages
 from worker.jobs.database.quotas import NO_QUOTAS
+from worker.jobs.database.tables import chunks
 from worker.jobs.model.jobs import JobProblem
 from worker.jobs.model.rights import Actor, Scope
 from worker.jobs.model.states import ChunkState, JobState
@@ -334,6 +336,7 @@ def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: StoreBench) ->
         assert jobs.store.jobs.get(job_id).state in {JobState.QUEUED, JobState.RUNNING}
         assert jobs.claim(EXPIRED_S).attempt == attempt
         jobs.store.leases.reap(LEASE_S)
+        jobs.execute(sa.update(chunks).values(due_at=None))  # retries wait, see test_lost_tries
     job = jobs.store.jobs.get(job_id)
     assert job.state == JobState.FAILED
     assert job.problem is not None
