@@ -59,8 +59,8 @@ from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
 from pipeline.video.properties.packets import REPAIR_TIMES, list_packets, shown_pts
 from pipeline.video.properties.regularity import uneven_times
+from pipeline.video.properties.sound_delay import unknown_delays
 from pipeline.video.signatures import document_type, is_container, is_cut_avi
-from pipeline.video.sound.delay import unknown_delays
 from pipeline.video.stamps import starts_at_zero
 
 _NUM_DECODED = 8

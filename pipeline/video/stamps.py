@@ -41,9 +41,10 @@ def early_start(durations: list[int]) -> int:
     pictures, as AAC does. The first packet then lasts longer, and all others are at their times. If it is longer by
     whole frames, these were dropped.
     """
-    excess, usual = durations[0] - durations[-1], durations[-1]
-    if len(durations) <= _NUM_USUAL or usual <= 0 or max(durations[1:]) - min(durations[1:]) > 1:
+    if len(durations) <= _NUM_USUAL or min(durations) <= 0 or max(durations[1:]) - min(durations[1:]) > 1:
         return 0
+    usual = durations[1]
+    excess = durations[0] - usual
     return excess if excess > 1 and abs(excess / usual - round(excess / usual)) > _WHOLE else 0
 
 

@@ -65,3 +65,9 @@ def _check_sizes(frames: Sequence[VideoFrame]) -> None:
                 "pixels.",
                 "Send images of one size.",
             )
+        if display_orientation(frame) != display_orientation(first):
+            raise UnusableError(
+                VIDEO_CHANGES_SIZE,
+                "The images are not all turned or mirrored alike for display (EXIF orientation).",
+                "Send images of one orientation.",
+            )

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.errors import Problem
 from pipeline.video.decode import decode
 from pipeline.video.images.probe import at_rate
 from pipeline.video.info import VideoInfo
@@ -79,6 +80,15 @@ def write_jpegs(folder: Path, orientation: int) -> Path:
     for number in range(5):
         (folder / f"{number:04}.jpg").write_bytes(content)
     return folder
+
+
+def test_images_of_several_orientations_are_refused(tmp_path: Path) -> None:
+    images = write_jpegs(tmp_path / "images", 1)
+    (images / "0003.jpg").write_bytes((write_jpegs(tmp_path / "others", 3) / "0003.jpg").read_bytes())
+    problem = probe(images)
+    assert isinstance(problem, Problem)
+    assert (problem.code, problem.file) == ("video_changes_size", "images")
+    assert "orientation" in problem.message
 
 
 def shown(video: VideoInfo) -> np.ndarray:

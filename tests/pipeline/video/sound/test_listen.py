@@ -105,8 +105,10 @@ def test_sound_that_begins_after_the_first_frame_keeps_its_times(tmp_path: Path,
     assert found == pytest.approx([click_s + first_s for click_s in CLICKS_S], abs=0.001)
 
 
-@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "libmp3lame"), ("a.mkv", "libmp3lame"), ("a.ts", "mp2")])
-def test_mpeg_audio_is_read(tmp_path: Path, name: str, codec: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "codec"), [("a.mp4", "libmp3lame"), ("a.mkv", "libmp3lame"), ("a.ts", "mp2"), ("a.mkv", "libopus")]
+)
+def test_sound_of_compressed_codecs_is_at_its_times(tmp_path: Path, name: str, codec: str) -> None:
     assert onsets_s(filmed(tmp_path / name, clicks(4.0, CLICKS_S), codec)) == pytest.approx(CLICKS_S, abs=0.002)
 
 
