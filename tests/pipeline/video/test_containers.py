@@ -2,8 +2,8 @@
 
 Each file has a flash and claps at known times after its first picture. The times read must be right within 1 ms, but
 for files that state other times. AVI states no delay of its sound's encoder, edit lists have ticks of a millisecond,
-and ffmpeg 5.1 writes Opus in Matroska 7 ms early. AAC in fragmented MP4 may have an unknown delay: the files of ffmpeg are
-right, and a finding says so of all of them.
+and ffmpeg 5.1 writes Opus in Matroska 7 ms early. AAC in fragmented MP4 may have an unknown delay: the files of
+ffmpeg are right, and a finding says so of all of them.
 """
 
 import wave
