@@ -64,6 +64,7 @@ from pipeline.video.signatures import document_type, is_container, is_cut_avi
 from pipeline.video.stamps import starts_at_zero
 
 _NUM_DECODED = 8
+_AVI_ORDER = "AVI can't state the times of H.264 with B-frames: export the video again as MP4 or MKV."
 _AT_ONCE = 2
 
 # Limit on the computing time for a small file. A large file gets additional time for reading its packets.
@@ -159,7 +160,7 @@ def _probe(path: Path) -> VideoInfo:
             "Copy it again.",
         )
     pts = shown_pts(stored_pts)
-    frames = _decode_ends(path, keyframe_pts)
+    frames = _decode_ends(path, keyframe_pts, _AVI_ORDER if video_format.container == "avi" else REPAIR_TIMES)
     width, height = frames[0].width, frames[0].height
     square_width, warnings = square_pixels(width, pixel_aspect)
     if square_width * height > MAX_PIXELS:
@@ -228,14 +229,14 @@ def _announced(path: Path, container: InputContainer, stream: VideoStream) -> in
     return stream.frames
 
 
-def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> list[VideoFrame]:
+def _decode_ends(path: Path, keyframe_pts: np.ndarray, repair_times: str) -> list[VideoFrame]:
     """Decode the first pictures and one near the end, all of one size; raise if decoding fails."""
     frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
         raise UnusableError(NO_FRAMES, "No frame of the video can be decoded.", "Record or export it again.")
     times = [pts for frame in frames if (pts := display_pts(frame)) is not None]
     if times != sorted(times):
-        raise UnusableError(VIDEO_TIMES, "The timestamps of the first frames go backwards.", REPAIR_TIMES)
+        raise UnusableError(VIDEO_TIMES, "The timestamps of the first frames go backwards.", repair_times)
     if len(keyframe_pts) > 1:
         last_pts = int(keyframe_pts[-1])
         later = decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)

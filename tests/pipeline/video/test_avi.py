@@ -13,6 +13,7 @@ from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
 from pipeline.video.signatures import is_cut_avi
+from tests.pipeline.media import write_video
 
 CODECS = ("mjpeg", "mpeg4", "libx264", "libvpx")
 SIZE_PX = (64, 48)
@@ -75,6 +76,15 @@ def test_h264_with_two_places_a_frame_has_the_times_of_its_pictures(tmp_path: Pa
     video = probed(path)
     np.testing.assert_allclose(video.time_s, np.arange(60) / 25, atol=1e-9)
     assert (video.frame_rate_hz, video.warnings) == (25.0, ())
+
+
+def test_h264_with_b_frames_in_avi_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "a.avi"
+    write_video(path, 40, options={"bf": "3", "x264-params": "b-adapt=0"})
+    problem = probe(path)
+    assert isinstance(problem, Problem)
+    assert problem.code == "video_times"
+    assert "B-frames" in str(problem.hint)
 
 
 def test_places_that_the_header_counts_after_the_last_picture_are_no_fault(tmp_path: Path) -> None:
