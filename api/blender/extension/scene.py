@@ -79,7 +79,7 @@ def collection_of(scene: Any, name: str) -> Any:
 def _base_of_importer(render: Any) -> Iterator[None]:
     """Have the importer of glTF place keys at the scene's frame rate.
 
-    Versions of Blender up to 5.1 at least multiply seconds by ``fps * fps_base``; the frame rate is their quotient.
+    Blender 4.2 to 5.2 multiplies seconds by ``fps * fps_base``; the frame rate is their quotient.
     """
     base = render.fps_base
     importer = import_module("io_scene_gltf2.blender.imp.animation_node")

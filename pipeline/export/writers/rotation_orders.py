@@ -78,6 +78,7 @@ def rotation_orders(motion: SkeletonMotion, convention: Convention, program: Pro
 
 
 def _interpolation(motion: SkeletonMotion, convention: Convention, program: Program) -> _Halfway:
+    """How a program interpolates the rotations of a person's file."""
     if program == "Blender":
         return partial(
             halfway_in_blender, file_from_bone=file_from_bones(convention.rest_offsets(motion.bone_length_m))
