@@ -4,7 +4,7 @@ A chunk can kill every worker that runs it, for lack of memory or by a fault of 
 to start again. The first loss may be an outage's fault, so its retry does not wait.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection
 from typing import Any
 
@@ -15,13 +15,15 @@ from worker.jobs.database.tables import chunks, jobs
 from worker.jobs.model.states import AT_WORK, ChunkState
 
 MAX_RUNNING = 2
-"""Maximum number of running retries of a tenant; half as many while other tenants have work."""
+"""Maximum number of running retries of a tenant."""
 
 # Wait before each retry, by the number of lost tries.
 _WAITS_S = (0.0, 20.0, 60.0, 180.0)
 # Time for which a retry stands behind first tries, for each lost try: a tenant's long queue must not delay another
 # tenant's work without end.
 _BEHIND_S = 30.0
+# A retry that has run for longer is under no suspicion: a lost lease would have been noticed.
+_LIVELY_S = 30.0
 
 
 def lost_again(num_lost: int) -> dict[str, Any]:
@@ -38,41 +40,43 @@ def num_running(connection: Connection, tenant: str) -> int:
 def lines(connection: Connection, tenants: Collection[str]) -> list[ColumnElement[bool]]:
     """Conditions of the ready chunks that may be claimed: all of the first one go before all of the next one.
 
-    First tries go first, but not those of a job with a lost try, nor of a tenant with ``MAX_RUNNING`` of them. Retries
-    follow, and then the other first tries, which might cost a worker too: none of a job of which a chunk has lost two
-    tries.
+    First tries go first, but not those of a job with a lost try, nor of a tenant with two of them. Retries follow, and
+    then the other first tries, which might cost a worker too: none of a job of which a chunk has lost two tries.
 
     Parameters
     ----------
     tenants
-        Tenants that have work. While there are others, a tenant runs one retry at a time, and only when all of its
-        chunks with lost tries are due.
+        Tenants that have work. While there are others, a tenant with a chunk that has lost two tries runs one retry at
+        a time, and only when all of its lost chunks are due. Such a chunk then takes no idle worker, which the others
+        will need: it waits for its place among first tries.
     """
     due_for_s = (now() - func.coalesce(chunks.c.due_at, 0.0)).label("due_for_s")
-    columns = chunks.c.id, chunks.c.job_id, chunks.c.state, chunks.c.lost_tries, jobs.c.tenant, due_for_s
+    run_for_s = (now() - chunks.c.claimed_at).label("run_for_s")
+    columns = chunks.c.id, chunks.c.job_id, chunks.c.state, chunks.c.lost_tries, jobs.c.tenant, due_for_s, run_for_s
     lost: dict[str, list[Row[Any]]] = defaultdict(list)
+    num_running: Counter[str] = Counter()
     for chunk in connection.execute(select(*columns).join(jobs).where(*_is_lost())):
-        lost[chunk.tenant].append(chunk)
+        num_running[chunk.tenant] += chunk.state == ChunkState.RUNNING
+        if chunk.state == ChunkState.READY or chunk.run_for_s < _LIVELY_S:
+            lost[chunk.tenant].append(chunk)
     if not lost:
         return [true()]
     due, overdue, barred = list[int](), list[int](), list[str]()
     for tenant, of_tenant in lost.items():
         has_rivals = any(other != tenant for other in tenants)
-        num_running = sum(chunk.state == ChunkState.RUNNING for chunk in of_tenant)
+        ready = [chunk for chunk in of_tenant if chunk.state == ChunkState.READY]
         due_s = min(chunk.due_for_s for chunk in of_tenant)
-        if num_running >= (MAX_RUNNING // 2 if has_rivals else MAX_RUNNING) or (has_rivals and due_s < 0.0):
+        most_lost = max(chunk.lost_tries for chunk in of_tenant)
+        if has_rivals and most_lost > 1 and (len(ready) < len(of_tenant) or due_s < 0.0):
             barred.append(tenant)
-            continue
-        ready = [chunk for chunk in of_tenant if chunk.state == ChunkState.READY and chunk.due_for_s >= 0.0]
-        due += [chunk.id for chunk in ready]
-        behind_s = _BEHIND_S * max(chunk.lost_tries for chunk in of_tenant)
-        overdue += [chunk.id for chunk in ready if due_s >= behind_s]
+        elif num_running[tenant] < MAX_RUNNING:
+            ready = [chunk for chunk in ready if chunk.due_for_s >= 0.0]
+            due += [chunk.id for chunk in ready if chunk.lost_tries == 1 or not has_rivals]
+            overdue += [chunk.id for chunk in ready if due_s >= _BEHIND_S * most_lost]
     suspects = [chunk for of_tenant in lost.values() for chunk in of_tenant]
-    crowded = [tenant for tenant, of_tenant in lost.items() if len(of_tenant) >= MAX_RUNNING]
+    crowded = [tenant for tenant, of_tenant in lost.items() if len(of_tenant) > 1]
     is_suspect = or_(chunks.c.job_id.in_({chunk.job_id for chunk in suspects}), _is_of(crowded))
-    is_waiting = chunks.c.job_id.in_({chunk.job_id for chunk in suspects if chunk.lost_tries > 1})
-    if len(tenants) > 1:
-        is_waiting = or_(is_waiting, _is_of(barred))
+    is_waiting = or_(chunks.c.job_id.in_({chunk.job_id for chunk in suspects if chunk.lost_tries > 1}), _is_of(barred))
     is_first_try = chunks.c.lost_tries == 0
     return [
         or_(and_(is_first_try, ~is_suspect), chunks.c.id.in_(overdue)),

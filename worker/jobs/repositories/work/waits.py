@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, select, update
+from sqlalchemy import Connection, Row, case, delete, select, update
 
 from pipeline.problem_codes.jobs import WORKER_LOST
 from worker.jobs.database.tables import chunks, failures, jobs
@@ -53,8 +53,12 @@ class Waits:
         )
         restore = (
             update(chunks)
-            .where(chunks.c.id == claim.chunk_id, chunks.c.attempt > claim.attempt, chunks.c.lost_tries > 0)
-            .values(attempt=chunks.c.attempt - 1, lost_tries=chunks.c.lost_tries - 1, due_at=None)
+            .where(chunks.c.id == claim.chunk_id, chunks.c.attempt > claim.attempt)
+            .values(
+                attempt=chunks.c.attempt - 1,
+                lost_tries=case((chunks.c.lost_tries > 0, chunks.c.lost_tries - 1), else_=0),
+                due_at=None,
+            )
         )
         with self._transactions.writing() as connection:
             if lock_job(connection, claim.job_id) is None:

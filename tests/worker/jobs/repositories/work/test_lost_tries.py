@@ -84,9 +84,8 @@ def test_a_retry_stands_behind_first_tries_of_all_tenants(jobs: StoreBench) -> N
     assert {work.job_id for work in order[:2]} == {own, other}
     assert (order[2].job_id, order[2].index, order[2].attempt) == (lost_job, lost.index, 2)
     # The other chunk of its job might cost a worker too.
-    assert claim(jobs) is None
-    jobs.finish(order[2])
-    assert (jobs.claim().job_id, claim(jobs)) == (lost_job, None)
+    last = jobs.claim()
+    assert (last.job_id, last.index, last.attempt) == (lost_job, 1, 1)
 
 
 def test_a_retry_that_has_stood_behind_for_long_has_its_turn(jobs: StoreBench) -> None:
@@ -116,34 +115,56 @@ def test_a_tenant_has_at_most_two_running_retries(jobs: StoreBench) -> None:
     assert [(work.stage, work.attempt) for work in iter(partial(claim, jobs), None)] == [("detect", 2), ("export", 1)]
 
 
-def test_a_tenant_has_one_running_retry_while_other_tenants_have_work(jobs: StoreBench) -> None:
-    for _ in range(3):
+def lose_often(jobs: StoreBench, num_jobs: int) -> list[Claim]:
+    """Lose a chunk of each of some jobs of the tenant ``one``; the first one has lost two tries then, long ago."""
+    for _ in range(num_jobs):
         queue(jobs, "one", num_chunks=1)
-    for _ in range(3):
-        jobs.claim(EXPIRED_S)
+    lost = [jobs.claim(EXPIRED_S) for _ in range(num_jobs)]
     jobs.store.leases.reap(LEASE_S)
+    jobs.execute(sa.update(chunks).where(chunks.c.id == lost[0].chunk_id).values(lost_tries=2))
+    pass_time(jobs, 1000.0)
+    return lost
+
+
+def test_a_tenant_has_one_running_retry_while_other_tenants_have_work(jobs: StoreBench) -> None:
+    lose_often(jobs, 3)
     other = queue(jobs, "two", num_chunks=1)
-    assert jobs.claim().job_id == other
-    assert jobs.claim().attempt == 2
+    held = [jobs.claim() for _ in range(2)]
+    assert {work.job_id == other for work in held} == {True, False}
     assert claim(jobs) is None
+    # A retry that has run for long is under no suspicion.
+    (retry,) = [work for work in held if work.job_id != other]
+    jobs.execute(sa.update(chunks).where(chunks.c.id == retry.chunk_id).values(claimed_at=now() - 60.0))
+    assert jobs.claim().attempt == 2
+    assert claim(jobs) is None  # no more than two
 
 
 def test_a_tenant_waits_for_its_last_lost_chunk_while_other_tenants_have_work(jobs: StoreBench) -> None:
-    for _ in range(2):
-        queue(jobs, "one", num_chunks=1)
-    lost = [jobs.claim(EXPIRED_S) for _ in range(2)]
+    lost = lose_often(jobs, 2)
     fresh, other = queue(jobs, "one", num_chunks=1), queue(jobs, "two", num_chunks=4)
-    jobs.store.leases.reap(LEASE_S)
-    jobs.execute(sa.update(chunks).where(chunks.c.id == lost[1].chunk_id).values(due_at=now() + 100.0))
+    jobs.execute(sa.update(chunks).where(chunks.c.id == lost[0].chunk_id).values(due_at=now() + 100.0))
     assert [jobs.claim().job_id for _ in range(4)] == [other] * 4  # neither the other retry nor a first try
     assert claim(jobs) is None
-    pass_time(jobs, 120.0)
+    pass_time(jobs, 200.0)
     retry = jobs.claim()
-    assert retry.chunk_id in {chunk.chunk_id for chunk in lost}
+    assert retry.chunk_id == lost[0].chunk_id
     assert claim(jobs) is None
     jobs.finish(retry)
     # With one lost chunk left, its other jobs are no longer under suspicion.
-    assert fresh in {jobs.claim().job_id for _ in range(2)}
+    assert fresh in {jobs.claim().job_id for _ in range(3)}
+
+
+def test_a_chunk_with_two_lost_tries_takes_no_idle_worker_that_other_tenants_will_need(jobs: StoreBench) -> None:
+    job_id = queue(jobs, "one", num_chunks=1)
+    for _ in range(2):
+        lose(jobs, job_id)
+    other = queue(jobs, "two", num_chunks=1)
+    held = jobs.claim()
+    assert held.job_id == other
+    pass_time(jobs, 50.0)  # due for 30 s
+    assert claim(jobs) is None
+    pass_time(jobs, 40.0)
+    assert jobs.claim().job_id == job_id
 
 
 def test_a_tenant_alone_waits_for_no_other_chunk(jobs: StoreBench) -> None:
