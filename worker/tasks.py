@@ -6,7 +6,6 @@ import functools
 import mmap
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -39,6 +38,8 @@ from worker.settings import WorkerSettings
 log = structlog.get_logger()
 
 _SWEEP_INTERVAL_S = 600.0
+
+_STDERR = 2  # Celery replaces ``sys.stderr`` by its log
 
 LOADING, CONNECTING = "A worker loads its libraries", "A worker connects to the broker"
 NO_ROOM = "A worker has no free space on its disk"
@@ -115,7 +116,7 @@ def _watched(run: Callable[[Work], Output], factor: float) -> Callable[[Work], O
 
     def run_watched(work: Work) -> Output:
         limit_s = time_limit_s(work.claim.unit_count, factor) + 2 * STOP_GRACE_S
-        faulthandler.dump_traceback_later(limit_s, exit=True, file=sys.__stderr__)
+        faulthandler.dump_traceback_later(limit_s, exit=True, file=_STDERR)
         try:
             return run(work)
         finally:

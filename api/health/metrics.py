@@ -112,11 +112,11 @@ def _of_running_chunks(running: Sequence[RunningChunk]) -> Iterator[Metric]:
     oldest = max(running, key=lambda chunk: chunk.age_s, default=None)
     stillest = max(running, key=lambda chunk: chunk.still_s, default=None)
     for name, text, chunk, value in (
-        ("oldest_chunk_seconds", "Time since the oldest running chunk was begun.", oldest, lambda chunk: chunk.age_s),
-        ("oldest_chunk_progress", "Share of it that is done, from 0 to 1.", oldest, lambda chunk: chunk.progress),
-        ("stillest_chunk_seconds", "Longest time without progress of a chunk.", stillest, lambda chunk: chunk.still_s),
+        ("oldest_chunk_seconds", "Running time of the oldest chunk.", oldest, oldest.age_s if oldest else 0.0),
+        ("oldest_chunk_progress", "Share of it that is done, 0 to 1.", oldest, oldest.progress if oldest else 0.0),
+        ("stillest_chunk_seconds", "Longest time without progress.", stillest, stillest.still_s if stillest else 0.0),
     ):
         gauge = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=("tenant", "job_id", "stage", "chunk"))
         if chunk is not None:
-            gauge.add_metric((chunk.tenant, chunk.job_id, chunk.stage, str(chunk.index)), value(chunk))
+            gauge.add_metric((chunk.tenant, chunk.job_id, chunk.stage, str(chunk.index)), value)
         yield gauge
