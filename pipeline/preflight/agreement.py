@@ -3,7 +3,7 @@
 The measure has no unit, and needs neither the scale of the world nor an association of people.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ SURE = 0.015
 # Distance within which a pair of bodies counts as exactly the same.
 _EXACT = 0.03
 # Fewer common joints are no evidence.
-_MIN_JOINTS = 5
+MIN_JOINTS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,51 +48,42 @@ def compare(
     is divided by 0.1. A pair is exactly the same below 0.03. The people are undistorted, and
     ``x_left^T F x_right = 0``.
     """
-    pairs = [(instant, distance) for instant, _, _, distance in matches(fundamental, left, right)]
-    if not pairs:
-        return PeopleAgreement()
-    distances = np.array([distance for _, distance in pairs])
-    mean = float(np.mean(np.minimum(distances, FAR))) / FAR
-    exact, near, sure = (float(np.mean(distances < limit)) for limit in (_EXACT, FAR, SURE))
-    return PeopleAgreement(mean, exact, near, sure, len(pairs), frozenset(instant for instant, _ in pairs))
-
-
-def matches(
-    fundamental: Float[np.ndarray, "3 3"], left: Sequence[Points | None], right: Sequence[Points | None]
-) -> Iterator[tuple[int, int, int, float]]:
-    """Pair people: yields the instant, the rows of both people, and their distance."""
+    distances, instants = [np.empty(0)], []
     for instant, (first, second) in enumerate(zip(left, right, strict=True)):
         if first is not None and second is not None and len(first) and len(second):
-            distance = _distances(fundamental, first, second)
-            # Beyond ``FAR`` all distances are alike: somebody whom one camera sees takes nobody from another pair.
-            for row, column in zip(*linear_sum_assignment(np.minimum(distance, FAR)), strict=True):
-                yield instant, int(row), int(column), float(distance[row, column])
+            distance = body_distances(fundamental, first, second)
+            # Beyond ``FAR`` all distances are alike: a person whom one camera sees takes no body from another pair.
+            distances.append(distance[linear_sum_assignment(np.minimum(distance, FAR))])
+            instants.append(instant)
+    if not instants:
+        return PeopleAgreement()
+    known = np.concatenate(distances)
+    mean = float(np.mean(np.minimum(known, FAR))) / FAR
+    exact, near, sure = (float(np.mean(known < limit)) for limit in (_EXACT, FAR, SURE))
+    return PeopleAgreement(mean, exact, near, sure, len(known), frozenset(instants))
 
 
-def is_same(distance: float) -> bool:
-    """Whether two bodies at a distance of ``matches`` may be one person."""
-    return distance < FAR
-
-
-def _distances(fundamental: Float[np.ndarray, "3 3"], left: Points, right: Points) -> Float[np.ndarray, "left right"]:
+def body_distances(
+    fundamental: Float[np.ndarray, "3 3"], left: Points, right: Points
+) -> Float[np.ndarray, "left right"]:
     """Distances of all pairs of people; 1 for people with too few common joints."""
     of_left = np.concatenate([left, np.ones_like(left[..., :1])], axis=-1)
     of_right = np.concatenate([right, np.ones_like(right[..., :1])], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         of_pairs = np.broadcast_arrays(left[:, None], right[None])
         lines = np.broadcast_arrays((of_right @ fundamental.T)[None], (of_left @ fundamental)[:, None])
-        in_left = distance_to_line_px(of_pairs[0], lines[0]) / _extent(left)[:, None, None]
-        in_right = distance_to_line_px(of_pairs[1], lines[1]) / _extent(right)[None, :, None]
+        in_left = distance_to_line_px(of_pairs[0], lines[0]) / extents_px(left)[:, None, None]
+        in_right = distance_to_line_px(of_pairs[1], lines[1]) / extents_px(right)[None, :, None]
     shares = (in_left + in_right) / 2
     is_known = np.isfinite(shares)
     # The median of the known joints: unknown ones are sorted to the end.
     ordered = np.sort(np.where(is_known, shares, np.inf), axis=-1)
     count = is_known.sum(-1)
     middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
-    return np.where(count >= _MIN_JOINTS, np.minimum(middle, 1.0), 1.0)
+    return np.where(count >= MIN_JOINTS, np.minimum(middle, 1.0), 1.0)
 
 
-def _extent(people: Points) -> Float[np.ndarray, " people"]:
+def extents_px(people: Points) -> Float[np.ndarray, " people"]:
     """Diagonal of the box around each person's joints, at least a pixel."""
     low = np.where(np.isfinite(people), people, np.inf).min(1)
     high = np.where(np.isfinite(people), people, -np.inf).max(1)

@@ -5,7 +5,7 @@ of these cameras.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Literal
@@ -76,7 +76,6 @@ class PairDisagreement:
         self.num_cameras = len(cameras)
         self.names = [camera.name for camera in cameras]
         self._num_independent = sightings.num_independent
-        self._num_people = [sightings.num_people(number) for number in range(len(cameras))]
         fundamentals = fundamental_matrices(cameras)
 
         @cache
@@ -93,10 +92,6 @@ class PairDisagreement:
             return compare(fundamentals[left[1], right[1]], ideal(*left), ideal(*right))
 
         self._pair: Callable[[tuple[int, int, Move], tuple[int, int, Move]], PeopleAgreement] = pair
-
-    def sees_people(self, camera: int) -> bool:
-        """Whether a camera sees anybody."""
-        return self._num_people[camera] > 0
 
     def of_pair(self, first: int, second: int, hypothesis: Hypothesis) -> PeopleAgreement:
         """PeopleAgreement of two cameras."""
@@ -122,6 +117,12 @@ class PairDisagreement:
         # Probability that of so many near pairs of different people so many, or more, are as near as the same person.
         chance = bdtrc(round(num_sure) - 1, round(num_near), SURE / FAR) if round(num_sure) else 1.0
         return bool(chance > _MAX_CHANCE)
+
+    def disagrees(self, pairs: Sequence[tuple[int, int]], hypothesis: Hypothesis) -> bool:
+        """Whether pairs of cameras disagree on average, for no other reason than that something is wrong."""
+        values = [self.of_pair(*pair, hypothesis).disagreement for pair in pairs]
+        known = [value for value in values if np.isfinite(value)]
+        return bool(known) and float(np.mean(known)) > DOUBTFUL and self.is_clear(pairs, hypothesis)
 
     def certainty(self, changed: Sequence[int], hypothesis: Hypothesis) -> Severity:
         """Severity of an explanation that changes some cameras: an error if enough people decide."""
@@ -157,26 +158,26 @@ def move_points(points_px: Points, move: Move, size_px: tuple[int, int], joints:
     return points_px[:, joints.indices(tuple(map(other_side, joints.names)))] if move == "mirrored" else points_px
 
 
-def explain(evidence: PairDisagreement) -> Hypothesis:
-    """Find the hypothesis that explains most of the disagreement, one step after the other.
+def explain(evidence: PairDisagreement, doubted: Collection[int]) -> Hypothesis:
+    """Find the hypothesis that explains most of the disagreement of doubted cameras, one step after the other.
 
     Each step exchanges cameras, or moves the points of one camera or of all; it must leave at most 0.7 of the
     disagreement of the cameras that it changes.
     """
     believed = as_given(evidence.num_cameras)
     # Each step makes at least one camera agree.
-    for _ in range(evidence.num_cameras):
-        step = _best_step(evidence, believed)
+    for _ in doubted:
+        step = _best_step(evidence, believed, doubted)
         if step is None:
             return believed
         believed = step
     return believed
 
 
-def _best_step(evidence: PairDisagreement, believed: Hypothesis) -> Hypothesis | None:
+def _best_step(evidence: PairDisagreement, believed: Hypothesis, doubted: Collection[int]) -> Hypothesis | None:
     of_cameras = evidence.of_cameras(believed)
     doubtful = sorted(
-        (number for number, value in enumerate(of_cameras) if value > DOUBTFUL), key=lambda number: -of_cameras[number]
+        (number for number in doubted if of_cameras[number] > DOUBTFUL), key=lambda number: -of_cameras[number]
     )
     best, best_gain = None, 0.0
     for candidate in _candidates(believed, doubtful, evidence.names):

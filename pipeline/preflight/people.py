@@ -9,6 +9,8 @@ import numpy as np
 
 from pipeline.data.cameras import Camera
 from pipeline.findings import Finding, Severity
+from pipeline.preflight.agreement import FAR
+from pipeline.preflight.consensus import CameraAgreement, LocatedPeople, agreement_of, locate_people
 from pipeline.preflight.explain import (
     DOUBTFUL,
     MIN_INSTANTS,
@@ -18,7 +20,7 @@ from pipeline.preflight.explain import (
     explain,
     move_points,
 )
-from pipeline.preflight.sightings import SimultaneousPeople
+from pipeline.preflight.sightings import NUM_INSTANTS, SimultaneousPeople
 from pipeline.preflight.world import check_world, locate, of_movers
 from pipeline.problem_codes.findings import (
     CALIBRATION_OF_ANOTHER_RIG,
@@ -31,10 +33,18 @@ from pipeline.problem_codes.findings import (
     SAME_VIDEO,
 )
 from pipeline.problem_codes.warnings import CAMERA_DISAGREES
+from pipeline.quality.camera_shifts import find_shifted
 from pipeline.quality.names import first_names
 
 # Instants with the same points in two cameras that are no chance: detectors find the same in equal noise.
 _MIN_SAME = 3
+_MOVED_CAMERA = (
+    "If the camera was moved, calibrate it again or refine the calibration (`refine_calibration`); else check its "
+    "offset, and that its video and its calibration belong together."
+)
+# Shift as a share of a person's size from which on a result will be wrong: epipolar distances are 2 / pi of it on
+# average, as great as ``DOUBTFUL`` says.
+_MAX_SHARE = np.pi / 2 * DOUBTFUL * FAR
 _OTHER_RIG = "Check that the calibration belongs to these videos, and that the videos are synchronised."
 
 
@@ -57,17 +67,31 @@ def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Pe
     if copies := list(_check_copies(cameras, sightings)):
         # The second camera of a copy has the wrong people, whatever its calibration.
         return PeopleCheck((*seen, *copies))
-    evidence = PairDisagreement(cameras, sightings)
-    given, best = as_given(len(cameras)), explain(evidence)
-    disagreeing = list(_check_rest(cameras, evidence, best))
+    evidence, given = PairDisagreement(cameras, sightings), as_given(len(cameras))
+    located, agreements = _agreements(cameras, sightings)
+    doubted = [number for number, agreement in enumerate(agreements) if not agreement.agrees]
+    best = explain(evidence, doubted)
+    rig, mended = [cameras[place] for place in best.places], _mended(cameras, sightings, best)
+    if best != given:
+        located, agreements = _agreements(rig, mended)
     explained = [*_exchanged(cameras, evidence, given, best), *_moved(cameras, evidence, given, best)]
-    agreeing = [pair for pair, value in evidence.of_pairs(best, range(len(cameras))).items() if value <= DOUBTFUL]
-    mended = _mended(cameras, sightings, best)
-    rig = [cameras[place] for place in best.places]
-    instants, poses_m = locate(rig, mended, agreeing)
+    disagreeing = list(_check_rest(rig, mended, evidence, best, located, agreements))
+    is_agreed = located.is_view.sum(1) > 2
+    for number in np.flatnonzero(~is_agreed):
+        first, second = np.flatnonzero(located.is_view[number]).tolist()
+        is_agreed[number] = evidence.of_pair(first, second, best).disagreement <= DOUBTFUL
+    instants, poses_m = locate(rig, located.subset(is_agreed))
     is_certain = sightings.num_independent(set(instants)) >= MIN_INSTANTS
     of_world = check_world(rig, of_movers(instants, poses_m), sightings.joints, is_certain)
     return PeopleCheck((*seen, *explained, *disagreeing, *of_world), len(poses_m))
+
+
+def _agreements(
+    cameras: Sequence[Camera], sightings: SimultaneousPeople
+) -> tuple[LocatedPeople, Sequence[CameraAgreement]]:
+    """Locate the people, and compare each camera with the others."""
+    located = locate_people(cameras, sightings)
+    return located, [agreement_of(camera, number, sightings, located) for number, camera in enumerate(cameras)]
 
 
 def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Iterator[Finding]:
@@ -139,12 +163,14 @@ def _moved(
 ) -> Iterator[Finding]:
     severity = evidence.certainty([number for number, move in enumerate(best.moves) if move != "as is"], given)
     for number, move in enumerate(best.moves):
+        if move == "as is":
+            continue
         numbers = _disagreements(evidence, given, best, number)
         if move == "mirrored":
             message = "The picture is mirrored against its calibration: left is right."
             hint = "Turn off the mirroring of the camera, or mirror the video back."
             yield Finding(PICTURE_MIRRORED, message, cameras[number].name, severity, hint, numbers)
-        elif move != "as is":
+        else:
             message = f"The picture is turned by {move} degrees against its calibration."
             hint = f"Turn the video clockwise by {move} degrees, or calibrate the camera as it is turned."
             turned = {"turn_deg": int(move), **numbers}
@@ -158,9 +184,18 @@ def _disagreements(evidence: PairDisagreement, given: Hypothesis, best: Hypothes
     }
 
 
-def _check_rest(cameras: Sequence[Camera], evidence: PairDisagreement, best: Hypothesis) -> Iterator[Finding]:
-    """Find cameras whose disagreement is not explained."""
-    by_pair = evidence.of_pairs(best, range(len(cameras)))
+def _check_rest(
+    rig: Sequence[Camera],
+    sightings: SimultaneousPeople,
+    evidence: PairDisagreement,
+    best: Hypothesis,
+    located: LocatedPeople,
+    agreements: Sequence[CameraAgreement],
+) -> Iterator[Finding]:
+    """Find cameras whose disagreement is not explained. The rig and the sightings are as they would fit."""
+    names = evidence.names
+    agreeing = [number for number, agreement in enumerate(agreements) if agreement.agrees]
+    by_pair = {} if agreeing else evidence.of_pairs(best, range(len(rig)))
     if by_pair and min(by_pair.values()) > DOUBTFUL:
         numbers = {"disagreement": round(float(np.mean(list(by_pair.values()))), 3), "num_pairs": len(by_pair)}
         message = "No two cameras agree about people: the calibration is that of another rig, or the clocks are wrong."
@@ -173,47 +208,40 @@ def _check_rest(cameras: Sequence[Camera], evidence: PairDisagreement, best: Hyp
             severity = "warning"
         yield Finding(CALIBRATION_OF_ANOTHER_RIG, message, None, severity, _OTHER_RIG, numbers)
         return
-    disagreeing = _disagreeing(by_pair)
-    agreeing = [camera.name for number, camera in enumerate(cameras) if number not in disagreeing]
-    for number, value in disagreeing.items():
-        pairs = [pair for pair in by_pair if number in pair and not set(pair) & (disagreeing.keys() - {number})]
-        is_clear = evidence.is_clear(pairs, best)
-        others = f"elsewhere than {first_names(agreeing)} do"
-        message = f"The camera sees {'people' if is_clear else 'many people'} {others}."
-        hint = (
-            "If the camera was moved, calibrate it again or refine the calibration (`refine_calibration`); else check "
-            "its offset, and that its video and its calibration belong together."
+    is_enough = sightings.num_independent(set(located.instant.tolist())) >= MIN_INSTANTS
+    elsewhere = [number for number, agreement in enumerate(agreements) if agreement.contradicts]
+    trusted = agreeing or [number for number in range(len(rig)) if number not in elsewhere]
+    for number, agreement in enumerate(agreements):
+        pairs = [(min(number, other), max(number, other)) for other in trusted if other != number]
+        is_doubtful = not agreement.agrees and sightings.num_people(number) >= NUM_INSTANTS
+        if number not in elsewhere and not (is_doubtful and evidence.disagrees(pairs, best)):
+            continue
+        message = (
+            f"The camera sees people elsewhere than {first_names([names[other] for other in trusted])} do: "
+            f"{agreement.num_agreeing} of {agreement.num_compared} people agree."
         )
-        yield Finding(
-            CAMERA_DISAGREES,
-            message,
-            cameras[number].name,
-            "error" if is_clear else "warning",
-            hint,
-            {"disagreement": round(value, 3)},
-        )
-    by_camera = evidence.of_cameras(best)
-    for number, value in enumerate(by_camera):
-        if np.isnan(value) and evidence.sees_people(number):
+        numbers = {
+            "num_agreeing": agreement.num_agreeing,
+            "num_compared": agreement.num_compared,
+            "chance": round(agreement.chance, 3),
+        }
+        severity = "error" if number in elsewhere and is_enough else "warning"
+        yield Finding(CAMERA_DISAGREES, message, names[number], severity, _MOVED_CAMERA, numbers)
+    for shift in find_shifted(rig, located.without_views(elsewhere), located.instant):
+        severity = "error" if shift.share > _MAX_SHARE and is_enough else "warning"
+        yield Finding(CAMERA_DISAGREES, shift.message, names[shift.camera], severity, _MOVED_CAMERA, shift.evidence)
+    for number in range(len(rig)):
+        if not _has_company(sightings, number):
             message = "The camera sees people, but never at an instant at which another camera does."
             hint = "Check its offset, and that it looks at the same place as another camera."
             # The instants are few: at others the camera may see people together with others.
-            yield Finding(NO_COMMON_PEOPLE, message, cameras[number].name, "warning", hint)
+            yield Finding(NO_COMMON_PEOPLE, message, names[number], "warning", hint)
 
 
-def _disagreeing(by_pair: Mapping[tuple[int, int], float]) -> Mapping[int, float]:
-    """Cameras that disagree with the others, and their mean disagreement: the worst one is set aside, and so on."""
-    worst_cameras: dict[int, float] = {}
-    while True:
-        left = {pair: value for pair, value in by_pair.items() if not set(pair) & worst_cameras.keys()}
-        numbers = sorted({number for pair in left for number in pair})
-        means = {
-            number: float(np.mean([value for pair, value in left.items() if number in pair])) for number in numbers
-        }
-        worst = max(means, key=lambda number: means[number], default=None)
-        if worst is None or means[worst] <= DOUBTFUL:
-            return worst_cameras
-        worst_cameras[worst] = means[worst]
+def _has_company(sightings: SimultaneousPeople, number: int) -> bool:
+    """Whether another camera sees people at an instant at which a camera does, if it ever does."""
+    sees = np.array([[own is not None and len(own) > 0 for own in people] for people in sightings.points_px])
+    return not sees[number].any() or bool((sees[number] & np.delete(sees, number, axis=0).any(0)).any())
 
 
 def _mended(cameras: Sequence[Camera], sightings: SimultaneousPeople, best: Hypothesis) -> SimultaneousPeople:

@@ -10,12 +10,10 @@ from scipy.spatial import cKDTree
 from pipeline.data.cameras import Camera
 from pipeline.data.people import Source, Track3D
 from pipeline.findings import Finding, Severity
-from pipeline.geometry.camera import center_in_world, projection_matrices
-from pipeline.geometry.epipolar import fundamental_matrices
-from pipeline.geometry.triangulation import triangulate
+from pipeline.geometry.camera import center_in_world
+from pipeline.geometry.triangulation import solve_normal
 from pipeline.joints import JointSet
-from pipeline.preflight.agreement import is_same, matches
-from pipeline.preflight.sightings import SimultaneousPeople, ideal_px
+from pipeline.preflight.consensus import LocatedPeople
 from pipeline.problem_codes.warnings import (
     CAMERA_BELOW_FLOOR,
     FLOOR_NOT_AT_ZERO,
@@ -36,6 +34,8 @@ from pipeline.skeleton.feet.support import OVERHEAD_M
 
 # With fewer people, chance decides.
 _MIN_POSES, _MIN_FACES = 6, 20
+# Cameras with which each camera is paired.
+_NUM_NEXT = 3
 # No person is smaller or taller, whatever the error of the estimate: the unit is another one.
 _POSSIBLE_M = (0.4, 3.0)
 # Heights are less exact than those of a reconstruction, which has its own check.
@@ -49,26 +49,25 @@ _ANKLES = ("left_ankle", "right_ankle")
 
 
 def locate(
-    cameras: Sequence[Camera], sightings: SimultaneousPeople, pairs: Sequence[tuple[int, int]]
+    cameras: Sequence[Camera], located: LocatedPeople
 ) -> tuple[Sequence[int], Float[np.ndarray, "poses joints 3"]]:
     """Locate people from pairs of cameras; a person whom several pairs see has several poses.
 
-    ``pairs`` are numbers of cameras that agree. Returns the place of the instant of each pose, and the poses: joints in
-    metres, NaN where not both cameras see a joint.
+    Returns the place of the instant of each pose, and the poses: joints in metres, NaN where not both cameras see a
+    joint. Of a person whom many cameras see, each camera is paired with the next three alone.
     """
-    fundamentals = fundamental_matrices(cameras)
-    matrices = projection_matrices(cameras)
-    ideal = [ideal_px(camera, of_camera) for camera, of_camera in zip(cameras, sightings.points_px, strict=True)]
-    instants, poses = [], []
-    for first, second in pairs:
-        for instant, row, column, distance in matches(fundamentals[first, second], ideal[first], ideal[second]):
-            left, right = ideal[first][instant], ideal[second][instant]
-            if is_same(distance) and left is not None and right is not None:
-                points_px = np.stack([left[row], right[column]])
-                weights = np.isfinite(points_px[..., 0]).astype(np.float64)
-                instants.append(int(instant))
-                poses.append(triangulate(matrices[[first, second]], points_px, weights))
-    return instants, np.array(poses) if poses else np.zeros((0, len(sightings.joints.names), 3))
+    instants, poses = [np.empty(0, int)], [np.empty((0, *located.normal.shape[2:3], 3))]
+    is_view = located.is_view
+    for step in range(1, _NUM_NEXT + 1):
+        for number, views in enumerate(map(np.flatnonzero, is_view)):
+            first = np.arange(max(0, len(views) - step))
+            pair = located.normal[number, views[first]] + located.normal[number, views[first + step]]
+            is_common = np.isfinite(
+                located.points_px[number, views[first]] + located.points_px[number, views[first + step]]
+            )
+            poses.append(np.where(is_common.all(-1)[..., None], solve_normal(pair), np.nan))
+            instants.append(np.full(len(first), located.instant[number]))
+    return np.concatenate(instants).tolist(), np.concatenate(poses)
 
 
 def check_world(

@@ -45,8 +45,8 @@ from pipeline.gait.analysis import analyse_gait
 from pipeline.gait.document import gait_document, movement_documents
 from pipeline.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.likenesses.find import find_likenesses
+from pipeline.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.quality.capture_checks import capture_checks
-from pipeline.quality.epipolar_distances import median_distances_m
 from pipeline.quality.views import PersonViews, body_joints, has_position, views_of, without_fingers
 from pipeline.quality.world_checks import EVIDENCE, world_checks
 from pipeline.skeleton.fitting.positions import MAX_GAP_S
@@ -58,6 +58,8 @@ _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 _HAND_SHARE = 0.5
 # Failed checks with which the result is empty or wrong; with others it may be.
 _ERRORS = frozenset({"nobody_found", "upside_down", "mirrored_world"})
+# Bodies by which cameras are compared, about the largest number.
+_MAX_SAMPLED = 400
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
 
@@ -135,10 +137,19 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
         "session_checks": [finding.to_json() for finding in reconstruction.check.findings],
         **({"forced": list(reconstruction.check.forced)} if reconstruction.check.forced else {}),
         "capture_checks": capture_checks(reconstruction, seen, likenesses),
-        "world_checks": world_checks(
-            reconstruction, statures_m, median_distances_m(of_person.pair_distances_m for of_person in views)
-        ),
+        "world_checks": world_checks(reconstruction, statures_m, _shifted(reconstruction.cameras, views)),
     }
+
+
+def _shifted(cameras: Sequence[Camera], views: Sequence[PersonViews]) -> Sequence[CameraShift]:
+    """Cameras that see the people of the take elsewhere than the others do."""
+    if not views:
+        return []
+    instant = np.concatenate([of_person.instant for of_person in views])
+    points_px = np.concatenate([of_person.sampled_px for of_person in views])
+    instants = np.unique(instant)
+    kept = np.isin(instant, instants[:: -(-len(instant) // _MAX_SAMPLED)])
+    return find_shifted(cameras, points_px[kept], instant[kept])
 
 
 def _describe_refinement(refinement: Refinement | None) -> dict[str, Any] | None:

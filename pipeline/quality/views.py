@@ -8,19 +8,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from pipeline.data.cameras import Camera
 from pipeline.data.people import Observations, Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.geometry.camera import project
 from pipeline.joints import FINGER_JOINTS, JointSet
-from pipeline.quality.epipolar_distances import CameraPairs, PersonPairs
 from pipeline.skeleton.fitting.windows import windows
 from pipeline.skeleton.marks import has_torso, marks_from_centers
 
 MIN_SCORE = 0.2
 """Lowest score of the observations that the figures include."""
+
+# Instants at which cameras are compared, their least distance, and the lowest score of joints there.
+_MAX_INSTANTS, _INDEPENDENT_S, _MIN_SAMPLED_SCORE = 60, 0.25, 0.3
 
 PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
 
@@ -33,30 +35,34 @@ class PersonViews:
     error_px: Float[np.ndarray, "frames cameras joints"]  # See ``reprojection_error_px``
     sees: Bool[np.ndarray, "frames cameras"]  # Whether a camera saw any joint of the person's body in a frame
     views_per_joint: float  # See ``views_per_joint``; without fingers
-    pair_distances_m: PersonPairs  # See ``CameraPairs.distances_m``
+    instant: Int[np.ndarray, " instants"]  # Output frames of ``sampled_px``
+    # Joints that the cameras see at instants with different errors of the detector; without fingers
+    sampled_px: Float[np.ndarray, "instants cameras joints 2"]
 
 
 def views_of(take: Reconstruction) -> tuple[PersonViews, ...]:
     """Figures of everybody's observations, in the order of the tracks."""
-    pairs = CameraPairs(take.cameras)
-    return tuple(_compare(take, number, pairs) for number in range(len(take.tracks)))
+    return tuple(_compare(take, number) for number in range(len(take.tracks)))
 
 
 ViewsOf = Callable[[Reconstruction], Sequence[PersonViews]]
 """``views_of``, or a function that keeps its result."""
 
 
-def _compare(take: Reconstruction, number: int, pairs: CameraPairs) -> PersonViews:
+def _compare(take: Reconstruction, number: int) -> PersonViews:
     track, observations, body = take.tracks[number], take.observations[number], body_joints(take.joints)
     error_px = reprojection_error_px(track, observations, take.cameras, _marks_of(take, number))
     of_body = replace(observations, points_px=observations.points_px[:, :, body], score=observations.score[:, :, body])
-    located = without_fingers(take.located[number], take.joints)
+    step = max(round(_INDEPENDENT_S * take.timebase.frame_rate_hz), take.timebase.num_frames // _MAX_INSTANTS, 1)
+    rows = slice(-track.start_frame % step, None, step)
+    points_px = np.where(of_body.score[rows][..., None] >= _MIN_SAMPLED_SCORE, of_body.points_px[rows], np.nan)
     return PersonViews(
-        located,
+        without_fingers(take.located[number], take.joints),
         error_px,
         np.asarray(_counts(of_body).any(-1)),
         views_per_joint(without_fingers(track, take.joints), of_body),
-        pairs.distances_m(located, of_body),
+        np.arange(track.start_frame, track.start_frame + track.num_frames)[rows],
+        points_px,
     )
 
 

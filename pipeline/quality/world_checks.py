@@ -29,7 +29,7 @@ from pipeline.problem_codes.warnings import (
     STATURE_OUT_OF_RANGE,
     UPSIDE_DOWN,
 )
-from pipeline.quality.epipolar_distances import Pairs
+from pipeline.quality.camera_shifts import CameraShift
 from pipeline.quality.names import first_names
 from pipeline.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG
 
@@ -47,8 +47,6 @@ _ANKLES = ("left_ankle", "right_ankle")
 MIRRORED_SHARE, MIRRORED_FRAMES = 0.75, 20
 # Cosine below which left and right are not known. Nine in ten people of good sessions have more.
 _MIN_LEFTNESS = 0.3
-# Largest median epipolar distance of a camera, at the people: 1.3 to 1.8 cm on Shelf.
-_MAX_EPIPOLAR_M = 0.025
 
 EVIDENCE: Mapping[str, str] = {
     "upside_down": "lean_deg",
@@ -58,7 +56,7 @@ EVIDENCE: Mapping[str, str] = {
     "stature_out_of_range": "stature_m",
     "camera_below_floor": "height_m",
     "mirrored_world": "share",
-    "camera_disagrees": "distance_m",
+    "camera_disagrees": "shift_px",
 }
 """What the evidence of a check is, by its code."""
 
@@ -95,13 +93,13 @@ def _floor_m(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -
 
 
 def world_checks(
-    reconstruction: Reconstruction, statures_m: Mapping[int, float], pairs_m: Pairs
+    reconstruction: Reconstruction, statures_m: Mapping[int, float], shifted: Sequence[CameraShift]
 ) -> list[dict[str, Any]]:
     """List the failed checks of the world.
 
     Each has ``code`` and ``message``, ``camera`` (``None`` if the check is not about one), ``evidence`` (the measured
-    number) and ``hint``. Statures are by track, NaN where unknown; ``pairs_m`` are the median epipolar distances of
-    pairs of cameras.
+    number) and ``hint``. Statures are by track, NaN where unknown; ``shifted`` are the cameras that ``find_shifted``
+    finds.
     """
     tracks, joints = reconstruction.tracks, reconstruction.joints
     floor = reconstruction.animation.floor
@@ -112,7 +110,7 @@ def world_checks(
         _check_statures(statures_m),
         _check_cameras(reconstruction.cameras, floor_m),
         _check_handedness(tracks, joints),
-        _check_pairs(reconstruction.cameras, pairs_m),
+        _check_shifts(reconstruction.cameras, shifted),
     )
     names = ("code", "message", "camera", "evidence", "hint")
     return [
@@ -255,21 +253,13 @@ def leftness(track: Track3D, joints: JointSet) -> Float[np.ndarray, " frames"]:
     return np.where(np.abs(cosine) >= _MIN_LEFTNESS, cosine, np.nan)
 
 
-def _check_pairs(cameras: Sequence[Camera], by_pair: Pairs) -> Iterator[_Found]:
-    """Find the camera that disagrees most with the others."""
-    of_camera = {
-        number: float(np.median([value for pair, value in by_pair.items() if number in pair]))
-        for number in {number for pair in by_pair for number in pair}
-    }
-    worst = max(of_camera, key=lambda number: of_camera[number], default=None)
-    if worst is None or of_camera[worst] <= _MAX_EPIPOLAR_M:
-        return
-    name = cameras[worst].name
-    yield (
-        CAMERA_DISAGREES,
-        f"{name} and the other cameras disagree about people by {100 * of_camera[worst]:.1f} cm in most frames: its "
-        "calibration or its timing is wrong.",
-        name,
-        of_camera[worst],
-        "Refine the calibration (`refine_calibration`), calibrate the camera again, or check its offset.",
-    )
+def _check_shifts(cameras: Sequence[Camera], shifted: Sequence[CameraShift]) -> Iterator[_Found]:
+    for shift in shifted:
+        name = cameras[shift.camera].name
+        yield (
+            CAMERA_DISAGREES,
+            f"{name}: {shift.message}",
+            name,
+            shift.shift_px,
+            "Refine the calibration (`refine_calibration`), calibrate the camera again, or check its offset.",
+        )
