@@ -12,6 +12,10 @@ from pipeline.errors import Problem
 LensModel = Literal["standard", "fisheye"]
 """OpenCV's distortion models: that of ``calib3d``, and that of its module ``fisheye`` (Kannala and Brandt)."""
 
+Refusal = Literal["few_people", "undetermined", "no_better"]
+"""Why a calibration was not refined: the joints that cameras share are too few, they determine no camera, or cameras
+that fit them lower the error by less than a quarter."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
@@ -63,6 +67,7 @@ class CameraMove:
     rotation_deg: float
     translation_m: float
     focal_ratio: float  # Refined focal length over the given one
+    moved_px: float  # Median distance in the camera's own picture by which the people's joints moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +96,16 @@ class Refinement:
     error_before_px: float
     error_after_px: float
     num_points: int  # Number of joints that the cameras were compared with
-    # Refined cameras that differ from the given ones in the given world, in the cameras' order
+    # Refined cameras that differ from the given ones in the given world, the camera that moved most in its own picture
+    # first
     moved: tuple[CameraMove, ...] = ()
     bumped: tuple[CameraBump, ...] = ()  # Cameras that were moved in the middle of the take, in order of time
     # Move of the world, in which all cameras moved alike; ``None`` if the world is the given one
     world: WorldMove | None = None
+    refusal: Refusal | None = None  # Why the given cameras were kept; ``None`` if they were refined
+    # Largest move in a camera's own picture to the cameras that fit the people best, whether these were taken or not;
+    # ``None`` if the people don't tell
+    most_moved: CameraMove | None = None
 
     @property
     def has_new_cameras(self) -> bool:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -101,6 +101,18 @@ class Doubt(NamedTuple):
     other: int
 
 
+class PersonLoss(NamedTuple):
+    """Frames in which a person is lost in the middle of the cameras' common view, or was a phantom."""
+
+    # ``vanished``: the person is not found, though cameras view the place. ``phantom``: the track had no body of its
+    # own, and the frames were taken from it.
+    kind: Literal["vanished", "phantom"]
+    track_id: int  # Number of the person, 0 if there is no person in other frames
+    start_frame: int
+    stop_frame: int
+    place_m: tuple[float, float, float]  # Middle of the joints in the world, where the person was last, or the phantom
+
+
 class People(NamedTuple):
     """Result of association, or of the global pass over it."""
 
@@ -112,3 +124,4 @@ class People(NamedTuple):
     doubts: Sequence[Sequence[Doubt]] = ()
     # Bodies that belong to nobody; ``None`` after the global pass, and where association takes joints one by one
     leftovers: Leftovers | None = None
+    losses: Sequence[PersonLoss] = ()  # Frames in which people are lost or were phantoms; empty before the global pass

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pipeline.data.animation import Animation, SkeletonMotion
 from pipeline.data.cameras import Camera, Refinement, Synchronization, Timebase
 from pipeline.data.detections import DamagedVideo
-from pipeline.data.people import Doubt, Observations, Track3D
+from pipeline.data.people import Doubt, Observations, PersonLoss, Track3D
 from pipeline.findings import SessionCheck
 from pipeline.joints import JointOffsets, JointSet
 from pipeline.providers import ProviderName
@@ -34,6 +34,8 @@ class Reconstruction:
         Videos with damaged frames, in the cameras' order.
     doubts
         Doubts about the identity of each person, in the tracks' order; empty if nobody looked for them.
+    losses
+        Frames in which people are lost in the middle of the room, or were phantoms.
     offsets
         Offsets of the detector's marks from the joints' centres, with which the skeletons were fitted.
     refinement
@@ -58,6 +60,7 @@ class Reconstruction:
     num_approximate_frames: int = 0
     damaged: tuple[DamagedVideo, ...] = ()
     doubts: Sequence[Sequence[Doubt]] = ()
+    losses: Sequence[PersonLoss] = ()
     offsets: JointOffsets = field(default_factory=dict)
     refinement: Refinement | None = None
     synchronization: Synchronization | None = None

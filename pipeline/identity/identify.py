@@ -19,6 +19,7 @@ from pipeline.identity.doubles import merge_doubles
 from pipeline.identity.joining import Chain, TrackletLinks, doubts_of, join
 from pipeline.identity.links import first_ends, last_ends, viewed_area_m2
 from pipeline.identity.merging import cut, merge
+from pipeline.identity.phantoms import end_phantoms
 from pipeline.identity.proportions import LimbProportions, changes, limb_lengths_m, measure, spread_of_a_second_m
 from pipeline.identity.recover_detections import recover_detections
 from pipeline.identity.spurious_tracks import is_spurious, mean_bodies
@@ -83,13 +84,28 @@ def identify(
     persons = [(track, replace(seen, detection=no_detections())) for (track, seen), _ in kept]
     if people.leftovers is not None:
         persons = recover_detections(persons, people.leftovers, cameras, timebase, min_score)
-    numbers = {number: k for k, (_, number) in enumerate(kept, start=1)}
+    ended = end_phantoms(persons, cameras, joints, timebase, min_score)
+    left = sorted(
+        (
+            (person, number)
+            for (person, phantoms), (_, number) in zip(ended, kept, strict=True)
+            if person is not None and not (phantoms and is_spurious(person, cameras, timebase, num_bodies, recorded))
+        ),
+        key=lambda entry: entry[0][0].start_frame,
+    )
+    persons = [person for person, _ in left]
+    numbers = {number: k for k, (_, number) in enumerate(left, start=1)}
+    losses = [
+        phantom._replace(track_id=numbers.get(number, 0))
+        for (_, phantoms), (_, number) in zip(ended, kept, strict=True)
+        for phantom in phantoms
+    ]
     of_chains = doubts_of(session, chains)
     doubts = [
         [Doubt(doubt.frame, doubt.confidence, numbers.get(doubt.other, 0)) for doubt in of_chains[number]]
         for number in numbers
     ]
-    return People(*number_people(persons), people.num_approximate_frames, doubts)
+    return People(*number_people(persons), people.num_approximate_frames, doubts, losses=losses)
 
 
 def _most_seen(

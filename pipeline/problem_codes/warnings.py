@@ -73,6 +73,25 @@ UNCERTAIN_IDENTITY = WARNINGS.code(
     "Two people may have been taken for each other at some moment.",
     "Look at the moments under `identity.doubts` in metrics.json; see [who is who](identity.md#doubts).",
 )
+PERSON_LOST = WARNINGS.code(
+    "person_lost",
+    _WARNING,
+    "A person vanishes in the middle of the room: cameras view the place, and the person is not found there.",
+    "Look at the frames and the place in the message; add cameras, or try the other `method`. See "
+    "[losses](identity.md#losses).",
+)
+PHANTOM_ENDED = WARNINGS.code(
+    "phantom_ended",
+    _WARNING,
+    "A track was made of the limbs of other people for some time; these frames were taken from it.",
+    "Look at the frames in the message: a person may have been there. See [losses](identity.md#losses).",
+)
+LIMB_MISMEASURED = WARNINGS.code(
+    "limb_mismeasured",
+    _WARNING,
+    "A limb was located with a length that the person's other side or proportions exclude. The fit uses another one.",
+    "Look at this limb: it may be hidden for most of the take. See [the fit](fit.md#skeleton-fitpy-articulatedpy).",
+)
 PERSON_NEVER_MOVES = WARNINGS.code(
     "person_never_moves",
     _WARNING,
@@ -90,6 +109,14 @@ CALIBRATION_REFINED = WARNINGS.code(
     _WARNING,
     "Cameras were moved to fit the people of the take.",
     "Use the result calibration.json for other takes; see [refinement](calibration.md#refinement).",
+)
+CALIBRATION_KEPT = WARNINGS.code(
+    "calibration_kept",
+    _WARNING,
+    "`refine_calibration` is `auto`, and the given calibration was kept: it fits about as well, or the people do not "
+    "determine the cameras. Its severity is `info`.",
+    "Nothing if the calibration fits. Otherwise let people walk all over the place; see "
+    "[refinement](calibration.md#refinement).",
 )
 WORLD_LEVELED = WARNINGS.code(
     "world_leveled",

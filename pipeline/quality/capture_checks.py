@@ -12,12 +12,14 @@ from jaxtyping import Bool
 
 from pipeline.data.cameras import Refinement, Synchronization
 from pipeline.data.detections import DamagedVideo
+from pipeline.data.people import PersonLoss
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.findings import Finding, SessionCheck
 from pipeline.likenesses.find import Likenesses
 from pipeline.likenesses.mirrored import MirrorImage
 from pipeline.problem_codes.warnings import (
     APPROXIMATE_ASSOCIATION,
+    CALIBRATION_KEPT,
     CALIBRATION_REFINED,
     CAMERA_BUMPED,
     CAMERA_WITHOUT_PEOPLE,
@@ -25,14 +27,18 @@ from pipeline.problem_codes.warnings import (
     EVERYBODY_REMOVED,
     FEW_VIEWS,
     FRAMES_DOUBLED,
+    LIMB_MISMEASURED,
     MIRROR_IMAGE,
     NOBODY_FOUND,
+    PERSON_LOST,
     PERSON_NEVER_MOVES,
+    PHANTOM_ENDED,
     SYNC_UNCERTAIN,
     TOO_FEW_CAMERAS,
     UNCERTAIN_IDENTITY,
     WORLD_LEVELED,
 )
+from pipeline.quality.limbs import MismeasuredLimb, mismeasured_limbs
 from pipeline.quality.names import first_names
 
 # With fewer views, a wrong observation can't be detected.
@@ -56,6 +62,7 @@ def capture_checks(
     ``seen`` is whether a camera saw any joint of the person in a frame, by track.
     """
     names = [camera.name for camera in reconstruction.cameras]
+    limbs = mismeasured_limbs(reconstruction)
     checks = (
         _check_rig(names),
         _check_videos(reconstruction.damaged),
@@ -65,6 +72,8 @@ def capture_checks(
         _check_views(names, seen),
         _check_association(reconstruction),
         _check_identity(reconstruction),
+        _check_losses(reconstruction),
+        _check_limbs(limbs),
         _check_still(reconstruction, likenesses),
         _check_images(reconstruction, likenesses),
         _check_refinement(reconstruction.refinement),
@@ -75,6 +84,9 @@ def capture_checks(
         NOBODY_FOUND: lambda: _why_nobody(reconstruction.check),
         PERSON_NEVER_MOVES: lambda: _measured_still(reconstruction, likenesses),
         MIRROR_IMAGE: lambda: _measured_images(reconstruction, likenesses),
+        PERSON_LOST: lambda: _measured_losses(reconstruction, "vanished"),
+        PHANTOM_ENDED: lambda: _measured_losses(reconstruction, "phantom"),
+        LIMB_MISMEASURED: lambda: {"limbs": [limb.document for limb in limbs]},
     }
     for finding in findings:
         if finding["code"] in measured:
@@ -220,6 +232,57 @@ def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]
         )
 
 
+def _check_losses(take: Reconstruction) -> Iterator[tuple[str, str]]:
+    vanished = [_describe_loss(loss) for loss in take.losses if loss.kind == "vanished"]
+    if vanished:
+        subject = "A person vanishes" if len(vanished) == 1 else "People vanish"
+        yield (
+            PERSON_LOST,
+            f"{subject} in the middle of the room, where cameras view the place: {first_names(vanished)}. The person "
+            "is hidden there, or was not detected or not matched.",
+        )
+    phantoms = [_describe_loss(loss) for loss in take.losses if loss.kind == "phantom"]
+    if phantoms:
+        yield (
+            PHANTOM_ENDED,
+            f"A track was made of other people's limbs, and these frames were taken from it: {first_names(phantoms)}.",
+        )
+
+
+def _describe_loss(loss: PersonLoss) -> str:
+    person = f"person-{loss.track_id}" if loss.track_id else "a track that ended"
+    x_m, y_m, _ = loss.place_m
+    return f"{person} (frames {loss.start_frame} to {loss.stop_frame - 1}, at x {x_m:.1f} m, y {y_m:.1f} m)"
+
+
+def _measured_losses(take: Reconstruction, kind: str) -> dict[str, Any]:
+    people = [
+        {
+            "id": loss.track_id or None,
+            "start_frame": loss.start_frame,
+            "num_frames": loss.stop_frame - loss.start_frame,
+            "place_m": list(loss.place_m),
+        }
+        for loss in take.losses
+        if loss.kind == kind
+    ]
+    return {"people": people}
+
+
+def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[tuple[str, str]]:
+    if limbs:
+        described = [
+            f"{limb.name} of person-{limb.track_id} ({1000 * limb.located_m:.0f} mm, used are "
+            f"{1000 * limb.length_m:.0f} mm)"
+            for limb in limbs
+        ]
+        yield (
+            LIMB_MISMEASURED,
+            f"A limb was located with a wrong length in most frames: {first_names(described)}. Views, frames and the "
+            "proportions of the body tell the length that is used. The limb may be hidden.",
+        )
+
+
 def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[str, str]]:
     people = [
         f"person-{take.tracks[person.number].track_id} (by {100 * person.moved_m:.1f} cm at most in "
@@ -286,13 +349,22 @@ def _measured_images(take: Reconstruction, likenesses: Likenesses) -> dict[str, 
 def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]]:
     if refinement is None:
         return
+    errors = f"{refinement.error_before_px:.1f} px", f"{refinement.error_after_px:.1f} px"
     if refinement.refined:
-        moves = [f"{move.camera} by {move.rotation_deg:.1f} degrees" for move in refinement.moved]
+        moves = [
+            f"{move.camera} by {move.moved_px:.1f} px in its picture ({move.rotation_deg:.1f} degrees, "
+            f"{100 * move.translation_m:.1f} cm)"
+            for move in refinement.moved
+        ]
         yield (
             CALIBRATION_REFINED,
-            f"The calibration did not fit the people: {refinement.error_before_px:.1f} px. It was refined to "
-            f"{refinement.error_after_px:.1f} px, and turned {first_names(moves)}. Use calibration.json for takes of "
-            "the same cameras.",
+            f"The calibration did not fit the people: {errors[0]}. It was refined to {errors[1]}. Cameras moved, the "
+            f"largest move first: {first_names(moves)}. Use calibration.json for takes of the same cameras.",
+        )
+    else:
+        yield (
+            CALIBRATION_KEPT,
+            f"The calibration was not refined, and is used as given. {_why_kept(refinement, *errors)}",
         )
     if refinement.world is not None:
         yield (
@@ -311,6 +383,22 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
             f"A camera was moved during the take: {first_names(bumps)}. Reconstruct the frames before and after it on "
             "their own.",
         )
+
+
+def _why_kept(refinement: Refinement, before: str, after: str) -> str:
+    """Sentences that say why a calibration was not refined."""
+    if refinement.refusal == "few_people":
+        return (
+            f"Cameras share {refinement.num_points} joints of people, too few to compare the cameras: let people walk "
+            "where several cameras see them."
+        )
+    if refinement.refusal == "undetermined" or refinement.most_moved is None:
+        return f"The people, at {before}, determine no camera: let them walk all over the place, for a minute."
+    most = refinement.most_moved
+    return (
+        f"Cameras that fit the people best lower the error from {before} to {after}, by less than a quarter. "
+        f"{most.camera} would move most, by {most.moved_px:.1f} px in its picture ({most.rotation_deg:.1f} degrees)."
+    )
 
 
 def _check_synchronization(synchronization: Synchronization | None) -> Iterator[tuple[str, str]]:

@@ -37,7 +37,7 @@ from jaxtyping import Float
 from pipeline.angles.compute import joint_angles
 from pipeline.angles.ranges import ranges_of_motion
 from pipeline.data.animation import Floor, FootContact
-from pipeline.data.cameras import Camera, Refinement
+from pipeline.data.cameras import Camera, CameraMove, Refinement
 from pipeline.data.people import Doubt, Source, Track3D
 from pipeline.data.reconstruction import Reconstruction
 from pipeline.findings import Finding, Severity
@@ -45,6 +45,7 @@ from pipeline.gait.analysis import analyse_gait
 from pipeline.gait.document import gait_document, movement_documents
 from pipeline.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.likenesses.find import find_likenesses
+from pipeline.problem_codes.warnings import CALIBRATION_KEPT
 from pipeline.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.views import PersonViews, body_joints, has_position, views_of, without_fingers
@@ -160,15 +161,9 @@ def _describe_refinement(refinement: Refinement | None) -> dict[str, Any] | None
         "error_before_px": _rounded(refinement.error_before_px, 3),
         "error_after_px": _rounded(refinement.error_after_px, 3),
         "num_points": refinement.num_points,
-        "moved": [
-            {
-                "camera": move.camera,
-                "rotation_deg": round(move.rotation_deg, 3),
-                "translation_m": round(move.translation_m, 4),
-                "focal_ratio": round(move.focal_ratio, 4),
-            }
-            for move in refinement.moved
-        ],
+        "refusal": refinement.refusal,
+        "moved": [_describe_move(move) for move in refinement.moved],
+        "most_moved": None if refinement.most_moved is None else _describe_move(refinement.most_moved),
         "bumped": [
             {"camera": bump.camera, "time_s": round(bump.time_s, 3), "rotation_deg": round(bump.rotation_deg, 2)}
             for bump in refinement.bumped
@@ -176,6 +171,16 @@ def _describe_refinement(refinement: Refinement | None) -> dict[str, Any] | None
         "world": None
         if refinement.world is None
         else {"tilt_deg": round(refinement.world.tilt_deg, 3), "height_m": round(refinement.world.height_m, 4)},
+    }
+
+
+def _describe_move(move: CameraMove) -> dict[str, Any]:
+    return {
+        "camera": move.camera,
+        "rotation_deg": round(move.rotation_deg, 3),
+        "translation_m": round(move.translation_m, 4),
+        "focal_ratio": round(move.focal_ratio, 4),
+        "moved_px": _rounded(move.moved_px, 1),
     }
 
 
@@ -214,6 +219,8 @@ def all_checks(report: Mapping[str, Any]) -> list[Finding]:
 
 
 def _severity(code: str) -> Severity:
+    if code == CALIBRATION_KEPT:
+        return "info"
     return "error" if code in _ERRORS else "warning"
 
 

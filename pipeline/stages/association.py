@@ -29,6 +29,7 @@ from pipeline.detect.entries import entry_of
 from pipeline.hands.attach import attach_hands
 from pipeline.identity.alone import follow_alone
 from pipeline.identity.identify import identify
+from pipeline.identity.losses import find_losses
 from pipeline.identity.neighbours.decide import return_limbs
 from pipeline.identity.sides.decide import decide_sides
 from pipeline.joints import JointSet
@@ -175,6 +176,11 @@ class Association:
         return people._replace(
             tracks=tuple(track for track, _ in followed), observations=tuple(seen for _, seen in followed)
         )
+
+    def find_losses(self, people: People) -> People:
+        """Add the frames in which people vanish in the middle of the room; see ``pipeline.identity.losses``."""
+        vanished = find_losses(people.tracks, self.cameras, self.times, self.timebase)
+        return people._replace(losses=[*people.losses, *vanished])
 
     def attach(self, people: People, bodies: Detections2D, joints: JointSet) -> People:
         """Add the fingers of detections to people of either method; see ``pipeline.hands.attach``.

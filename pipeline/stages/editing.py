@@ -68,9 +68,9 @@ def put_together(
 ) -> tuple[People, Animation]:
     """People of an edited take and their animation: the changed ones, and the others as they were found.
 
-    The floor is that of the people who were found: it does not depend on who is who. Doubts remain of people who did
-    not change: others were decided by hand. ``people``, ``fitted`` and ``spans`` are those who were found, in the same
-    order; ``changed`` are of ``changed_people``, ``refitted`` their animation.
+    The floor is that of the people who were found: it does not depend on who is who. Doubts and losses remain of people
+    who did not change: others were decided by hand. ``people``, ``fitted`` and ``spans`` are those who were found, in
+    the same order; ``changed`` are of ``changed_people``, ``refitted`` their animation.
     """
     number_of = {span.id: number for number, span in enumerate(spans)}
     changed_number_of = {track.track_id: number for number, track in enumerate(refitted.tracks)}
@@ -96,11 +96,17 @@ def put_together(
         number, kept, row = sources[k]
         return replace(kept.observations[row], track_id=number)
 
+    present = {spans[row].id: number for number, kept, row in sources if kept is people}
     edited = People(
         StoredSequence(len(sources), track),
         StoredSequence(len(sources), observations),
         people.num_approximate_frames,
         doubts if people.doubts else (),
+        losses=[
+            loss._replace(track_id=present.get(loss.track_id, 0))
+            for loss in people.losses
+            if loss.track_id in present or not loss.track_id
+        ],
     )
     return edited, Animation(tuple(tracks), tuple(motions), fitted.floor)
 
@@ -147,6 +153,14 @@ def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
         ]
         if doubts
         else (),
+        losses=[
+            loss._replace(
+                start_frame=max(loss.start_frame, frames.start) - frames.start,
+                stop_frame=min(loss.stop_frame, frames.stop) - frames.start,
+            )
+            for loss in reconstruction.losses
+            if loss.start_frame < frames.stop and loss.stop_frame > frames.start
+        ],
         animation=Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor),
     )
 

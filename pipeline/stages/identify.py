@@ -35,7 +35,7 @@ def identify(task: Task, context: Context) -> Output:
             # They were expected of people whose limbs were assigned.
             people = association.accept_redetected(association.assign_limbs(people), found_elsewhere)
     people = association.assign_limbs(people)
-    people = association.follow_by_one_camera(people, tracked.people.leftovers)
+    people = association.find_losses(association.follow_by_one_camera(people, tracked.people.leftovers))
     if has_hands(joints):
         people = association.attach(people, context.gathered_bodies()[0], joints)
     path = context.scratch / "people.npz"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar, overload
 
 from pipeline.data.detections import DamagedVideo
-from pipeline.data.people import Doubt, Leftovers, Observations, People, Track3D
+from pipeline.data.people import Doubt, Leftovers, Observations, People, PersonLoss, Track3D
 from pipeline.edits import PersonSpan
 from pipeline.stages.codec import RecordArchive, save
 
@@ -20,6 +20,7 @@ class _Summary(NamedTuple):
     doubts: Sequence[Sequence[Doubt]]
     leftovers: Leftovers | None
     damaged: tuple[DamagedVideo, ...]
+    losses: Sequence[PersonLoss] = ()
 
 
 class _Stored(NamedTuple):
@@ -32,7 +33,8 @@ def write_people(path: Path, people: People, damaged: Sequence[DamagedVideo] = (
     """Write tracks with the observations behind them, and the damaged videos among those that they come from."""
     tracks = tuple(people.tracks)
     spans = tuple(PersonSpan(track.track_id, track.start_frame, track.num_frames) for track in tracks)
-    summary = _Summary(spans, people.num_approximate_frames, people.doubts, people.leftovers, tuple(damaged))
+    figures = people.num_approximate_frames, people.doubts, people.leftovers, tuple(damaged), people.losses
+    summary = _Summary(spans, *figures)
     save(_Stored(summary, tracks, people.observations), path)
 
 
@@ -59,8 +61,9 @@ class StoredPeople:
         number = len(self.spans)
         tracks = StoredSequence(number, lambda k: self._archive.read(Track3D, "tracks", k))
         observations = StoredSequence(number, lambda k: self._archive.read(Observations, "observations", k))
+        summary = self._summary
         return People(
-            tracks, observations, self._summary.num_approximate_frames, self._summary.doubts, self._summary.leftovers
+            tracks, observations, summary.num_approximate_frames, summary.doubts, summary.leftovers, summary.losses
         )
 
 

@@ -11,7 +11,7 @@ from pipeline.calibration.refinement.bumps import Step
 from pipeline.calibration.refinement.level import Level, find_level
 from pipeline.calibration.refinement.refine import RefinedCameras, refine
 from pipeline.calibration.refinement.sightings import choose_sightings, sampled_frames, sampled_poses
-from pipeline.calibration.similarity import move_world, shift_m, turn_deg
+from pipeline.calibration.similarity import move_world
 from pipeline.clustering.bone_lengths import unknown_lengths
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
@@ -96,20 +96,17 @@ def _refine(association: Association, associate: _Associate, on_share: OnShare) 
 
 
 def _report(given: Sequence[Camera], refined: RefinedCameras, level: Level | None) -> Refinement:
-    pairs = zip(given, refined.cameras, strict=True) if refined.is_refined else ()
     return Refinement(
         refined=refined.is_refined,
         error_before_px=refined.error_before_px,
         error_after_px=refined.error_after_px,
         num_points=refined.num_points,
-        moved=tuple(move for then, now in pairs if _is_moved(move := _move(then, now))),
+        moved=tuple(move for move in refined.moves if _is_moved(move)) if refined.is_refined else (),
         bumped=tuple(_bump(given, step) for step in sorted(refined.steps, key=lambda step: step.time_s)),
         world=None if level is None else WorldMove(level.tilt_deg, level.height_m),
+        refusal=refined.refusal,
+        most_moved=next(iter(refined.moves), None),
     )
-
-
-def _move(then: Camera, now: Camera) -> CameraMove:
-    return CameraMove(now.name, turn_deg(then, now), shift_m(then, now), float(now.matrix[0, 0] / then.matrix[0, 0]))
 
 
 def _is_moved(move: CameraMove) -> bool:

@@ -46,6 +46,7 @@ def assemble(context: Context) -> Reconstruction:
         num_approximate_frames=people.num_approximate_frames,
         damaged=identified.damaged,
         doubts=people.doubts,
+        losses=people.losses,
         offsets=context.offsets(),
         refinement=None if refined is None else refined.report,
         synchronization=context.clocks(),

@@ -1,7 +1,7 @@
 """Refine a given calibration: rotations, then positions, then focal lengths, as far as the sightings determine them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -19,8 +19,8 @@ from pipeline.calibration.adjustment.parameters import (
 from pipeline.calibration.refinement.adjust import adjust_to_sightings
 from pipeline.calibration.refinement.bumps import Step, find_steps
 from pipeline.calibration.refinement.sightings import JointSightings
-from pipeline.calibration.similarity import align_world
-from pipeline.data.cameras import Camera
+from pipeline.calibration.similarity import align_world, shift_m, turn_deg
+from pipeline.data.cameras import Camera, CameraMove, Refusal
 from pipeline.geometry.camera import project
 
 MAX_ERROR_SHARE = 0.75
@@ -47,39 +47,71 @@ _BLOCK_S, _MIN_BLOCKS = 2.0, 8
 class RefinedCameras:
     """Result of a refinement."""
 
-    cameras: tuple[Camera, ...]  # Refined cameras in the given world; the given ones if they are about as good
-    is_refined: bool  # Whether the cameras are refined ones
+    cameras: tuple[Camera, ...]  # Refined cameras in the given world; the given ones if there is a refusal
+    refusal: Refusal | None  # Reason to keep the given cameras; ``None``: the cameras are refined ones
+    # Moves from the given cameras to the cameras that fit the people best, refused or not, of the cameras that see
+    # people; the largest move in a camera's own picture first. Empty if the people don't tell.
+    moves: tuple[CameraMove, ...]
     # Median reprojection error of the given and of the refined cameras, cross-validated; NaN without sightings
     error_before_px: float
     error_after_px: float
     steps: tuple[Step, ...]  # Cameras that were moved in the middle of the take
     num_points: int  # Number of points
 
+    @property
+    def is_refined(self) -> bool:
+        """Whether the cameras are refined ones."""
+        return self.refusal is None
+
 
 def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings) -> RefinedCameras:
     """Refine cameras from sightings of people.
 
-    Refined cameras are taken if the cross-validated reprojection error falls by more than a quarter. The world stays:
+    Fitted cameras are taken if the cross-validated reprojection error falls by more than a quarter. The world stays:
     most cameras are as close to their given poses as the sightings allow. ``given`` are the cameras as calibrated. The
     search begins with ``start``: the given ones, or those of an earlier refinement.
     """
-    unchanged = RefinedCameras(tuple(given), False, np.nan, np.nan, (), len(sightings))
+    unchanged = RefinedCameras(tuple(given), "few_people", (), np.nan, np.nan, (), len(sightings))
     if len(sightings) < _MIN_POINTS:
         return unchanged
     fitted, steps, kept = _without_steps(given, start, sightings.thinned(_NUM_FOR_CHOICES))
     error_before_px = _median(_errors_px(given, kept))
     best, error_px = _choose_level(given, fitted, kept, error_before_px)
-    if best is None or error_px > MAX_ERROR_SHARE * error_before_px:
-        return RefinedCameras(tuple(given), False, error_before_px, error_px, steps, len(sightings))
-    for step in steps:
-        sightings = sightings.without(step.hidden(sightings))
+    unchanged = replace(
+        unchanged, refusal="undetermined", error_before_px=error_before_px, error_after_px=error_px, steps=steps
+    )
+    if best is None:
+        return unchanged
+    is_better = error_px <= MAX_ERROR_SHARE * error_before_px
+    # The choice's points suffice to tell which camera would move.
+    if is_better:
+        for step in steps:
+            sightings = sightings.without(step.hidden(sightings))
+    else:
+        sightings = kept
     cameras = adjust_to_sightings(given, fitted, sightings, best).cameras
     if best[:, EXTRINSICS].all():
         cameras = align_world(given, cameras)
     # The last digits depend on the number of threads of the linear algebra.
     steps_of_cameras = np.round(offsets(given, cameras), _DECIMALS)
     cameras = tuple(move_camera(camera, step) for camera, step in zip(given, steps_of_cameras, strict=True))
-    return RefinedCameras(cameras, True, error_before_px, error_px, steps, len(sightings))
+    moves = _moves(given, cameras, sightings)
+    if not is_better:
+        return replace(unchanged, refusal="no_better", moves=moves)
+    return replace(unchanged, cameras=cameras, refusal=None, moves=moves)
+
+
+def _moves(given: Sequence[Camera], fitted: Sequence[Camera], sightings: JointSightings) -> tuple[CameraMove, ...]:
+    """Moves of the cameras that see people, by the distance at which these move in each camera's picture."""
+    xyz_m = sightings.triangulated(fitted)
+    is_seen = np.isfinite(sightings.points_px).all(-1)
+    moves = []
+    for then, now, seen in zip(given, fitted, is_seen.T, strict=True):
+        moved_px = np.linalg.norm(project(now, xyz_m[seen]) - project(then, xyz_m[seen]), axis=-1)
+        if len(moved_px := moved_px[np.isfinite(moved_px)]):
+            focal_ratio = float(now.matrix[0, 0] / then.matrix[0, 0])
+            moves.append(CameraMove(now.name, turn_deg(then, now), shift_m(then, now), focal_ratio, _median(moved_px)))
+    return tuple(sorted(moves, key=lambda move: -move.moved_px))
 
 
 def _without_steps(

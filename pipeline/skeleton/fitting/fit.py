@@ -137,7 +137,7 @@ class SkeletonFit:
         self._lively = np.ones(track.num_frames) if lively is None else lively
         self._offsets = offsets
         if bone_length_m is None:
-            bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints))
+            bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints, track.views))
         self._use_lengths(bone_length_m)
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
         self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
@@ -415,7 +415,7 @@ def fit_to_rays(
     source = np.where(known, np.where(measured, Source.MEASURED, Source.PREDICTED), Source.ABSENT)
     offsets = offsets if has_torso(xyz_m, joints) else MARKED_AT_CENTERS
     if offsets:
-        marked_length_m = bone_lengths_m(Landmarks(xyz_m, source, joints))
+        marked_length_m = bone_lengths_m(Landmarks(xyz_m, source, joints, track.views))
         for rows in windows(len(xyz_m), overlap=0):
             xyz_m[rows] = centers_from_marks(Landmarks(xyz_m[rows], source[rows], joints), offsets, marked_length_m)
     positions = replace(track, xyz_m=read_only(xyz_m), source=read_only(source.astype(track.source.dtype)))

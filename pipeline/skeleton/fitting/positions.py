@@ -6,8 +6,8 @@ The energy, for a joint position X in metres at an instant, is the sum of:
 - *acceleration*: Cauchy's function of the second difference of X, relative to the usual value of the joint at the frame
   rate, times the person's liveliness (``fitting.liveliness``). It is heavy-tailed, because a Gaussian prior would
   smooth away punches and jumps;
-- *bones*: squared difference between the length of a limb and the person's own length, left and right pooled
-  unless they disagree.
+- *bones*: squared difference between the length of a limb and the person's own length, the same on both
+  sides.
 
 If a view has confused left and right limbs, which then fit clearly better when exchanged, they are exchanged. Each step
 reweights and solves for one joint after the other, with the other joints fixed. This is a banded system over time, so
@@ -21,13 +21,13 @@ from jaxtyping import Bool, Float
 from scipy.linalg import solveh_banded
 
 from pipeline.data.cameras import Camera, Timebase
-from pipeline.data.people import Observations, Source, Track3D
+from pipeline.data.people import Observations, Track3D
 from pipeline.joints import LIMBS, JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.fitting.rays import Rays
 from pipeline.skeleton.fitting.windows import Blend, windows
 from pipeline.skeleton.gaps import filled_linearly, filled_with_body
-from pipeline.skeleton.landmarks import lengths_of_sides_m
+from pipeline.skeleton.landmarks import Landmarks, limb_lengths_m
 
 # Scales c of the rays, in order of the steps; the last scale is kept.
 SCALES_M = (0.20, 0.12, 0.10)
@@ -84,7 +84,7 @@ def fit_positions(
     ``lively`` is the ratio of the person's accelerations to usual ones, see ``fitting.liveliness``. World positions
     (metres) are those of all frames, gaps included; NaN in all for joints that were never located.
     """
-    limbs = limb_lengths(track, track.source == Source.MEASURED, joints)
+    limbs = hanging_limbs(Landmarks(track.xyz_m, track.source, joints, track.views))
     usual_m = lively[:, None] * usual_step_m(joints, timebase)
     may_follow = timebase.frame_rate_hz >= _FOLLOWED_HZ
     fitted_m = np.empty(track.xyz_m.shape)
@@ -116,22 +116,14 @@ def stretches(is_seen: Bool[np.ndarray, " frames"], longest_gap: int) -> list[sl
     return [slice(start, stop) for start, stop in zip(starts, stops, strict=True)]
 
 
-def limb_lengths(
-    track: Track3D, measured: Bool[np.ndarray, "frames joints"], joints: JointSet
-) -> list[list[tuple[int, float]]]:
-    """Limbs of each joint, as other end and the person's length in metres; see ``landmarks.lengths_of_sides_m``."""
-    sides: dict[str, list[np.ndarray]] = {}
-    ends = [(joints.index(upper), joints.index(lower)) for upper, lower in LIMBS if {upper, lower} <= set(joints.names)]
-    for upper, lower in ends:
-        both = measured[:, upper] & measured[:, lower]
-        lengths_m = np.linalg.norm(track.xyz_m[both, upper] - track.xyz_m[both, lower], axis=-1)
-        sides.setdefault(joints.names[lower].rpartition("_")[2], []).append(lengths_m)
-    of_sides_m = {kind: lengths_of_sides_m(*of_kind) for kind, of_kind in sides.items()}
+def hanging_limbs(landmarks: Landmarks) -> list[list[tuple[int, float]]]:
+    """Limbs of each joint, as other end and the person's length in metres; see ``landmarks.limb_lengths_m``."""
+    joints, lengths_m = landmarks.joints, limb_lengths_m(landmarks)
     hanging: list[list[tuple[int, float]]] = [[] for _ in joints.names]
-    for upper, lower in ends:
-        side, _, kind = joints.names[lower].rpartition("_")
-        length_m = of_sides_m[kind][side == "right"]
-        if np.isfinite(length_m):
+    for ends in LIMBS:
+        length_m = lengths_m[ends[1].rpartition("_")[2]]
+        if set(ends) <= set(joints.names) and np.isfinite(length_m):
+            upper, lower = joints.indices(ends)
             hanging[upper].append((lower, length_m))
             hanging[lower].append((upper, length_m))
     return hanging

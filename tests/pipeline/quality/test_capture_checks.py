@@ -1,15 +1,18 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
 from pipeline.data.detections import DamagedVideo
-from pipeline.data.people import Doubt, Observations
+from pipeline.data.people import Doubt, Observations, PersonLoss
 from pipeline.findings import Finding, SessionCheck
+from pipeline.joints import COCO_17
 from pipeline.likenesses.find import Likenesses
 from pipeline.problem_codes.findings import NOBODY_DETECTED
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report
+from pipeline.skeleton.fitting.fit import SkeletonFit
 from tests.pipeline.quality.test_report import CAMERAS, camera, observe, reconstruction
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
@@ -149,7 +152,7 @@ def test_refined_and_bumped_cameras_are_named_with_angles_and_times() -> None:
             7.25,
             3.5,
             4000,
-            (CameraMove("c", 1.44, 0.02, 1.0),),
+            (CameraMove("c", 1.44, 0.02, 1.0, 21.4), CameraMove("a", 2.0, 0.01, 1.0, 8.0)),
             (CameraBump("b", 134.9, 0.9),),
             WorldMove(4.2, 0.3),
         ),
@@ -158,11 +161,56 @@ def test_refined_and_bumped_cameras_are_named_with_angles_and_times() -> None:
     assert refined["code"] == "calibration_refined"
     assert "7.2 px" in refined["message"]
     assert "3.5 px" in refined["message"]
-    assert "c by 1.4 degrees" in refined["message"]
+    assert "c by 21.4 px in its picture (1.4 degrees, 2.0 cm), a by 8.0 px" in refined["message"]
     assert levelled["code"] == "world_leveled"
     assert "tilted by 4.2 degrees and at a height of 0.30 m" in levelled["message"]
     assert quality_report(one)["calibration"]["world"] == {"tilt_deg": 4.2, "height_m": 0.3}
     assert bumped["code"] == "camera_bumped"
     assert "b from 02:14 on (0.9 degrees)" in bumped["message"]
-    untouched = replace(one, refinement=Refinement(False, 2.0, 2.0, 4000))
-    assert quality_report(untouched)["capture_checks"] == []
+
+
+def test_a_calibration_that_was_kept_says_why_and_which_camera_would_move_most() -> None:
+    take = reconstruction(track_of(walker(40)))
+
+    def kept(*refinement: Any, **more: Any) -> tuple[Finding, dict[str, Any]]:
+        report = quality_report(replace(take, refinement=Refinement(False, *refinement, **more)))
+        (finding,) = all_checks(report)
+        assert (finding.code, finding.severity) == ("calibration_kept", "info")
+        return finding, report["calibration"]
+
+    few, document = kept(np.nan, np.nan, 12, refusal="few_people")
+    assert "share 12 joints" in few.message
+    assert (document["refined"], document["refusal"], document["most_moved"]) == (False, "few_people", None)
+    no_better, document = kept(4.04, 3.52, 900, refusal="no_better", most_moved=CameraMove("b", 0.31, 0.004, 1.0, 5.2))
+    assert "from 4.0 px to 3.5 px" in no_better.message
+    assert "b would move most, by 5.2 px" in no_better.message
+    assert document["moved"] == []
+    assert document["most_moved"]["moved_px"] == 5.2
+    undetermined, _ = kept(6.0, 6.0, 90, refusal="undetermined")
+    assert "at 6.0 px, determine no camera" in undetermined.message
+
+
+def test_people_who_are_lost_and_phantoms_are_findings_with_person_frames_and_place() -> None:
+    losses = (PersonLoss("vanished", 1, 12, 40, (0.52, -1.25, 1.0)), PersonLoss("phantom", 0, 3, 9, (2.0, 0.1, 0.9)))
+    take = replace(reconstruction(TRACK, observations=(observe(TRACK),)), losses=losses)
+    lost, phantom = all_checks(quality_report(take))
+    assert (lost.code, lost.severity) == ("person_lost", "warning")
+    assert "person-1 (frames 12 to 39, at x 0.5 m, y -1.2 m)" in lost.message
+    assert lost.evidence["people"] == [{"id": 1, "start_frame": 12, "num_frames": 28, "place_m": [0.52, -1.25, 1.0]}]
+    assert phantom.code == "phantom_ended"
+    assert "frames 3 to 8, at x 2.0 m, y 0.1 m" in phantom.message
+    assert phantom.evidence["people"][0]["id"] is None
+
+
+def test_a_limb_that_was_located_half_as_long_as_the_skeleton_has_it_is_named() -> None:
+    xyz_m = walker(40)
+    elbow, wrist = COCO_17.indices(("left_elbow", "left_wrist"))
+    xyz_m[:, wrist] = (xyz_m[:, wrist] + xyz_m[:, elbow]) / 2
+    track = track_of(xyz_m)
+    take = reconstruction(track, observations=(observe(track),))
+    timebase = take.timebase
+    motion = SkeletonFit(track, COCO_17, timebase, "person-1").motion()
+    take = replace(take, animation=replace(take.animation, motions=(motion,)))
+    (finding,) = (check for check in all_checks(quality_report(take)) if check.code == "limb_mismeasured")
+    assert "left forearm of person-1 (125 mm, used are 250 mm)" in finding.message
+    assert finding.evidence["limbs"] == [{"id": 1, "limb": "left forearm", "located_m": 0.125, "length_m": 0.25}]

@@ -17,7 +17,7 @@ from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.data.animation import Animation, Floor, FootContact, FootPart, SkeletonMotion
 from pipeline.data.arrays import no_colours, no_detections
 from pipeline.data.detections import DamagedVideo, Detections, MapGrid, PafFields, PictureChanges
-from pipeline.data.people import Doubt, Leftovers, Observations, People, Poses3D, Track3D
+from pipeline.data.people import Doubt, Leftovers, Observations, People, PersonLoss, Poses3D, Track3D
 from pipeline.edits import PersonSpan
 from pipeline.runtime.npz import open_archive
 from pipeline.stages import codec
@@ -206,6 +206,12 @@ def test_people_come_back_one_by_one(tmp_path: Path) -> None:
     assert [one.track_id for one in back.tracks[-1:]] == [back.observations[-1].track_id] == [2]
     assert StoredPeople(path).spans == (PersonSpan(1, 10, 4), PersonSpan(2, 20, 6))
     assert (back.doubts, back.leftovers) == ((), None)
+
+
+def test_losses_come_back(tmp_path: Path) -> None:
+    losses = [PersonLoss("vanished", 2, 12, 40, (0.5, -1.25, 1.0)), PersonLoss("phantom", 0, 3, 9, (0.0, 0.1, 0.2))]
+    write_people(tmp_path / "people", people_of_two_lengths()._replace(losses=losses))
+    assert list(StoredPeople(tmp_path / "people").people.losses) == losses
 
 
 def test_doubts_and_leftovers_come_back(tmp_path: Path) -> None:

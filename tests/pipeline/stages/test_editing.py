@@ -9,11 +9,14 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
+from pipeline.data.animation import Animation
+from pipeline.data.people import People, PersonLoss
 from pipeline.data.reconstruction import Reconstruction
-from pipeline.edits import Cut, Exchange, Merge, PeopleEdit, Remove, Rename, Split
+from pipeline.edits import Cut, Exchange, Merge, PeopleEdit, PersonSpan, Remove, Rename, Split
 from pipeline.export.results import write_results
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.skeleton.model import forward_kinematics
+from pipeline.stages import editing
 from pipeline.stages.local import reconstruct
 from tests.pipeline.simulations import write_simulation
 
@@ -97,3 +100,21 @@ def test_files_bear_numbers_and_names(session: KeypointSession, cache: Path, tmp
     assert {"person-2.bvh", "person-2.glb"} <= paths.keys()
     tracks = json.loads(paths["skeletons.json"].read_bytes())["tracks"]
     assert (tracks[0]["id"], tracks[0]["name"]) == (2, "Zoë / 2")
+
+
+def test_losses_of_people_who_did_not_change_stay_and_are_cut(plain: Reconstruction) -> None:
+    place_m = (0.0, 0.0, 1.0)
+    lost = [
+        PersonLoss("vanished", 1, 10, 50, place_m),
+        PersonLoss("vanished", 2, 5, 70, place_m),
+        PersonLoss("phantom", 0, 1, 4, place_m),
+    ]
+    people = People(plain.located, plain.observations, losses=lost)
+    spans = tuple(PersonSpan(track.track_id, track.start_frame, track.num_frames) for track in plain.tracks)
+    config = replace(PLAIN, edits=(Remove(person=2),))
+    nobody = People((), ()), Animation((), (), None)
+    take = editing.edited_take(spans, config, plain.timebase)
+    kept, _ = editing.put_together(people, plain.animation, spans, *nobody, take)
+    assert list(kept.losses) == [lost[0], lost[2]]
+    shorter = editing.cut(replace(plain, losses=kept.losses), range(8, 40))
+    assert list(shorter.losses) == [PersonLoss("vanished", 1, 2, 32, place_m)]

@@ -122,7 +122,7 @@ def test_a_tilted_world_is_levelled_reported_and_written(session: KeypointSessio
     levelled = reconstruct(tilted, CONFIG)
     report = quality_report(levelled)
     assert report["world_checks"] == []
-    assert [check["code"] for check in report["capture_checks"]] == ["world_leveled"]
+    assert [check["code"] for check in report["capture_checks"]] == ["calibration_kept", "world_leveled"]
     calibration = report["calibration"]
     assert (calibration["refined"], calibration["moved"]) == (False, [])
     assert calibration["world"]["tilt_deg"] == pytest.approx(6.0, abs=0.5)
@@ -175,9 +175,10 @@ def test_reports_come_back_from_their_bytes(session: KeypointSession) -> None:
         7.25,
         3.5,
         4000,
-        (CameraMove("a", 1.5, 0.02, 1.001),),
+        (CameraMove("a", 1.5, 0.02, 1.001, 12.5),),
         (CameraBump("b", 134.2, 0.9),),
         WorldMove(4.5, -0.26),
+        most_moved=CameraMove("a", 1.5, 0.02, 1.001, 12.5),
     )
     content = encode(RefinedCalibration(session.cameras, report))
     cameras, found = decode(RefinedCalibration, content)

@@ -9,7 +9,7 @@ from pipeline.data.people import Source, Track3D
 from pipeline.joints import BODY_FEET, COCO_17
 from pipeline.simulation.acrobatics.key_poses import KeyPose
 from pipeline.simulation.acrobatics.performance import acrobat_joints_at, perform_acrobatics
-from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays
+from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
 from pipeline.skeleton.landmarks import Landmarks, bone_lengths_m
 from pipeline.skeleton.model import INDEX, TRUNK
 from tests.pipeline.skeleton.observed import observe, ring_of
@@ -62,6 +62,27 @@ def test_limbs_of_different_lengths_keep_them() -> None:
     assert lengths_m[INDEX["RightLeg"]] / lengths_m[INDEX["LeftLeg"]] > 1.08
     assert abs(lengths_m[INDEX["RightLeg"]] - right_m) < 0.7 * abs(medians_m[INDEX["RightLeg"]] - right_m)
     assert np.isclose(medians_m[INDEX["RightLeg"]], medians_m[INDEX["LeftLeg"]])
+
+
+@pytest.mark.parametrize(("side", "nearer"), [("left", 0.5), ("right", 0.65)])
+def test_a_forearm_that_is_hidden_most_of_the_time_is_whole_where_it_is_seen(side: str, nearer: float) -> None:
+    """In four of five frames two cameras alone mark a wrist, at the edge of the thing that hides the hand."""
+    truth_m, _ = curling(10.0)
+    elbow, wrist = COCO_17.indices((f"{side}_elbow", f"{side}_wrist"))
+    hidden = slice(0, int(0.8 * len(truth_m)))
+    marked_m = truth_m.copy()
+    marked_m[hidden, wrist] += (1.0 - nearer) * (truth_m[hidden, elbow] - truth_m[hidden, wrist])
+    unseen = np.zeros((len(truth_m), len(CAMERAS), 17), bool)
+    unseen[hidden, 2:, wrist] = True
+    track, seen = observe(CAMERAS, marked_m, noise_px=1.5, unseen=unseen, seed=5)
+    fitted = fit_to_rays(track, seen, CAMERAS, Timebase(0.0, RATE_HZ, len(truth_m)), COCO_17, "anna")
+    motion = fitted.motion()
+    forearm_m = float(np.median(np.linalg.norm(truth_m[:, wrist] - truth_m[:, elbow], axis=-1)))
+    for name in ("LeftHand", "RightHand"):
+        assert motion.bone_length_m[INDEX[name]] == pytest.approx(forearm_m, rel=0.10)
+    found_m = follow(fitted, motion, seen, CAMERAS).xyz_m[hidden.stop + 5 :, wrist]
+    off_m = np.linalg.norm(found_m - truth_m[hidden.stop + 5 :, wrist], axis=-1)
+    assert off_m.max() < 0.025
 
 
 def test_lengths_that_differ_by_chance_stay_as_they_are() -> None:
