@@ -129,6 +129,9 @@ class MotionDescription(ResponseModel):
     frame_rate_hz: float = Field(description="Rate of the output frames.")
     start_time_s: float = Field(description="Time of output frame 0 on the session's clock.")
     num_frames: int = Field(description="Number of output frames.")
+    first_source_frame: int = Field(
+        default=0, description="Number of output frame 0 in the source: in files of keypoints, or in the videos."
+    )
     joint_names: tuple[str, ...] = Field(description="Names of the joints, in the order of the records' positions.")
     bones: tuple[tuple[str, str], ...] = Field(description="Pairs of joints, for drawing.")
     skeleton: MotionSkeleton

@@ -19,6 +19,7 @@ from pipeline.capture.keypoint_files.body_25b import from_body_25b, is_body_25b
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
+from pipeline.capture.keypoint_files.scales import rescaled
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
 from pipeline.capture.pairing import pair
 from pipeline.capture.recordings import Recording, find_input, known_recordings
@@ -53,7 +54,8 @@ class KeypointSession:
     times
         Frame times of each camera on the session's clock, by camera name.
     timebase
-        Output frames. Without timestamps, output frame k is file number k.
+        Output frames, from the earliest camera's first frame on. Without timestamps, frame k is file number
+        ``first_source_frame + k``.
     detections
         Detections by camera name.
     joints
@@ -79,7 +81,7 @@ class KeypointSession:
 
     @property
     def starts_s(self) -> dict[str, float]:
-        """Time 0 of each camera, by camera name: that is where timestamps and frame numbers begin."""
+        """Time 0 of each camera, by camera name: the origin of timestamps and frame numbers."""
         return dict.fromkeys(self.times, 0.0)
 
     @property
@@ -146,8 +148,8 @@ def open_keypoints(
     folder
         Folder of the cameras' folders, or the folder of each camera by the camera's name, whatever the folders' names.
     timestamps
-        CSV file with the columns ``camera``, ``frame`` and ``time_s``: seconds on the clock that all cameras share,
-        which starts at 0. Without it, frame k of all cameras is at k / ``frame_rate_hz``.
+        CSV file with the columns ``camera``, ``frame`` and ``time_s``: seconds on the clock that all cameras share.
+        Without it, frame k of all cameras is at k / ``frame_rate_hz``.
     frame_rate_hz
         Rate of all cameras; needed without ``timestamps``, and not allowed together with them.
     units, up
@@ -180,11 +182,12 @@ def open_keypoints(
         problems += [_unknown_size(camera, calibration) for camera in cameras if camera.size_px == UNKNOWN_SIZE]
     except InputError as error:
         problems.extend(error.problems)
-    folders, pairs = _paired(folder, cameras, recordings, pair_by_order, findings, problems)
+    used = [path for path in (calibration, timestamps) if path is not None]
+    folders, pairs = _paired(folder, used, cameras, recordings, pair_by_order, findings, problems)
     camera_of = {name: camera for camera, name in pairs.items()}
     sizes_px = {camera.name: camera.size_px for camera in cameras}
     forms: set[str] = set()
-    frames: dict[str, dict[int, People]] = {}
+    frames: dict[str, Mapping[int, People]] = {}
     left_joints = sys.maxsize if max_joints is None else max_joints
     for name, path in folders.items():
         camera = camera_of.get(name, name)
@@ -196,6 +199,8 @@ def open_keypoints(
             message = f"With this camera's files the session has more than {max_joints:,} joints."
             problems.append(Problem(SESSION_TOO_LARGE, message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
             raise InputError(problems)
+    by_camera = {camera: frames[name] for camera, name in pairs.items()}
+    frames |= {pairs[camera]: people for camera, people in rescaled(by_camera, sizes_px, findings, problems).items()}
     if is_body_25b(people for by_frame in frames.values() for people in by_frame.values()):
         frames = {
             name: {number: from_body_25b(people) for number, people in by_frame.items()}
@@ -214,7 +219,7 @@ def open_keypoints(
             Problem(TWO_CLOCKS, "There are both timestamps and a frame rate.", hint="Provide only one of them.")
         )
     times, timebase = (
-        times_from_rate(people_by_camera, pairs, frame_rate_hz, problems)
+        times_from_rate(people_by_camera, pairs, frame_rate_hz, findings, problems)
         if timestamps is None
         else times_from_file(people_by_camera, timestamps, problems)
     )
@@ -244,6 +249,7 @@ def open_keypoints(
 
 def _paired(
     folder: StrPath | Mapping[str, StrPath],
+    used: Sequence[Path],
     cameras: Sequence[Camera],
     recordings: Sequence[Recording],
     by_order: bool,
@@ -257,7 +263,7 @@ def _paired(
             return folders, {}
         pairing = pair(cameras, [], "folder", {camera: camera for camera in folders}, by_order=by_order)
     else:
-        folders = camera_folders(Path(folder), findings, problems)
+        folders = camera_folders(Path(folder), findings, problems, used)
         if not cameras or not folders:
             return folders, {}
         places = [Path(name) for name in folders]

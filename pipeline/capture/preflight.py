@@ -69,6 +69,7 @@ def report(
     up: Up = "z",
 ) -> Preflight:
     """Build the preflight record of a session; ``files`` are the names of each camera's files."""
+    timebase = session.timebase
     media, detected = _media(session, recordings), session.detections if isinstance(session, KeypointSession) else {}
     starts_s = {name: float(times.time_s[0]) if len(times.time_s) else 0.0 for name, times in session.times.items()}
     return Preflight(
@@ -88,7 +89,7 @@ def report(
             )
             for camera, of_camera in zip(session.cameras, files, strict=True)
         ),
-        timebase=PreflightTimebase(**asdict(session.timebase)),
+        timebase=PreflightTimebase(timebase.start_time_s, timebase.frame_rate_hz, timebase.num_frames),
         stretches=tuple(session.stretches),
         warnings=tuple(printable(warning) for warning in session.warnings),
         recordings=tuple(PreflightRecording(**asdict(recording)) for recording in recordings),

@@ -37,7 +37,8 @@ def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruc
 
 def resampled_timebase(old: Timebase, frame_rate_hz: float) -> Timebase:
     """Timebase at another rate with the same first frame; its last frame is not after the old last frame."""
-    return Timebase(old.start_time_s, frame_rate_hz, num_resampled(old.num_frames, old.frame_rate_hz, frame_rate_hz))
+    num_frames = num_resampled(old.num_frames, old.frame_rate_hz, frame_rate_hz)
+    return replace(old, frame_rate_hz=frame_rate_hz, num_frames=num_frames)
 
 
 def _new_frames(start_frame: int, num_frames: int, ratio: float) -> range:

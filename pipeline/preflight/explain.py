@@ -21,8 +21,9 @@ from pipeline.joints import JointSet, other_side
 from pipeline.preflight.agreement import FAR, SURE, PeopleAgreement, compare
 from pipeline.preflight.sightings import Points, SimultaneousPeople, ideal_px
 
-Move = Literal["as is", "90", "180", "270", "mirrored"]
+Move = Literal["as is", "90", "180", "270", "mirrored", "exchanged"]
 MOVES: tuple[Move, ...] = ("90", "180", "270", "mirrored")
+"""Moves of a picture; keypoint files may also have x and y exchanged."""
 
 DOUBTFUL = 0.45
 """Disagreement of a camera from which on it needs an explanation: the mean distance is 4.5 % of a person's extent.
@@ -147,10 +148,12 @@ class PairDisagreement:
 
 
 def move_points(points_px: Points, move: Move, size_px: tuple[int, int], joints: JointSet) -> Points:
-    """Turn points clockwise about the middle of the picture, or mirror them.
+    """Turn points clockwise about the middle of the picture, mirror them, or exchange x and y.
 
     In a mirrored picture a network takes the left side of a body for the right one, so mirroring exchanges the sides.
     """
+    if move == "exchanged":
+        return points_px[..., ::-1]
     middle_px = (np.array(size_px) - 1.0) / 2.0
     x, y = np.moveaxis(points_px - middle_px, -1, 0)
     moved = {"as is": (x, y), "90": (-y, x), "180": (-x, -y), "270": (y, -x), "mirrored": (-x, y)}[move]
@@ -200,12 +203,12 @@ def _candidates(believed: Hypothesis, doubtful: Sequence[int], names: Sequence[s
     if not doubtful:
         return
     for number in doubtful:
-        for move in MOVES:
+        for move in (*MOVES, "exchanged"):
             moves = (*believed.moves[:number], move, *believed.moves[number + 1 :])
             yield Hypothesis(believed.places, moves)
     num_cameras = len(believed.places)
     if len(doubtful) == num_cameras:
-        for move in MOVES:
+        for move in (*MOVES, "exchanged"):
             yield Hypothesis(believed.places, (move,) * num_cameras)
     if num_cameras <= _MAX_ORDERED:
         for order in itertools.permutations(range(num_cameras)):

@@ -26,6 +26,7 @@ from pipeline.problem_codes.findings import (
     CALIBRATION_OF_ANOTHER_RIG,
     CAMERA_SEES_NOBODY,
     CAMERAS_EXCHANGED,
+    COORDINATES_EXCHANGED,
     NO_COMMON_PEOPLE,
     NOBODY_DETECTED,
     PICTURE_MIRRORED,
@@ -170,6 +171,10 @@ def _moved(
             message = "The picture is mirrored against its calibration: left is right."
             hint = "Turn off the mirroring of the camera, or mirror the video back."
             yield Finding(PICTURE_MIRRORED, message, cameras[number].name, severity, hint, numbers)
+        elif move == "exchanged":
+            message = "x and y of the keypoints are exchanged."
+            hint = "Write x first: from the left of the picture to the right. y is from its top to its bottom."
+            yield Finding(COORDINATES_EXCHANGED, message, cameras[number].name, severity, hint, numbers)
         else:
             message = f"The picture is turned by {move} degrees against its calibration."
             hint = f"Turn the video clockwise by {move} degrees, or calibrate the camera as it is turned."

@@ -53,13 +53,19 @@ KEYPOINTS_FORM = FILES.code(
     "Keypoint files of another program than OpenPose were recognised by their content.",
     "Check that they are of this program.",
 )
+KEYPOINTS_SCALE = FILES.code(
+    "keypoints_scale",
+    _FINDING,
+    "Scores or positions of keypoints are on another scale than 0 to 1 and pixels, told by all values of a camera.",
+    "Check that `message` names the right scale.",
+)
 CAMERA_SAW_NOBODY = FILES.code(
     "camera_saw_nobody", _FINDING, "Keypoints of a camera show nobody.", "Check the detector's output."
 )
 FRAMES_DROPPED = FILES.code(
     "frames_dropped",
     _FINDING,
-    "Frames of a video are missing: its times have gaps.",
+    "Frames of a video are missing: its times have gaps. Of keypoints: the numbers of the frames do.",
     "Nothing is to be done for slow motion; else record with a camera that keeps its rate.",
 )
 FRAMES_TOO_CLOSE = FILES.code(
@@ -199,6 +205,9 @@ PICTURE_MIRRORED = PEOPLE.code(
     _ERROR,
     "The picture of a camera is mirrored against its calibration.",
     "Turn off the mirroring, or mirror the video back.",
+)
+COORDINATES_EXCHANGED = PEOPLE.code(
+    "coordinates_exchanged", _ERROR, "x and y of a camera's keypoints are exchanged.", "Write x first, then y."
 )
 CALIBRATION_OF_ANOTHER_RIG = PEOPLE.code(
     "calibration_of_another_rig",

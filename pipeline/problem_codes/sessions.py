@@ -342,6 +342,12 @@ KEYPOINTS_MIXED = KEYPOINTS.code(
     "keypoints_mixed", _FILES, "The files have different numbers of joints.", "Use one set of joints for all files."
 )
 KEYPOINTS_EMPTY = KEYPOINTS.code("keypoints_empty", _FILES, "No file has a person.", "Check the detector's output.")
+KEYPOINTS_SCORES = KEYPOINTS.code(
+    "keypoints_scores",
+    _FILES,
+    "The scale of a camera's scores is unknown.",
+    "Write scores from 0 to 1, percent, 0 to 255, or logits.",
+)
 TOO_MANY_PEOPLE = KEYPOINTS.code(
     "too_many_people", _FILES, "A frame has too many people.", "Omit the people with low scores."
 )

@@ -110,6 +110,7 @@ def motion_of(
         "num_frames": num_frames,
         "frame_rate_hz": take.timebase.frame_rate_hz,
         "start_time_s": take.timebase.start_time_s,
+        "first_source_frame": take.timebase.first_source_frame,
         "stride": stride,
         "step_m": step_m,
         "origin_m": origin_m,

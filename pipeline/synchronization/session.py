@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from pipeline.capture.session import Session
-from pipeline.data.cameras import Synchronization, Timebase
+from pipeline.data.cameras import Synchronization
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.findings import Finding, from_problem
@@ -73,7 +73,7 @@ def on_measured_clocks(session: Session, synchronization: Synchronization) -> Se
     declared, measured = session.timebase, session_timebase(times)
     end_s = measured.time_s(measured.num_frames - 1)
     num_frames = round((end_s - declared.start_time_s) * declared.frame_rate_hz) + 1
-    timebase = Timebase(declared.start_time_s, declared.frame_rate_hz, max(declared.num_frames, num_frames))
+    timebase = replace(declared, num_frames=max(declared.num_frames, num_frames))
     return session.at_times(times, timebase)
 
 

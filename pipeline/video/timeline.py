@@ -77,7 +77,8 @@ def require_frames(whole: Timebase, frames: range) -> None:
 
 def cut_timebase(timebase: Timebase, frames: range) -> Timebase:
     """Timebase of a range of output frames, which are numbered from 0."""
-    return Timebase(timebase.time_s(frames.start), timebase.frame_rate_hz, len(frames))
+    first = timebase.first_source_frame + frames.start
+    return Timebase(timebase.time_s(frames.start), timebase.frame_rate_hz, len(frames), first)
 
 
 def frames_in(times: FrameTimes, start_s: float, stop_s: float) -> range:

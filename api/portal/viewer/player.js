@@ -9,16 +9,16 @@ const MAX_ELAPSED_S = 1;
 export class Player extends EventTarget {
   #timeS;
 
-  /** Frames `0` to `numFrames - 1` are at `startS + frame / rateHz`. */
-  constructor({ startS, rateHz, numFrames }) {
+  /** Frames `0` to `numFrames - 1` are at `startS + frame / rateHz`; frame 0 has the number `firstSourceFrame` in the source. */
+  constructor(range) {
     super();
-    this.#setRange({ startS, rateHz, numFrames });
+    this.#setRange(range);
     // Whether time has to stand still for a moment; viewers set it.
     this.mustWait = () => false;
     this.isPlaying = false;
     this.isLooping = true;
     this.speed = 1;
-    this.#timeS = startS;
+    this.#timeS = this.startS;
   }
 
   /** Play other frames from now on; the play head stays at its time as far as it is among them. */
@@ -27,8 +27,8 @@ export class Player extends EventTarget {
     this.seekTime(this.#timeS);
   }
 
-  #setRange({ startS, rateHz, numFrames }) {
-    Object.assign(this, { startS, rateHz, numFrames });
+  #setRange({ startS, rateHz, numFrames, firstSourceFrame }) {
+    Object.assign(this, { startS, rateHz, numFrames, firstSourceFrame });
   }
 
   /** Exact time, which runs on between frames. */
@@ -112,6 +112,7 @@ export class Player extends EventTarget {
 export function rangeOf(descriptions) {
   const rateHz = Math.max(...descriptions.map((take) => take.frame_rate_hz));
   const startS = Math.min(...descriptions.map((take) => take.start_time_s));
+  const { first_source_frame: firstSourceFrame = 0 } = descriptions.find((take) => take.start_time_s === startS);
   const endS = Math.max(...descriptions.map((take) => take.start_time_s + (take.num_frames - 1) / take.frame_rate_hz));
-  return { startS, rateHz, numFrames: Math.round((endS - startS) * rateHz) + 1 };
+  return { startS, rateHz, numFrames: Math.round((endS - startS) * rateHz) + 1, firstSourceFrame };
 }

@@ -34,6 +34,11 @@ _WHOLE = LAYOUTS["coco-wholebody-133"]
 _BODY_FEET = [_WHOLE.points.index(name) for name in BODY_FEET.names]
 
 
+def is_frame(content: Any) -> bool:
+    """Whether a file lists people who do not state their frames: they are in one frame."""
+    return isinstance(content, list) and bool(content) and not any({"frame", "image_id"} & set(one) for one in content)
+
+
 def frames_of(content: Any) -> Mapping[int, Any]:
     """Split the people of all frames by the number of the frame; ``images`` names frames that may show nobody."""
     frames: dict[int, list[Any]] = {}

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.capture.keypoint_files import foreign, freemocap, yolo
+from pipeline.capture.keypoint_files import coco, foreign, freemocap, yolo
 from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
 from pipeline.capture.keypoint_files.hdf5.process import read_in_child
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
@@ -52,20 +52,24 @@ Source = Path | freemocap.CameraArray
 """Folder of a camera, or its part in the file of all cameras."""
 
 
-def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem]) -> Mapping[str, Source]:
+def camera_folders(
+    folder: Path, findings: list[Finding], problems: list[Problem], used: Sequence[Path] = ()
+) -> Mapping[str, Source]:
     """List the folders by name; report if there are too few, and tell of ignored files.
 
-    Without folders, the parts of FreeMoCap's file of all cameras are listed in their place.
+    Without folders, the parts of FreeMoCap's file of all cameras are listed in their place. Files of the session that
+    are read elsewhere, ``used``, are not reported.
     """
     if not folder.is_dir():
         problems.append(Problem(KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name))
         return {}
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith(".") and not is_passed_over(path))
     of_cameras = None if any(path.is_dir() for path in entries) else freemocap.file_of_cameras(entries)
+    known = {of_cameras, *(path.resolve() for path in used)}
     findings += [
         Finding(FILE_IGNORED, f"{path.name} is ignored: it is not a folder.", severity="info")
         for path in entries
-        if not path.is_dir() and path != of_cameras
+        if not path.is_dir() and path not in known and path.resolve() not in known
     ]
     if of_cameras is not None:
         parts = _attempt(partial(freemocap.cameras_of, of_cameras), of_cameras, None, None, _FILE_HINT)
@@ -79,8 +83,8 @@ def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem
     if len(folders) < MIN_CAMERAS:
         message = f"There are {len(folders)} folders; at least {MIN_CAMERAS} are required."
         hint = "Provide a folder of keypoint files for each camera."
-        if known := foreign.described(path.name for path in entries if path.is_file()):
-            message, hint = f"{message} {known[0]}", f"{hint} {known[1]}"
+        if kinds := foreign.described(path.name for path in entries if path.is_file()):
+            message, hint = f"{message} {kinds[0]}", f"{hint} {kinds[1]}"
         problems.append(Problem(TOO_FEW_FOLDERS, message, file=folder.name, hint=hint))
     return folders
 
@@ -294,9 +298,12 @@ def _read_capture(
 def _split(path: Path, form_in: _FormOf, content: Any) -> tuple[Callable[[Any], People], Mapping[int, Any]]:
     content = _read(path, MAX_FILE_BYTES) if content is None else content
     form = form_in(content)
+    number = _NUMBERED.fullmatch(path.name)
+    if number is not None and (form.frames_of is None or (form.name == "COCO" and coco.is_frame(content))):
+        return form.read_frame, {int(number[1]): content}
     if form.frames_of is None:
         message = f"The file is read as {form.name}'s of a single frame, which has its number in its name."
-        raise KeypointsError(message)
+        raise KeypointsError(f"{message} Name it like 000000.json.")
     frames = form.frames_of(content)
     check_frames(len(frames))
     return form.read_frame, frames

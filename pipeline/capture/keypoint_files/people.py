@@ -100,7 +100,7 @@ def number_in_name(name: Any) -> int | None:
     return None if found is None else int(found[1])
 
 
-def is_detected(people: People) -> Bool[np.ndarray, "_ _"]:
+def is_detected(people: Float[np.ndarray, "*joints 3"]) -> Bool[np.ndarray, "*joints"]:
     """Return which joints were detected: all numbers are finite, and the score is above 0."""
     return np.isfinite(people).all(-1) & (people[..., 2] >= _MIN_SCORE)
 

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,9 @@ from pipeline.capture.keypoint_files.people import People
 from pipeline.capture.names import nfc
 from pipeline.data.cameras import FrameTimes, Timebase
 from pipeline.errors import Problem
+from pipeline.findings import Finding
 from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
+from pipeline.problem_codes.findings import FRAMES_DROPPED
 from pipeline.problem_codes.sessions import (
     FRAME_RATE,
     NO_FRAME_RATE,
@@ -41,9 +43,13 @@ def times_from_rate(
     frames: Mapping[str, Mapping[int, People]],
     folders: Mapping[str, str],
     rate_hz: float | None,
+    findings: list[Finding],
     problems: list[Problem],
 ) -> tuple[dict[str, FrameTimes], Timebase | None]:
-    """Times from frame numbers: frame k of all cameras is at k over the frame rate, which must be known."""
+    """Times from frame numbers: frame k of all cameras is at k over the frame rate, which must be known.
+
+    Output frames run from the first number of all cameras to the last one.
+    """
     if rate_hz is None:
         message = "Keypoints have no times: the frame rate of their videos must be stated, or their timestamps."
         hint = "State frames a second (--frame-rate, or frame_rate_hz in the manifest), or give timestamps."
@@ -55,6 +61,13 @@ def times_from_rate(
         )
         return {}, None
     rate_hz = float(without_rounding(rate_hz))
+    numbers = [number for by_frame in frames.values() if by_frame for number in (min(by_frame), max(by_frame))] or [0]
+    first, last = min(numbers), max(numbers)
+    if not TIME_S.holds(first / rate_hz):
+        message = f"The first frame has the number {first}, which is at {first / rate_hz:,.0f} s; {TIME_S} are allowed."
+        hint = "Number the files from the start of the capture. If the numbers are times, give timestamps."
+        problems.append(Problem(TIMESTAMPS_START, message, field="frame", hint=hint))
+        return {}, None
     times = {
         camera: FrameTimes(np.array(list(by_frame), dtype=np.float64) / rate_hz) for camera, by_frame in frames.items()
     }
@@ -66,15 +79,31 @@ def times_from_rate(
         rate_hint="Number the files from the start of the capture; cut a longer capture into several sessions.",
     )
     if times and all(frames.values()):
-        problems += clock_problems(times, 0.0, rate_hz, source)
-    last = max((max(by_frame, default=0) for by_frame in frames.values()), default=0)
-    return times, Timebase(0.0, rate_hz, last + 1)
+        problems += clock_problems(times, first / rate_hz, rate_hz, source)
+    findings += _sparse_numbers(frames, rate_hz)
+    return times, Timebase(first / rate_hz, rate_hz, last - first + 1, first)
+
+
+def _sparse_numbers(frames: Mapping[str, Collection[int]], rate_hz: float) -> Iterator[Finding]:
+    """Report numbers of frames that are nowhere consecutive: frames were left out, or the numbers are times."""
+    gaps = [int(np.diff(list(by_frame)).min()) for by_frame in frames.values() if len(by_frame) > 1]
+    if gaps and (gap := min(gaps)) > 1:
+        message = f"Frame numbers are at least {gap} apart, which is {gap / rate_hz:g} s at {rate_hz:g} Hz."
+        hint = (
+            f"If the numbers are times, give timestamps. If one frame in {gap} was kept, divide the frame rate and the "
+            f"numbers by {gap}."
+        )
+        yield Finding(FRAMES_DROPPED, message, hint=hint, evidence={"gap_frames": gap})
 
 
 def times_from_file(
     frames: Mapping[str, Collection[int]], timestamps: Path, problems: list[Problem]
 ) -> tuple[dict[str, FrameTimes], Timebase | None]:
-    """Times from the file of timestamps; output frames start at 0 and have the rate of the fastest camera."""
+    """Times from the file of timestamps; output frames run from the first time to the last one.
+
+    Their rate is that of the fastest camera, and the first one has the number of the earliest camera's first frame. It
+    is at 0 if that frame is at most a frame later: cameras that share a clock need not run in step.
+    """
     times: dict[str, FrameTimes] = {}
     read = _read_timestamps(timestamps, frames.keys(), problems)
     if read is None:
@@ -96,7 +125,10 @@ def times_from_file(
     with_frames = [camera_times.time_s for camera_times in times.values() if len(camera_times.time_s)]
     if problems or not with_frames:
         return times, None
-    if min(float(time_s[0]) for time_s in with_frames) > _MAX_START_S:
+    start_s, first = min(
+        (float(times[camera].time_s[0]), min(by_frame)) for camera, by_frame in frames.items() if by_frame
+    )
+    if start_s > _MAX_START_S:
         problems.append(Problem(TIMESTAMPS_START, "Times must count from 0.", file=timestamps.name, hint=_START_HINT))
         return times, None
     rates_hz = [measured_rate_hz(time_s) for time_s in with_frames if len(time_s) > 1]
@@ -107,6 +139,7 @@ def times_from_file(
             "Check that the times are in seconds. Number pictures that are farther apart by seconds: 0, 1, 2 and so on."
         )
         problems.append(Problem(FRAME_RATE, message, file=timestamps.name, field="time_s", hint=hint))
+    start_s = 0.0 if start_s * rate_hz < 1.0 else start_s
     source = TimeSource(
         files=dict.fromkeys(times, timestamps.name),
         start_field="time_s",
@@ -115,11 +148,11 @@ def times_from_file(
         rate_hint="Times are seconds since the start of the capture. Cut a longer capture into several sessions.",
     )
     if all(frames.values()):
-        problems += clock_problems(times, 0.0, rate_hz, source)
+        problems += clock_problems(times, start_s, rate_hz, source)
     if problems:
         return times, None
     end_s = max(float(time_s[-1]) for time_s in with_frames)
-    return times, Timebase(0.0, rate_hz, round(end_s * rate_hz) + 1)
+    return times, Timebase(start_s, rate_hz, round((end_s - start_s) * rate_hz) + 1, first)
 
 
 def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]) -> dict[str, dict[int, float]] | None:

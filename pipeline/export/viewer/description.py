@@ -120,6 +120,7 @@ class ViewerMotion:
             "start_time_s": take.timebase.start_time_s,
             "num_frames": take.timebase.num_frames,
             "first_frame": self._first_frame,
+            "first_source_frame": take.timebase.first_source_frame,
             "joint_names": take.joints.names,
             "bones": take.joints.bones,
             "skeleton": {

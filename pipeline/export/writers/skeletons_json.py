@@ -72,6 +72,7 @@ def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[byt
         "frame_rate_hz": timebase.frame_rate_hz,
         "start_time_s": timebase.start_time_s,
         "num_frames": timebase.num_frames,
+        **({"first_source_frame": timebase.first_source_frame} if timebase.first_source_frame else {}),
         "joint_names": joints.names,
         "bones": joints.bones,
     }

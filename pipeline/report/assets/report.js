@@ -12,7 +12,8 @@ let playedAt = 0;
 function show(wanted) {
   frame = Math.min(Math.max(wanted, 0), lastFrame);
   const shown = Math.round(frame);
-  const text = `${(take.start_time_s + frame / take.frame_rate_hz).toFixed(2)} s, frame ${shown}`;
+  const source = take.first_source_frame === 0 ? "" : ` (${take.first_source_frame + shown} of the source)`;
+  const text = `${(take.start_time_s + frame / take.frame_rate_hz).toFixed(2)} s, frame ${shown}${source}`;
   one("head").value = shown;
   one("head").setAttribute("aria-valuetext", text);
   one("clock").textContent = text;

@@ -488,3 +488,70 @@ def test_all_that_is_wrong_with_stated_folders_is_named(scene: Path, simulation:
         ("duplicate_keypoints", first),
         ("duplicate_keypoints", second),
     ]
+
+
+def renumbered(scene: Path, number: Callable[[int], int]) -> None:
+    """Rename the files of all frames."""
+    for path in sorted((scene / "keypoints").rglob("*_keypoints.json"), reverse=True):
+        path.rename(path.with_name(f"frame_{number(int(path.name[6:18])):012d}_keypoints.json"))
+
+
+@pytest.mark.parametrize("first", [1, 36, 5000])
+def test_open_keypoints_numbers_from_another_than_zero_begin_with_the_first_frame(scene: Path, first: int) -> None:
+    before = opened(scene, timed=False, frame_rate_hz=25.0)
+    renumbered(scene, lambda number: number + first)
+    session = opened(scene, timed=False, frame_rate_hz=25.0)
+    assert session.timebase.start_time_s == first / 25
+    assert session.timebase.first_source_frame == first
+    assert session.timebase.num_frames == before.timebase.num_frames
+    for camera, times in session.times.items():
+        np.testing.assert_allclose(times.time_s, before.times[camera].time_s + first / 25, atol=1e-9)
+        np.testing.assert_array_equal(session.detections[camera].frame, before.detections[camera].frame)
+
+
+def test_open_keypoints_cameras_from_different_numbers_begin_with_the_earliest(scene: Path) -> None:
+    renumbered(scene, lambda number: number + 1000)
+    for path in frames_of(scene)[:7]:
+        path.unlink()
+    session = opened(scene, timed=False, frame_rate_hz=50.0)
+    late = frames_of(scene)[0].parent.name
+    assert (session.timebase.start_time_s, session.timebase.first_source_frame) == (20.0, 1000)
+    assert session.times[late].time_s[0] == 1007 / 50
+
+
+def test_open_keypoints_timestamps_from_20_s_begin_with_the_first_time(scene: Path) -> None:
+    renumbered(scene, lambda number: number + 700)
+    path = scene / "timestamps.csv"
+    head, *rows = path.read_text().splitlines()
+    parts = [row.split(",") for row in rows]
+    moved = [f"{camera},{int(frame) + 700},{float(time_s) + 20.0!r}" for camera, frame, time_s in parts]
+    path.write_text("\n".join([head, *moved]) + "\n")
+    session = opened(scene)
+    first_s = min(float(times.time_s[0]) for times in session.times.values())
+    last_s = max(float(times.time_s[-1]) for times in session.times.values())
+    timebase = session.timebase
+    assert timebase.start_time_s == first_s > 20.0
+    assert timebase.first_source_frame == 700
+    assert timebase.num_frames == round((last_s - first_s) * timebase.frame_rate_hz) + 1
+
+
+def test_open_keypoints_numbers_that_are_times_since_1970_are_refused_as_times(scene: Path) -> None:
+    renumbered(scene, lambda number: 1_700_000_000_000 + 40 * number)
+    (message,) = problems_of(scene, timed=False, frame_rate_hz=25.0).values()
+    assert "has the number 1700000000000" in message
+    assert "If the numbers are times, give timestamps." in message
+
+
+def test_open_keypoints_numbers_that_are_milliseconds_are_reported(scene: Path) -> None:
+    renumbered(scene, lambda number: 40 * number)
+    (warning,) = opened(scene, timed=False, frame_rate_hz=25.0).warnings
+    assert warning == "Frame numbers are at least 40 apart, which is 1.6 s at 25 Hz."
+
+
+def test_open_keypoints_timestamps_and_calibration_beside_the_folders_are_not_ignored(scene: Path) -> None:
+    for name in ("timestamps.csv", "calibration.json"):
+        (scene / name).rename(scene / "keypoints" / name)
+    (scene / "keypoints" / "other.csv").write_text("")
+    folder = scene / "keypoints"
+    session = open_keypoints(folder, folder / "calibration.json", folder / "timestamps.csv")
+    assert session.warnings == ("other.csv is ignored: it is not a folder.",)

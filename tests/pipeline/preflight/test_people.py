@@ -96,6 +96,17 @@ def test_a_turned_or_mirrored_picture(move: Move) -> None:
         assert finding.evidence["turn_deg"] == (360 - int(move)) % 360
 
 
+@pytest.mark.parametrize("cameras", [(2,), range(NUM)])
+def test_check_people_exchanged_coordinates_are_named(cameras: Sequence[int]) -> None:
+    moved = SEEN
+    for camera in cameras:
+        moved = moved.moved(camera, lambda points: points[..., ::-1])
+    expected = [("coordinates_exchanged", CAMERAS[camera].name) for camera in cameras]
+    findings = checked(CAMERAS, moved)
+    assert [(finding.code, finding.camera) for finding in findings] == expected
+    assert {finding.severity for finding in findings} == {"error"}
+
+
 @pytest.mark.parametrize("move", MOVES)
 def test_moving_points_back_is_the_inverse(move: Move) -> None:
     points = np.arange(2.0 * 17 * 3).reshape(3, 17, 2)

@@ -112,6 +112,7 @@ function describe(base, before, after, people) {
     num_frames: numFrames,
     start_time_s: base.start_time_s + shift / base.frame_rate_hz,
     first_frame: after.start_frame,
+    first_source_frame: (base.first_source_frame ?? 0) + shift,
     people: people.map(({ person, parts }) => describePerson(base, person, parts, shift)),
     strips: { ...base.strips, people: people.map(({ parts }) => stripsOf(base, parts, shift, numFrames)) },
   };

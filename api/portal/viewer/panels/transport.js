@@ -25,7 +25,8 @@ export function transport(player) {
     speed.value = String(player.speed);
   };
   const showPlace = () => {
-    where.textContent = `${clockText(player.frame / player.rateHz)} / ${clockText((player.numFrames - 1) / player.rateHz)} · frame ${player.frame} of ${player.numFrames}`;
+    const source = player.firstSourceFrame === 0 ? "" : ` (${player.firstSourceFrame + player.frame} of the source)`;
+    where.textContent = `${clockText(player.frame / player.rateHz)} / ${clockText((player.numFrames - 1) / player.rateHz)} · frame ${player.frame} of ${player.numFrames}${source}`;
   };
   // Screen readers read a changing output again and again: not while it runs.
   player.addEventListener("change", () => { showState(); where.setAttribute("aria-live", player.isPlaying ? "off" : "polite"); });

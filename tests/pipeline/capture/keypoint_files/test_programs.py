@@ -120,6 +120,40 @@ def test_points_of_rtmpose_in_the_form_of_openpose(tmp_path: Path, count: int, l
     assert joint_set_of({people_of_frame.shape[1] for people_of_frame in contents.frames.values()} - {0}) == joints
 
 
+FRAMES: dict[str, Any] = {
+    "OpenPose": {"people": [{"pose_keypoints_2d": points(17)}]},
+    "EasyMocap": {"annots": [{"keypoints": [[10.0 * k, 10.0 * k + 1.0, 0.5] for k in range(25)]}]},
+    "MMPose": [{"keypoints": [[10.0 * k, 10.0 * k + 1.0] for k in range(17)], "keypoint_scores": [0.5] * 17}],
+    "COCO": [{"keypoints": points(17)}],
+    "MediaPipe": {"pose_landmarks": [[{"x": 0.1, "y": 0.2, "visibility": 0.5}] * 33]},
+    "AlphaPose": {"bodies": [{"joints": points(18)}]},
+}
+
+
+@pytest.mark.parametrize("program", FRAMES)
+@pytest.mark.parametrize(("name", "number"), [("000000.json", 0), ("cam01_000123.json", 123)])
+def test_read_folder_one_file_of_one_frame_has_the_number_of_its_name(
+    tmp_path: Path, program: str, name: str, number: int
+) -> None:
+    contents, problems = read(tmp_path, FRAMES[program], name)
+    assert not problems
+    assert contents.forms == {program}
+    assert {frame: len(people_of_frame) for frame, people_of_frame in contents.frames.items()} == {number: 1}
+
+
+@pytest.mark.parametrize("program", sorted(FRAMES.keys() - {"COCO"}))  # its people may state their frames
+def test_read_folder_one_frame_without_a_number_is_refused(tmp_path: Path, program: str) -> None:
+    _, problems = read(tmp_path, FRAMES[program], "people.json")
+    assert [problem.code for problem in problems] == ["keypoints_unreadable"]
+    assert problems[0].message.endswith("Name it like 000000.json.")
+
+
+def test_read_folder_one_file_of_all_frames_keeps_its_numbers_whatever_its_name(tmp_path: Path) -> None:
+    person = {"image_id": "0031.jpg", "keypoints": points(17)}
+    contents, problems = read(tmp_path, [person, person | {"image_id": "0032.jpg"}], "cam2.json")
+    assert (list(contents.frames), problems) == ([31, 32], [])
+
+
 def test_folders_as_pose2sim_names_them(tmp_path: Path, simulation: Simulation) -> None:
     write_session(simulation, "EasyMocap", tmp_path)
     for camera in simulation.cameras:
@@ -131,7 +165,7 @@ def test_folders_as_pose2sim_names_them(tmp_path: Path, simulation: Simulation) 
 def test_points_without_a_number_in_the_form_of_pose2sim(tmp_path: Path) -> None:
     text = json.dumps({"version": 1.3, "people": [pose2sim(26)]})
     contents, problems = read(tmp_path, text.replace("160.0, 161.0, 0.5", "NaN, NaN, NaN"), "cam01.0031.json")
-    assert problems[0].message.startswith("The file is read as OpenPose's of a single frame")
+    assert (list(contents.frames), problems) == ([31], [])
     folder = tmp_path / "cam"
     (folder / "cam01.0032.json").write_text(text.replace("160.0, 161.0, 0.5", "NaN, NaN, NaN"))
     problems = []
