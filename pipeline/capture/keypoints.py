@@ -187,7 +187,7 @@ def open_keypoints(
     camera_of = {name: camera for camera, name in pairs.items()}
     sizes_px = {camera.name: camera.size_px for camera in cameras}
     forms: set[str] = set()
-    frames: dict[str, Mapping[int, People]] = {}
+    frames: dict[str, dict[int, People]] = {}
     left_joints = sys.maxsize if max_joints is None else max_joints
     for name, path in folders.items():
         camera = camera_of.get(name, name)
@@ -199,8 +199,7 @@ def open_keypoints(
             message = f"With this camera's files the session has more than {max_joints:,} joints."
             problems.append(Problem(SESSION_TOO_LARGE, message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
             raise InputError(problems)
-    by_camera = {camera: frames[name] for camera, name in pairs.items()}
-    frames |= {pairs[camera]: people for camera, people in rescaled(by_camera, sizes_px, findings, problems).items()}
+    frames |= rescaled(frames, pairs, sizes_px, findings, problems)
     if is_body_25b(people for by_frame in frames.values() for people in by_frame.values()):
         frames = {
             name: {number: from_body_25b(people) for number, people in by_frame.items()}

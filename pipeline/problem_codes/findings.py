@@ -56,8 +56,8 @@ KEYPOINTS_FORM = FILES.code(
 KEYPOINTS_SCALE = FILES.code(
     "keypoints_scale",
     _FINDING,
-    "Scores or positions of keypoints are on another scale than 0 to 1 and pixels, told by all values of a camera.",
-    "Check that `message` names the right scale.",
+    "Scores of keypoints are not from 0 to 1, or positions are not pixels of the picture, by all values of a camera.",
+    "Check the scale that `message` names.",
 )
 CAMERA_SAW_NOBODY = FILES.code(
     "camera_saw_nobody", _FINDING, "Keypoints of a camera show nobody.", "Check the detector's output."

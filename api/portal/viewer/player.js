@@ -27,7 +27,7 @@ export class Player extends EventTarget {
     this.seekTime(this.#timeS);
   }
 
-  #setRange({ startS, rateHz, numFrames, firstSourceFrame }) {
+  #setRange({ startS, rateHz, numFrames, firstSourceFrame = 0 }) {
     Object.assign(this, { startS, rateHz, numFrames, firstSourceFrame });
   }
 
@@ -112,7 +112,7 @@ export class Player extends EventTarget {
 export function rangeOf(descriptions) {
   const rateHz = Math.max(...descriptions.map((take) => take.frame_rate_hz));
   const startS = Math.min(...descriptions.map((take) => take.start_time_s));
-  const { first_source_frame: firstSourceFrame = 0 } = descriptions.find((take) => take.start_time_s === startS);
+  const { first_source_frame: firstSourceFrame } = descriptions.find((take) => take.start_time_s === startS);
   const endS = Math.max(...descriptions.map((take) => take.start_time_s + (take.num_frames - 1) / take.frame_rate_hz));
   return { startS, rateHz, numFrames: Math.round((endS - startS) * rateHz) + 1, firstSourceFrame };
 }

@@ -5,12 +5,13 @@ RTMW and Keypoint R-CNN, write scores of up to 10 or 20 whose scale nobody knows
 pixels or shares of the picture, as of OpenPose's ``--keypoint_scale`` 3 (0 to 1) and 4 (-1 to 1).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import expit
 
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.capture.keypoint_files.people import People, is_detected
 from pipeline.errors import Problem
 from pipeline.findings import Finding
@@ -18,7 +19,7 @@ from pipeline.parsing import KEYPOINT_PX
 from pipeline.problem_codes.findings import KEYPOINTS_SCALE
 from pipeline.problem_codes.sessions import KEYPOINTS_SCORES
 
-_Frames = Mapping[int, People]
+_Frames = dict[int, People]
 
 # Percentiles that tell the scale: a few values beyond it are outliers.
 _HIGH, _LOW = 99.0, 1.0
@@ -30,33 +31,53 @@ _MAX_NEGATIVE = -0.5
 _NOT_FOUND, _VISIBILITIES = -1.0, {1.0, 2.0}
 # Shares of joints outside of the picture may exceed 1. A person within 3 pixels is none.
 _MAX_SHARE = 3.0
-# Share of coordinates left of or above the picture from which on shares count from its middle.
-_MIN_NEGATIVE = 0.02
+# Share of the positions outside of the picture from which on they are doubtful.
+_MAX_OUTSIDE = 0.2
+# Share of width or height that positions reach below which they are doubtful: of one camera, and of all.
+_MIN_FILLED, _MIN_FILLED_ALL = 0.25, 0.5
+# Share of negative coordinates from which on shares count from the middle of the picture: fewer are of joints outside.
+_MAX_NEGATIVE_SHARE = 0.1
 
 
 def rescaled(
     frames: Mapping[str, _Frames],
+    folders: Mapping[str, str],
     sizes_px: Mapping[str, tuple[int, int]],
     findings: list[Finding],
     problems: list[Problem],
 ) -> dict[str, _Frames]:
-    """People of each camera with scores from 0 to 1 and positions in pixels; findings state what was assumed.
+    """People of the cameras' folders with scores from 0 to 1 and positions in pixels; findings state what was assumed.
 
-    ``sizes_px`` has width and height of each camera's pictures. Scores of an unknown scale are a problem.
+    Scores of an unknown scale are a problem.
+
+    Parameters
+    ----------
+    frames
+        People by folder and number of the frame.
+    folders
+        Folder of each camera.
+    sizes_px
+        Width and height of each camera's pictures.
     """
-    scored = {camera: _with_confidences(camera, by_frame, findings, problems) for camera, by_frame in frames.items()}
-    shares = {}
-    for camera, by_frame in scored.items():
-        points = _points(by_frame)
-        positions = points[is_detected(points), :2]
-        if len(positions) and np.abs(positions).max() <= _MAX_SHARE:
-            shares[camera] = positions
+    scored = {
+        camera: _with_confidences(camera, frames[folder], findings, problems)
+        for camera, folder in folders.items()
+        if sizes_px[camera] != UNKNOWN_SIZE
+    }
+    positions = {camera: _positions(by_frame) for camera, by_frame in scored.items()}
+    highest = {
+        camera: np.percentile(np.abs(xy), _HIGH, method="nearest") for camera, xy in positions.items() if len(xy)
+    }
+    shares = {camera: positions[camera] for camera, high in highest.items() if high <= _MAX_SHARE}
+    findings += _misplaced({camera: positions[camera] for camera in highest.keys() - shares.keys()}, sizes_px)
     # All cameras count alike: one of them may see people in a single quarter of its picture.
-    low = -1 if any((positions < -_MIN_NEGATIVE).mean() > _MIN_NEGATIVE for positions in shares.values()) else 0
+    low = -1 if any((xy < 0).mean() > _MAX_NEGATIVE_SHARE for xy in shares.values()) else 0
     for camera in shares:
         scale_px = (np.array(sizes_px[camera]) - 1.0) / (1 - low)
         scored[camera] = {
-            number: np.concatenate([(people[..., :2] - low) * scale_px, people[..., 2:]], axis=-1)
+            number: np.concatenate(
+                [(np.clip(people[..., :2], -_MAX_SHARE, _MAX_SHARE) - low) * scale_px, people[..., 2:]], axis=-1
+            )
             for number, people in scored[camera].items()
         }
         message = (
@@ -64,7 +85,32 @@ def rescaled(
         )
         hint = "If they are something else, write pixels."
         findings.append(Finding(KEYPOINTS_SCALE, message, camera, hint=hint, evidence={"low": low, "high": 1}))
-    return scored
+    return {folders[camera]: by_frame for camera, by_frame in scored.items()}
+
+
+def _misplaced(
+    positions: Mapping[str, Float[np.ndarray, "_ 2"]], sizes_px: Mapping[str, tuple[int, int]]
+) -> Iterator[Finding]:
+    """Report cameras whose positions are often outside of the picture, or fill a corner of it.
+
+    Of a single camera a small corner is doubtful, as of percent; of all cameras a larger one, as of smaller pictures.
+    """
+    reaches_px = {camera: np.percentile(xy, _HIGH, axis=0, method="nearest") for camera, xy in positions.items()}
+    filled = {camera: (reach_px / sizes_px[camera]).max() for camera, reach_px in reaches_px.items()}
+    least = _MIN_FILLED_ALL if max(filled.values(), default=0.0) < _MIN_FILLED_ALL else _MIN_FILLED
+    for camera, reach_px in sorted(reaches_px.items()):
+        size_px = sizes_px[camera]
+        outside = float(((positions[camera] < 0) | (positions[camera] > size_px)).any(-1).mean())
+        if outside <= _MAX_OUTSIDE and filled[camera] >= least:
+            continue
+        x_px, y_px = np.round(reach_px).astype(int).tolist()
+        message = (
+            f"{camera}: positions reach x {x_px} and y {y_px} in a picture of {size_px[0]} x {size_px[1]} pixels. "
+            "They may be in another unit or of pictures of another size."
+        )
+        hint = "Write pixels of pictures of the size in the calibration, x first."
+        evidence = {"x_px": x_px, "y_px": y_px, "outside": round(outside, 3)}
+        yield Finding(KEYPOINTS_SCALE, message, camera, hint=hint, evidence=evidence)
 
 
 def _with_confidences(camera: str, frames: _Frames, findings: list[Finding], problems: list[Problem]) -> _Frames:
@@ -74,7 +120,7 @@ def _with_confidences(camera: str, frames: _Frames, findings: list[Finding], pro
     scores = scores[scores != _NOT_FOUND]
     if not len(scores):
         return frames
-    low, high = np.percentile(scores, [_LOW, _HIGH])
+    low, high = np.percentile(scores, [_LOW, _HIGH], method="nearest")
     evidence = {"low": float(low), "high": float(high)}
     hint = "If they are something else, write scores from 0 to 1."
     if low < _MAX_NEGATIVE and 1.0 < high <= _MAX_UNKNOWN:
@@ -105,6 +151,12 @@ def _with_confidences(camera: str, frames: _Frames, findings: list[Finding], pro
 def _points(frames: _Frames) -> Float[np.ndarray, "points 3"]:
     """All points of a camera."""
     return np.concatenate([np.empty((0, 3)), *(people.reshape(-1, 3) for people in frames.values())])
+
+
+def _positions(frames: _Frames) -> Float[np.ndarray, "_ 2"]:
+    """Positions of all joints that were found."""
+    points = _points(frames)
+    return points[is_detected(points) & points[:, :2].any(-1), :2]
 
 
 def _is_scored(points: Float[np.ndarray, "*points 3"]) -> Bool[np.ndarray, "*points"]:

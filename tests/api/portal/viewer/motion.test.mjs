@@ -215,6 +215,7 @@ test("people of edits are put together from those of the files", async () => {
 test("a cut numbers the frames anew, and people outside of it are gone", async () => {
   const [store, base] = await edited(peopleOf([[1, "person-1", piece(1, 0, 40)], [4, "person-4", piece(4, 30, 90)]], [50, 80]));
   assert.deepEqual([store.description.num_frames, store.description.first_frame], [30, 50]);
+  assert.equal(store.description.first_source_frame, description.first_source_frame + 50);
   assert.deepEqual(store.filed(0, 0), { id: 4, frame: 50 });
   assert.equal(store.description.start_time_s, description.start_time_s + 50 / description.frame_rate_hz);
   assert.deepEqual(store.description.people.map(({ id, start_frame: start, num_frames: count }) => [id, start, count]), [[4, 0, 30]]);

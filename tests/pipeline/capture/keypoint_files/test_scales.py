@@ -164,3 +164,47 @@ def test_open_keypoints_shares_of_the_picture_are_pixels(
     findings = scales_of(session)
     assert [finding.camera for finding in findings] == [camera.name for camera in simulation.cameras[:num_cameras]]
     assert all(f"from {low} to 1" in finding.message for finding in findings)
+
+
+@pytest.mark.parametrize(
+    ("of_positions", "num_cameras"),
+    [
+        (lambda xy, size: xy / size * 100.0, 1),
+        (lambda xy, size: xy / 2.0, 3),
+        (lambda xy, size: xy * 2.0, 1),
+    ],
+    ids=["percent", "smaller pictures", "larger pictures"],
+)
+def test_open_keypoints_positions_that_do_not_fill_the_picture_are_named(
+    tmp_path: Path,
+    simulation: Simulation,
+    of_positions: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    num_cameras: int,
+) -> None:
+    write_simulation(simulation, tmp_path)
+    cameras = [camera.name for camera in simulation.cameras[:num_cameras]]
+    size_px = np.array(simulation.cameras[0].size_px)  # of all cameras
+    rewrite(
+        tmp_path,
+        lambda points: np.column_stack([of_positions(points[:, :2], size_px), points[:, 2]]),
+        cameras,
+    )
+    findings = scales_of(opened(tmp_path))
+    assert [finding.camera for finding in findings] == cameras
+    assert all(f"in a picture of {size_px[0]} x {size_px[1]} pixels" in finding.message for finding in findings)
+
+
+def test_open_keypoints_few_shares_far_outside_leave_the_unit(tmp_path: Path, simulation: Simulation) -> None:
+    write_simulation(simulation, tmp_path)
+    expected = opened(tmp_path)
+    largest_px = np.array(simulation.cameras[0].size_px) - 1.0  # of all cameras
+    rewrite(tmp_path, lambda points: points / [*largest_px, 1.0])
+    frame = next(iter((tmp_path / "keypoints").rglob("*_000000000002_keypoints.json")))
+    content = json.loads(frame.read_bytes())
+    content["people"][0]["pose_keypoints_2d"][:3] = [9e5, -9e5, 0.5]
+    frame.write_text(json.dumps(content))
+    session = opened(tmp_path)
+    assert len(scales_of(session)) == len(simulation.cameras)
+    for name, detections in expected.detections.items():
+        far = np.abs(session.detections[name].keypoints_px - detections.keypoints_px) > 1e-6
+        assert far.sum() == (2 if name == frame.parent.name else 0)
