@@ -4,7 +4,9 @@ Orders: COCO (https://cocodataset.org/#keypoints-2020), COCO-WholeBody
 (https://github.com/jin-s13/COCO-WholeBody), Halpe (https://github.com/Fang-Haoshu/Halpe-FullBody), OpenPose
 (https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html, and for BODY_25B
 https://github.com/CMU-Perceptual-Computing-Lab/openpose_train/blob/master/experimental_models/README.md), BlazePose
-(https://ai.google.dev/edge/mediapipe/solutions/vision/pose_landmarker).
+(https://ai.google.dev/edge/mediapipe/solutions/vision/pose_landmarker), Human3.6M
+(https://github.com/facebookresearch/VideoPose3D, common/h36m_dataset.py), trt_pose
+(https://github.com/NVIDIA-AI-IOT/trt_pose, tasks/human_pose/human_pose.json).
 """
 
 from collections.abc import Mapping
@@ -62,6 +64,7 @@ LAYOUTS: Mapping[str, KeypointLayout] = {
         KeypointLayout("halpe-136", (*_HALPE_BODY, *_FACE_POINTS, *_LEFT_HAND, *_RIGHT_HAND), WHOLE_BODY),
         KeypointLayout("body-25", BODY_25.names, BODY_25),
         KeypointLayout("coco-18", COCO_18.names, COCO_18),
+        KeypointLayout("trt-pose-18", (*COCO_17.names, "neck"), COCO_18),
         # Another order of as many points as BODY_25 has: neck and top of the head behind COCO's points.
         KeypointLayout("body-25b", (*COCO_17.names, None, None, *_COCO_FEET), BODY_FEET),
         KeypointLayout(
@@ -80,4 +83,21 @@ LAYOUTS: Mapping[str, KeypointLayout] = {
         ),
     )
 }
-"""Layouts by name."""
+"""Layouts by name that have a point for each of their joints."""
+
+_LEG: Points = ("hip", "knee", "ankle")
+_ARM: Points = ("shoulder", "elbow", "wrist")
+FILE_LAYOUTS: Mapping[str, KeypointLayout] = {
+    **LAYOUTS,
+    "human36m-17": KeypointLayout(
+        "human36m-17",
+        (
+            None,  # pelvis
+            *(f"{side}_{part}" for side in ("right", "left") for part in _LEG),
+            *(None, None, None, None),  # spine, thorax, neck or nose, top of the head
+            *(f"{side}_{part}" for side in ("left", "right") for part in _ARM),
+        ),
+        COCO_17,
+    ),
+}
+"""Layouts by name that files may have; joints without a point are not detected."""

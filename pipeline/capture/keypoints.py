@@ -15,9 +15,9 @@ from jaxtyping import Float
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
-from pipeline.capture.keypoint_files.body_25b import from_body_25b, is_body_25b
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.forms import OPENPOSE
+from pipeline.capture.keypoint_files.layout_choice import LayoutRead, rearranged, tell_layout
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
 from pipeline.capture.keypoint_files.scales import rescaled
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
@@ -28,10 +28,17 @@ from pipeline.data.detections import Detections
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.joints import JointSet
+from pipeline.layouts import FILE_LAYOUTS, KeypointLayout
 from pipeline.paths import StrPath
 from pipeline.problem_codes.findings import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
 from pipeline.problem_codes.requests import SESSION_TOO_LARGE
-from pipeline.problem_codes.sessions import INVALID_SIZE, KEYPOINTS_EMPTY, KEYPOINTS_MIXED, TWO_CLOCKS
+from pipeline.problem_codes.sessions import (
+    INVALID_SIZE,
+    KEYPOINTS_EMPTY,
+    KEYPOINTS_LAYOUT,
+    KEYPOINTS_MIXED,
+    TWO_CLOCKS,
+)
 from pipeline.video.info import VideoInfo
 from pipeline.video.timeline import cut_timebase, frames_in, recorded_stretches, require_frames, span_s
 
@@ -64,6 +71,8 @@ class KeypointSession:
         Name of the folder of each camera, by camera name.
     findings
         What the user should know of the files.
+    layout
+        Layout of points that the files do not name; ``None`` if the format or the files name them.
     """
 
     cameras: tuple[Camera, ...]
@@ -73,6 +82,7 @@ class KeypointSession:
     joints: JointSet
     folders: Mapping[str, str]
     findings: tuple[Finding, ...]
+    layout: LayoutRead | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -137,6 +147,7 @@ def open_keypoints(
     recordings: Sequence[Recording] = (),
     keeps_poses: bool = True,
     up: Up = "z",
+    layout: str | None = None,
 ) -> KeypointSession:
     """Open a folder that contains a folder of keypoint files for each camera.
 
@@ -164,6 +175,9 @@ def open_keypoints(
         is used. A camera of a recording is never left out.
     keeps_poses
         See ``open_session``.
+    layout
+        Name of the layout of points that the files do not name, see ``layouts.FILE_LAYOUTS``; ``None``: the number of
+        points and the people tell it.
 
     Raises
     ------
@@ -186,13 +200,16 @@ def open_keypoints(
     folders, pairs = _paired(folder, used, cameras, recordings, pair_by_order, findings, problems)
     camera_of = {name: camera for camera, name in pairs.items()}
     sizes_px = {camera.name: camera.size_px for camera in cameras}
+    chosen = None if layout is None else _chosen(layout, problems)
     forms: set[str] = set()
+    counts: dict[str, set[int]] = {}
     frames: dict[str, dict[int, People]] = {}
     left_joints = sys.maxsize if max_joints is None else max_joints
     for name, path in folders.items():
         camera = camera_of.get(name, name)
-        contents_of = read_folder(path, camera, sizes_px.get(camera), left_joints, findings, problems)
+        contents_of = read_folder(path, camera, sizes_px.get(camera), left_joints, findings, problems, chosen)
         frames[name] = contents_of.frames
+        counts[name] = contents_of.unnamed.counts
         forms |= contents_of.forms
         left_joints -= contents_of.num_joints
         if left_joints < 0:
@@ -200,13 +217,8 @@ def open_keypoints(
             problems.append(Problem(SESSION_TOO_LARGE, message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
             raise InputError(problems)
     frames |= rescaled(frames, pairs, sizes_px, findings, problems)
-    if is_body_25b(people for by_frame in frames.values() for people in by_frame.values()):
-        frames = {
-            name: {number: from_body_25b(people) for number, people in by_frame.items()}
-            for name, by_frame in frames.items()
-        }
-        message = "The points of the people are in the order of BODY_25B, not of BODY_25."
-        findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"layout": "body-25b"}))
+    posed = cameras if keeps_poses else ()
+    read = _in_layout(frames, counts, camera_of, posed, chosen, findings, problems)
     joints = _joint_set(frames, problems)
     if joints is not None and max_joints is not None and _num_joints(frames, joints) > max_joints:
         message = f"With hands for everybody the session has more than {max_joints:,} joints."
@@ -243,6 +255,7 @@ def open_keypoints(
         joints=joints,
         folders=pairs,
         findings=tuple(findings),
+        layout=read,
     )
 
 
@@ -277,6 +290,43 @@ def _paired(
     problems += pairing.problems
     findings += pairing.findings
     return folders, pairing.pairs
+
+
+def _chosen(layout: str, problems: list[Problem]) -> KeypointLayout | None:
+    if layout not in FILE_LAYOUTS:
+        hint = f"Use {', '.join(FILE_LAYOUTS)}."
+        problems.append(Problem(KEYPOINTS_LAYOUT, f"There is no layout {layout!r}.", field="layout", hint=hint))
+    return FILE_LAYOUTS.get(layout)
+
+
+def _in_layout(
+    frames: dict[str, dict[int, People]],
+    counts: Mapping[str, set[int]],
+    camera_of: Mapping[str, str],
+    cameras: Sequence[Camera],
+    chosen: KeypointLayout | None,
+    findings: list[Finding],
+    problems: list[Problem],
+) -> LayoutRead | None:
+    """Put the joints of the layout in place of points that the files do not name; return how the layout was told.
+
+    ``counts`` are numbers of such points by folder, none for files that name their points. ``cameras`` have poses.
+    """
+    nums_points = set().union(*counts.values())
+    if not nums_points and chosen is not None and any(map(len, frames.values())):
+        message = f"The format of the files names their points: the layout {chosen.name} is not used."
+        findings.append(Finding(KEYPOINTS_FORM, message, hint="State no layout.", evidence={"stated": chosen.name}))
+    names = [name for name in frames if counts[name]]
+    is_empty = not any(len(people) for name in names for people in frames[name].values())
+    if len(nums_points) != 1 or is_empty:  # files with several numbers of points have no joint set in common
+        return None
+    by_camera = {camera_of.get(name, name): frames[name] for name in names}
+    read = tell_layout(by_camera, nums_points.pop(), cameras, chosen, findings, problems)
+    if read is not None:
+        order = FILE_LAYOUTS[read.name]
+        for name in names:
+            frames[name] = {number: rearranged(people, order) for number, people in frames[name].items()}
+    return read
 
 
 def _unknown_size(camera: Camera, calibration: Path) -> Problem:

@@ -341,6 +341,12 @@ KEYPOINTS_UNREADABLE = KEYPOINTS.code(
 KEYPOINTS_MIXED = KEYPOINTS.code(
     "keypoints_mixed", _FILES, "The files have different numbers of joints.", "Use one set of joints for all files."
 )
+KEYPOINTS_LAYOUT = KEYPOINTS.code(
+    "keypoints_layout",
+    _FILES,
+    "Several layouts have as many points as a person, and the people do not tell which one it is.",
+    "State the layout of the points: `--layout`, `layout` of the manifest.",
+)
 KEYPOINTS_EMPTY = KEYPOINTS.code("keypoints_empty", _FILES, "No file has a person.", "Check the detector's output.")
 KEYPOINTS_SCORES = KEYPOINTS.code(
     "keypoints_scores",

@@ -20,7 +20,8 @@ from pipeline.capture.keypoint_files.people import (
     points_of,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged, layout_of
+from pipeline.capture.keypoint_files.points import arranged
+from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
 
 _POINTS = "keypoints"
 
@@ -53,16 +54,16 @@ def frames_of(content: Any) -> Mapping[int, Any]:
     return frames
 
 
-def read_frame(content: Any) -> People:
+def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     """Read the people of an image with at least one detected joint."""
     if isinstance(content, dict):
         bodies = {"people": [{"pose_keypoints_2d": body["joints"]} for body in content.get("bodies", ())]}
-        return openpose.read_frame(content if "people" in content else bodies)
+        return openpose.read_frame(content if "people" in content else bodies, unnamed)
     check_number(content)
     if not content:
         return nobody()
     people = [person[_POINTS] for person in content]
-    layout = layout_of(len(people[0]) // 3, _POINTS)
+    layout = unnamed.layout(len(people[0]) // 3, _POINTS)
     return with_detected_joints(arranged(points_of(people, len(layout.points), _POINTS), layout))
 
 

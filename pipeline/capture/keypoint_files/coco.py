@@ -25,6 +25,7 @@ from pipeline.capture.keypoint_files.people import (
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import arranged, joint_of, layout_of_names
+from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
 from pipeline.joints import BODY_FEET, COCO_17
 from pipeline.layouts import LAYOUTS, KeypointLayout
 
@@ -46,19 +47,19 @@ def frames_of(content: Any) -> Mapping[int, Any]:
     if isinstance(content, dict):
         numbers = _numbers_of(content.get("images", ()))
         frames = {number: [] for number in numbers.values()}
-    listed, layout = _people_of(content)
+    listed, layout, is_named = _people_of(content)
     for person in listed:
         field = "frame" if "frame" in person else "image_id"
         value = person.get(field)
         if field == "image_id" and isinstance(value, int):
             value = numbers.get(value, value)
         frames.setdefault(frame_number(value, field), []).append(person)
-    return {number: _Frame(people, layout) for number, people in frames.items()}
+    return {number: _Frame(people, layout, is_named) for number, people in frames.items()}
 
 
-def read_frame(content: Any) -> People:
+def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     """Read the people of a frame with at least one detected joint."""
-    listed, layout = content if isinstance(content, _Frame) else _people_of(content)
+    listed, layout, is_named = content if isinstance(content, _Frame) else _people_of(content)
     check_number(listed)
     if not listed:
         return nobody()
@@ -66,6 +67,8 @@ def read_frame(content: Any) -> People:
     if layout is not None:
         return with_detected_joints(arranged(points_of(bodies, len(layout.points), _BODY), layout))
     if all(len(body) == 3 * len(_WHOLE.points) for body in bodies):
+        if not is_named:
+            unnamed.layout(len(_WHOLE.points), _BODY)
         return with_detected_joints(arranged(points_of(bodies, len(_WHOLE.points), _BODY), _WHOLE))
     if any(len(body) != 3 * _NUM_BODY for body in bodies):
         message = (
@@ -73,6 +76,8 @@ def read_frame(content: Any) -> People:
             "everybody; of other points, the categories must have names."
         )
         raise KeypointsError(message, _BODY)
+    if not is_named:
+        unnamed.layout(_NUM_BODY, _BODY)
     body = points_of(bodies, _NUM_BODY, _BODY)
     feet = points_of([person.get(_FEET) for person in listed], _NUM_FEET, _FEET)
     hands = hands_of(lambda side: [person.get(_hand(side)) for person in listed], _hand)
@@ -80,10 +85,11 @@ def read_frame(content: Any) -> People:
 
 
 class _Frame(NamedTuple):
-    """People of a frame, and the layout of their points if the file names them."""
+    """People of a frame, the layout of their points if it is not COCO's, and whether the file names them."""
 
     people: Sequence[Any]
     layout: KeypointLayout | None
+    is_named: bool
 
 
 def _people_of(content: Any) -> _Frame:
@@ -94,14 +100,14 @@ def _people_of(content: Any) -> _Frame:
     categories = content.get("categories", ()) if isinstance(content, dict) else ()
     names = {category["id"]: tuple(map(str, category[_BODY])) for category in categories if category.get(_BODY)}
     if not names:
-        return _Frame(listed, None)
+        return _Frame(listed, None, is_named=False)
     people = [person for person in listed if person.get("category_id") in names]
     used = {names[person["category_id"]] for person in people}
     if len(used) > 1:
         raise KeypointsError("People of several categories have points of different names.", "category_id")
     found = next(iter(used), COCO_17.names)
     is_coco = len(found) in (_NUM_BODY, len(_WHOLE.points)) and tuple(map(joint_of, found[:_NUM_BODY])) == COCO_17.names
-    return _Frame(people, None if is_coco else layout_of_names(found, "categories"))
+    return _Frame(people, None if is_coco else layout_of_names(found, "categories"), is_named=True)
 
 
 def _numbers_of(images: Sequence[Mapping[str, Any]]) -> Mapping[Any, int]:

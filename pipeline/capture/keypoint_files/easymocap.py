@@ -18,7 +18,8 @@ from pipeline.capture.keypoint_files.people import (
     points_of,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged, openpose_layout
+from pipeline.capture.keypoint_files.points import arranged
+from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
 from pipeline.joints import without_hands
 
 PEOPLE = "annots"
@@ -32,7 +33,7 @@ def is_person(entry: dict[str, Any]) -> bool:
     return isinstance(points, list) and bool(points) and isinstance(points[0], list) and "keypoint_scores" not in entry
 
 
-def read_frame(content: Any) -> People:
+def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     """Read the people of a frame with at least one detected joint."""
     listed = content[PEOPLE] if isinstance(content, dict) else content
     if not isinstance(listed, list):
@@ -43,7 +44,7 @@ def read_frame(content: Any) -> People:
     if any(_POINTS not in person for person in listed):
         raise KeypointsError("A person has no keypoints: only boxes were found. Detect keypoints in them.", _POINTS)
     bodies = [_flat(person[_POINTS], _POINTS) for person in listed]
-    layout = openpose_layout(len(bodies[0]) // 3, _POINTS)
+    layout = unnamed.layout(len(bodies[0]) // 3, _POINTS)
     people = arranged(points_of(bodies, len(layout.points), _POINTS), layout)
     if layout.joints == without_hands(layout.joints):
         hands = hands_of(lambda side: [_flat(person.get(_hand(side)), _hand(side)) for person in listed], _hand)

@@ -11,11 +11,13 @@ from pipeline.capture.keypoint_files import coco, foreign, freemocap, yolo
 from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
 from pipeline.capture.keypoint_files.hdf5.process import read_in_child
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
+from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.capture.passed_over import is_passed_over, passed_over
 from pipeline.data.cameras import Camera
 from pipeline.errors import Problem, listed_names
 from pipeline.findings import Finding
+from pipeline.layouts import KeypointLayout
 from pipeline.parsing import UnreadableError, read_json
 from pipeline.paths import StrPath
 from pipeline.problem_codes.findings import FILE_IGNORED
@@ -96,6 +98,7 @@ class Contents:
     frames: dict[int, People]  # People by frame number, in ascending order
     num_joints: int  # Number of their joints, detected or not
     forms: frozenset[str]  # Names of the forms of the files
+    unnamed: UnnamedPoints  # Layouts of the points that the files do not name
 
 
 def stated_folders(
@@ -134,11 +137,13 @@ def read_folder(
     max_joints: int,
     findings: list[Finding],
     problems: list[Problem],
+    layout: KeypointLayout | None = None,
 ) -> Contents:
     """Read the people of a camera; stop above ``max_joints``.
 
     A folder has files of single frames, named by their numbers, or one file of all frames: JSON, CSV, HDF5
-    or an array. ``size_px`` has width and height of the camera's images; ``None`` if unknown.
+    or an array. ``size_px`` has width and height of the camera's images; ``None`` if unknown. ``layout`` is the chosen
+    layout of points that files do not name; ``None``: as many points have.
     """
     found = _Problems(folder)
     files = _Files({}, folder.path, []) if isinstance(folder, freemocap.CameraArray) else _choose(folder, found)
@@ -147,7 +152,8 @@ def read_folder(
         message = f"{len(files.others)} other files in {folder.name} are ignored: {some}."
         findings.append(Finding(FILE_IGNORED, message, severity="info", evidence={"num_files": len(files.others)}))
     forms: set[str] = set()
-    form_in = partial(_form_in, forms, size_px)
+    unnamed = UnnamedPoints(layout)
+    form_in = partial(_form_in, forms, size_px, unnamed)
     frames: dict[int, People] = {}
     num_joints = 0
     for number, people in (
@@ -163,7 +169,7 @@ def read_folder(
         if num_joints > max_joints:
             break
     problems += found.listed("files" if files.capture is None else "frames")
-    return Contents(frames, num_joints, frozenset(forms))
+    return Contents(frames, num_joints, frozenset(forms), unnamed)
 
 
 class _Problems:
@@ -257,9 +263,9 @@ def _labels(files: Sequence[Path]) -> Sequence[Path]:
         return texts
 
 
-def _form_in(forms: set[str], size_px: tuple[int, int] | None, content: Any) -> KeypointForm:
+def _form_in(forms: set[str], size_px: tuple[int, int] | None, unnamed: UnnamedPoints, content: Any) -> KeypointForm:
     """Form of a file's content, which is added to ``forms``."""
-    form = form_of(content, size_px)
+    form = form_of(content, size_px, unnamed)
     if not isinstance(content, list) or content:  # an empty list may be of any program
         forms.add(form.name)
     return form

@@ -19,6 +19,7 @@ from pipeline.capture.keypoint_files import (
 )
 from pipeline.capture.keypoint_files.hdf5 import tracks
 from pipeline.capture.keypoint_files.people import KeypointsError, People
+from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
 
 
 class KeypointForm(NamedTuple):
@@ -48,11 +49,12 @@ _FIELDS = {
 }
 
 
-def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
+def form_of(content: Any, size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
     """Find the form of a file's content.
 
     ``content`` is parsed JSON, the bytes of a CSV file, YOLO's labels, an array, or the people of an HDF5 file.
-    ``size_px`` has width and height of the camera's images; ``None`` if unknown. Unknown JSON is taken as OpenPose's.
+    ``size_px`` has width and height of the camera's images; ``None`` if unknown. ``unnamed`` gives the layouts of
+    points that files do not name. Unknown JSON is taken as OpenPose's.
     Raises ``KeypointsError`` if a CSV file is of no known form, or if JSON has the fields of several.
     """
     match content:
@@ -61,52 +63,52 @@ def form_of(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
                 raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
             return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
         case yolo.PoseLabels():
-            return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px), None)
+            return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px, unnamed=unnamed), None)
         case tracks.PeopleByFrame():
             return KeypointForm(content.form, tracks.read_frame, tracks.frames_of)
         case np.ndarray():
-            return KeypointForm("FreeMoCap", freemocap.read_frame, freemocap.frames_of)
-    return _form_of_json(content, size_px)
+            return KeypointForm("FreeMoCap", partial(freemocap.read_frame, unnamed=unnamed), freemocap.frames_of)
+    return _form_of_json(content, size_px, unnamed)
 
 
-def _form_of_json(content: Any, size_px: tuple[int, int] | None) -> KeypointForm:
+def _form_of_json(content: Any, size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
     if isinstance(content, list):
-        return _form_of_list(content, size_px)
+        return _form_of_list(content, size_px, unnamed)
     if isinstance(content, dict):
-        return _form_of_object(content, size_px)
-    return KeypointForm(OPENPOSE, openpose.read_frame, None)
+        return _form_of_object(content, size_px, unnamed)
+    return KeypointForm(OPENPOSE, partial(openpose.read_frame, unnamed=unnamed), None)
 
 
-def _form_of_list(content: list[Any], size_px: tuple[int, int] | None) -> KeypointForm:
+def _form_of_list(content: list[Any], size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
     first = next((entry for entry in content if isinstance(entry, dict)), {})
     if "instances" in first:
-        return KeypointForm("MMPose", mmpose.read_frame, mmpose.frames_of)
+        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), mmpose.frames_of)
     if "keypoint_scores" in first:
-        return KeypointForm("MMPose", mmpose.read_frame, None)
+        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), None)
     if not first.keys().isdisjoint(mediapipe.RESULTS):
         return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), mediapipe.frames_of)
     if easymocap.is_person(first):
-        return KeypointForm(EASYMOCAP, easymocap.read_frame, None)
+        return KeypointForm(EASYMOCAP, partial(easymocap.read_frame, unnamed=unnamed), None)
     if isinstance(first.get("image_id"), str):
-        return KeypointForm("AlphaPose", alphapose.read_frame, alphapose.frames_of)
-    return KeypointForm("COCO", coco.read_frame, coco.frames_of)
+        return KeypointForm("AlphaPose", partial(alphapose.read_frame, unnamed=unnamed), alphapose.frames_of)
+    return KeypointForm("COCO", partial(coco.read_frame, unnamed=unnamed), coco.frames_of)
 
 
-def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None) -> KeypointForm:
+def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
     of_program = {program: field for field, program in _FIELDS.items() if field in content}
     if len(of_program) > 1:
         shown = " and ".join(f"{field} of {program}" for program, field in of_program.items())
         raise KeypointsError(f"The file has the fields of several formats: {shown}. Keep one of them.")
     if "annotations" in content:
-        return KeypointForm("COCO", coco.read_frame, coco.frames_of)
+        return KeypointForm("COCO", partial(coco.read_frame, unnamed=unnamed), coco.frames_of)
     if easymocap.PEOPLE in content:
-        return KeypointForm(EASYMOCAP, easymocap.read_frame, None)
+        return KeypointForm(EASYMOCAP, partial(easymocap.read_frame, unnamed=unnamed), None)
     if "instance_info" in content:
-        return KeypointForm("MMPose", mmpose.read_frame, mmpose.frames_of)
+        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), mmpose.frames_of)
     if not content.keys().isdisjoint(("poses", "frames", *mediapipe.RESULTS)):
         frames_of = mediapipe.frames_of if "frames" in content else None
         return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), frames_of)
     if "bodies" in content or alphapose.is_images(content):
         frames_of = None if "bodies" in content else alphapose.frames_of
-        return KeypointForm("AlphaPose", alphapose.read_frame, frames_of)
-    return KeypointForm(OPENPOSE, openpose.read_frame, None)
+        return KeypointForm("AlphaPose", partial(alphapose.read_frame, unnamed=unnamed), frames_of)
+    return KeypointForm(OPENPOSE, partial(openpose.read_frame, unnamed=unnamed), None)

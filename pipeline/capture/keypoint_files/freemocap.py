@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames, with_detected_joints
-from pipeline.capture.keypoint_files.points import OPENPOSE_LAYOUTS, arranged, openpose_layout
+from pipeline.capture.keypoint_files.points import arranged
+from pipeline.capture.keypoint_files.unnamed import CANDIDATES, UnnamedPoints
 from pipeline.joints import WHOLE_BODY
 from pipeline.layouts import HAND_POINTS, LAYOUTS, KeypointLayout
 
@@ -95,8 +96,8 @@ def frames_of(content: np.ndarray) -> Mapping[int, np.ndarray]:
         raise KeypointsError(f"The array is {shape or 'a number'}; frames x points x 3 are required.")
     check_frames(len(content))
     num_points = content.shape[1]
-    if num_points not in _MEDIAPIPE and num_points not in OPENPOSE_LAYOUTS:
-        known = ", ".join(map(str, sorted((*_MEDIAPIPE, *OPENPOSE_LAYOUTS))))
+    if num_points not in _MEDIAPIPE and num_points not in CANDIDATES:
+        known = ", ".join(map(str, sorted({*_MEDIAPIPE, *CANDIDATES})))
         raise KeypointsError(f"The array has {num_points} points a frame; known numbers are {known}.")
     if num_points in _MEDIAPIPE:
         content = content[:, :_NUM_HOLISTIC, :2]
@@ -105,13 +106,13 @@ def frames_of(content: np.ndarray) -> Mapping[int, np.ndarray]:
     return dict(enumerate(content))
 
 
-def read_frame(content: np.ndarray) -> People:
+def read_frame(content: np.ndarray, unnamed: UnnamedPoints) -> People:
     """Read the person of a frame, or nobody without a detected joint."""
     points = np.ones((1, len(content), 3))
     points[0, :, : content.shape[1]] = content
     found = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)
     points[~found] = 0.0
-    layout = _MEDIAPIPE.get(len(content)) or openpose_layout(len(content), "points")
+    layout = _MEDIAPIPE.get(len(content)) or unnamed.layout(len(content), "points")
     if len(content) in _MEDIAPIPE:
         # Shares reach from edge to edge of the image, and pixel 0 has its centre half a pixel from the edge.
         points[found, :2] -= 0.5

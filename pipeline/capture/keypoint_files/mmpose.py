@@ -20,7 +20,8 @@ from pipeline.capture.keypoint_files.people import (
     nobody,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged, layout_of, layout_of_names
+from pipeline.capture.keypoint_files.points import arranged, layout_of_names
+from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
 from pipeline.layouts import KeypointLayout
 from pipeline.parsing import read_numbers
 
@@ -44,7 +45,7 @@ def frames_of(content: Any) -> Mapping[int, Any]:
     return frames
 
 
-def read_frame(content: Any) -> People:
+def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     """Read the people of a frame with at least one detected joint."""
     instances, layout = content if isinstance(content, _Frame) else _Frame(content, None)
     if not isinstance(instances, list):
@@ -59,7 +60,7 @@ def read_frame(content: Any) -> People:
         if len(instance[_SCORES]) != num_points:
             message = f"A person has {num_points} points and {len(instance[_SCORES])} scores."
             raise KeypointsError(message, _SCORES)
-    layout = layout_of(num_points, _POINTS) if layout is None else layout
+    layout = unnamed.layout(num_points, _POINTS) if layout is None else layout
     if len(layout.points) != num_points:
         raise KeypointsError(f"A person has {num_points} points; the file names {len(layout.points)}.", _POINTS)
     points_px = read_numbers([instance[_POINTS] for instance in instances])

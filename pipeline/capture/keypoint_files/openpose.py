@@ -1,6 +1,6 @@
 """Reader of OpenPose's JSON: an object a frame with ``people``, which other programs write, too.
 
-``pose_keypoints_2d`` of a person has x, y and score of 25 (BODY_25), 18 (COCO-18) or 17 (COCO-17) joints;
+``pose_keypoints_2d`` of a person has x, y and score of 25 (BODY_25, BODY_25B), 18 (COCO-18) or 17 (COCO-17) points;
 ``hand_left_keypoints_2d`` and ``hand_right_keypoints_2d`` have those of 21 points, the wrist first, or nothing.
 Pose2Sim puts the points of RTMPose in ``pose_keypoints_2d``, in their own order: 17, 26 (Halpe) or 133
 (COCO-WholeBody, with hands); a person that a camera does not see is an empty object or has an empty list. Formats:
@@ -19,28 +19,36 @@ from pipeline.capture.keypoint_files.people import (
     nobody,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import OPENPOSE_LAYOUTS, arranged
+from pipeline.capture.keypoint_files.points import arranged
+from pipeline.capture.keypoint_files.unnamed import CANDIDATES, UnnamedPoints
 from pipeline.joints import without_hands
+from pipeline.layouts import FILE_LAYOUTS
 from pipeline.parsing import read_numbers
 
 _BODY = "pose_keypoints_2d"
-_BY_LENGTH = {3 * count: layout for count, layout in OPENPOSE_LAYOUTS.items()}
 
 
-def read_frame(content: Any) -> People:
+def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     """Read the people of a frame with at least one detected joint of the body."""
     listed = [person for person in content["people"] if person != {} and person[_BODY] != []]
     bodies = [person[_BODY] for person in listed]
     check_number(bodies)
+    if not bodies:
+        return nobody()
+    num_points, num_more = divmod(len(bodies[0]), 3)
+    if num_more or num_points not in CANDIDATES:
+        known = ", ".join(f"{layout.name} has {3 * len(layout.points)}" for layout in FILE_LAYOUTS.values())
+        raise KeypointsError(f"A person has {len(bodies[0])} numbers; {known}.", _BODY)
+    layout = unnamed.layout(num_points, _BODY)
     # People of zeros are dropped as lists: converting hundreds of them to arrays would take milliseconds a frame.
-    kept = [row for row, body in enumerate(bodies) if len(body) not in _BY_LENGTH or any(body)]
+    kept = [row for row, body in enumerate(bodies) if len(body) != 3 * len(layout.points) or any(body)]
     if not kept:
-        return nobody(len(without_hands(_BY_LENGTH[len(bodies[0])].joints).names) if bodies else 0)
+        return nobody(len(without_hands(layout.joints).names))
     values = read_numbers([bodies[row] for row in kept])
-    if values.ndim != 2 or values.shape[1] not in _BY_LENGTH:
-        known = ", ".join(f"{layout.name} has {length}" for length, layout in _BY_LENGTH.items())
-        raise KeypointsError(f"A person has {values[0].size} numbers; {known}.", _BODY)
-    layout = _BY_LENGTH[values.shape[1]]
+    if values.shape != (len(kept), 3 * len(layout.points)):
+        raise KeypointsError(
+            f"A person must have x, y and score of {len(layout.points)} points, like the others.", _BODY
+        )
     people = arranged(values.reshape(len(kept), -1, 3), layout)
     if layout.joints == without_hands(layout.joints):
         people = joined(people, hands_of(lambda side: [listed[row].get(_hand(side)) for row in kept], _hand))

@@ -11,15 +11,8 @@ from pipeline.capture.keypoint_files.people import KeypointsError, People
 from pipeline.joints import BODY_FEET, COCO_17, SIDES, without_hands
 from pipeline.layouts import LAYOUTS, KeypointLayout
 
-_NAMES = ("coco-17", "coco-wholebody-23", "halpe-26", "coco-wholebody-133", "halpe-136")
-BY_COUNT: Mapping[int, KeypointLayout] = {len(LAYOUTS[name].points): LAYOUTS[name] for name in _NAMES}
-"""Layouts by number of points of the programs that write their networks' points without names."""
-OPENPOSE_LAYOUTS: Mapping[int, KeypointLayout] = {
-    len(LAYOUTS[name].points): LAYOUTS[name] for name in ("body-25", "coco-18", *_NAMES)
-}
-"""Layouts by number of points of the programs that write OpenPose's body or that of another network in its place."""
 # Layouts with hands: points of fingers have names of each file's own, so that the number tells the layout.
-_WHOLE = {133, 136}
+_WHOLE = {len(LAYOUTS[name].points): LAYOUTS[name] for name in ("coco-wholebody-133", "halpe-136")}
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+", re.ASCII)
 # In MPII's order, which human models of DeepLabCut follow, the right side is first: ankle1 is the right ankle.
 _SIDE: Mapping[str, str] = {"left": "left", "l": "left", "2": "left", "right": "right", "r": "right", "1": "right"}
@@ -32,25 +25,9 @@ REQUIRED = tuple(f"{side}_{part}" for part in ("shoulder", "hip") for side in SI
 """Joints without which there is no trunk, and so no skeleton."""
 
 
-def layout_of(num_points: int, field: str) -> KeypointLayout:
-    """Layout of so many points without names; raises ``KeypointsError`` if there is none."""
-    if num_points not in BY_COUNT:
-        known = ", ".join(f"{layout.name.rpartition('-')[0]} has {count}" for count, layout in BY_COUNT.items())
-        raise KeypointsError(f"A person has {num_points} points; {known}.", field)
-    return BY_COUNT[num_points]
-
-
-def openpose_layout(num_points: int, field: str) -> KeypointLayout:
-    """Layout of so many points in ``OPENPOSE_LAYOUTS``; raises ``KeypointsError`` if there is none."""
-    if num_points not in OPENPOSE_LAYOUTS:
-        known = ", ".join(layout.name for layout in OPENPOSE_LAYOUTS.values())
-        raise KeypointsError(f"A person has {num_points} points; layouts that are read are {known}.", field)
-    return OPENPOSE_LAYOUTS[num_points]
-
-
 def layout_of_names(names: Sequence[str], field: str) -> KeypointLayout:
     """Layout of points with names; raises ``KeypointsError`` if they are not those of a body."""
-    return BY_COUNT[len(names)] if len(names) in _WHOLE else named_layout(names, field)
+    return _WHOLE.get(len(names)) or named_layout(names, field)
 
 
 def arranged(points: People, layout: KeypointLayout) -> People:

@@ -19,12 +19,14 @@ from pipeline.capture.keypoint_files.people import (
     nobody,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import BY_COUNT, arranged
+from pipeline.capture.keypoint_files.points import arranged
+from pipeline.capture.keypoint_files.unnamed import CANDIDATES, UnnamedPoints
 from pipeline.joints import COCO_17
-from pipeline.layouts import KeypointLayout
 from pipeline.parsing import UnreadableError
 
 _NUM_LEADING = 5
+# Numbers of points of the data sets that networks of YOLO are trained with.
+_NUMS_POINTS = (17, 23, 26, 133, 136)
 # Beyond the image by as much as a network could mean; pixels are far larger.
 _MIN_SHARE, _MAX_SHARE = -2.0, 3.0
 
@@ -38,18 +40,18 @@ class PoseLabels(NamedTuple):
 class _Line(NamedTuple):
     """Form of the lines of a file."""
 
-    layout: KeypointLayout
+    num_points: int
     has_scores: bool
 
 
 def _lines() -> dict[int, _Line]:
     """Forms of lines by the number of their numbers, of which each belongs to one form."""
     forms = {}
-    for count, layout in BY_COUNT.items():
+    for count in _NUMS_POINTS:
         for num_more in range(3):
-            forms[_NUM_LEADING + 3 * count + num_more] = _Line(layout, has_scores=True)
-            if layout.points == COCO_17.names:
-                forms[_NUM_LEADING + 2 * count + num_more] = _Line(layout, has_scores=False)
+            forms[_NUM_LEADING + 3 * count + num_more] = _Line(count, has_scores=True)
+            if count == len(COCO_17.names):
+                forms[_NUM_LEADING + 2 * count + num_more] = _Line(count, has_scores=False)
     return forms
 
 
@@ -74,7 +76,7 @@ def labels_of(content: bytes) -> PoseLabels:
         raise UnreadableError from error
 
 
-def read_frame(content: PoseLabels, size_px: tuple[int, int] | None) -> People:
+def read_frame(content: PoseLabels, size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> People:
     """Read the people of a frame with at least one detected joint.
 
     ``size_px`` has width and height of the camera's images; ``None`` if unknown. Raises ``KeypointsError`` or
@@ -92,7 +94,7 @@ def read_frame(content: PoseLabels, size_px: tuple[int, int] | None) -> People:
     if len({row[0] for row in rows}) > 1:
         raise KeypointsError("Lines are of several classes; keep those of people.", "class")
     form = _form_of(counts[0])
-    num_points, num_values = len(form.layout.points), 3 if form.has_scores else 2
+    num_points, num_values = form.num_points, 3 if form.has_scores else 2
     try:
         values = np.array([[float(word) for word in row] for row in rows])
     except ValueError:
@@ -106,7 +108,7 @@ def read_frame(content: PoseLabels, size_px: tuple[int, int] | None) -> People:
     if ((found < _MIN_SHARE) | (found > _MAX_SHARE)).any():
         raise KeypointsError("Positions must be shares of the image, from 0 to 1.")
     people[..., :2] *= size_px
-    return with_detected_joints(arranged(people, form.layout))
+    return with_detected_joints(arranged(people, unnamed.layout(num_points, "points")))
 
 
 def _form_of(count: int) -> _Line:
@@ -115,5 +117,5 @@ def _form_of(count: int) -> _Line:
         return LINES[count]
     if _NUM_LEADING <= count <= _NUM_LEADING + 2:
         raise KeypointsError("The labels are boxes without points: detect with a model of poses, such as yolo11n-pose.")
-    known = ", ".join(f"{_NUM_LEADING + 3 * count} ({layout.name})" for count, layout in BY_COUNT.items())
+    known = ", ".join(f"{_NUM_LEADING + 3 * count} ({CANDIDATES[count][0].name})" for count in _NUMS_POINTS)
     raise KeypointsError(f"A line has {count} numbers; with a class, a box and points it has {known}.")

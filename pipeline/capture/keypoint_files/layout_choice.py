@@ -1,0 +1,154 @@
+"""Layout of points that files do not name: chosen, told by the number of points, or told by the people.
+
+Several layouts have 17, 18 or 25 points. Which one a session has is told by its people: by the lengths between their
+points in the pictures, and if those do not tell it, by the lengths of people who are located by two cameras.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.capture.keypoint_files.layout_evidence import located, misfits
+from pipeline.capture.keypoint_files.people import People, is_detected
+from pipeline.capture.keypoint_files.points import arranged
+from pipeline.capture.keypoint_files.unnamed import CANDIDATES
+from pipeline.data.cameras import Camera
+from pipeline.errors import Problem
+from pipeline.findings import Finding
+from pipeline.layouts import KeypointLayout
+from pipeline.problem_codes.findings import KEYPOINTS_FORM
+from pipeline.problem_codes.sessions import KEYPOINTS_LAYOUT
+
+Frames = Mapping[str, Mapping[int, People]]
+"""People of each frame by camera and number of the frame; their points are in the order of the files."""
+
+# People whose lengths are looked at, spread over all frames, and those that two cameras locate.
+_MAX_PEOPLE, _MAX_LOCATED = 4000, 400
+# Limits on the difference of the mean misfits of two layouts: for any number of people, for a single person, and in
+# standard errors. For a person in a picture the misfits differ by 0.3 to 0.5 as a rule, and less than 0 is rare.
+_MIN_LEAD, _MIN_LEAD_OF_ONE, _NUM_ERRORS = 0.05, 0.25, 2.5
+# Largest mean misfit of the right layout: 0.3 is usual in pictures, and random points have 0.6 and more.
+_MAX_MISFIT = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class LayoutRead:
+    """Layout in which points without names were read, and how it was told."""
+
+    name: str  # Name in ``layouts.FILE_LAYOUTS``
+    # ``choice``: it was stated; ``number``: no other layout has as many points; ``pictures``, ``world``: by lengths of
+    # people there; ``points``: the detected points are the same joints in every layout
+    told_by: Literal["choice", "number", "pictures", "world", "points"]
+    num_people: int = 0  # Detections of people that told it
+
+    def __str__(self) -> str:
+        """Sentence for the user."""
+        how = {
+            "choice": "as stated",
+            "number": "told by the number of points",
+            "pictures": f"told by the lengths of {self.num_people:,} people in the pictures",
+            "world": f"told by the lengths of {self.num_people:,} people located by two cameras",
+            "points": "whose detected points are the same in all layouts",
+        }[self.told_by]
+        return f"The points of the people are in the order of {_title(self.name)} (layout {self.name}), {how}."
+
+
+def tell_layout(
+    frames: Frames,
+    num_points: int,
+    cameras: Sequence[Camera],
+    chosen: KeypointLayout | None,
+    findings: list[Finding],
+    problems: list[Problem],
+) -> LayoutRead | None:
+    """Tell the layout of people with so many points; ``None`` and a problem if several layouts remain.
+
+    ``cameras`` are calibrated cameras; empty if their poses are unknown.
+    """
+    candidates = CANDIDATES[num_points]
+    if len(candidates) == 1:
+        return LayoutRead(candidates[0].name, "number" if chosen is None else "choice")
+    told = _told(_sampled(frames, num_points), candidates, cameras)
+    if chosen is not None:
+        if told is not None and told.told_by != "points" and told.name != chosen.name:
+            message = f"The layout {chosen.name} was stated, but the lengths of the people fit {told.name} better."
+            hint = f"Check the joints in the result; if they are wrong, state {told.name} or no layout."
+            evidence = {"layout": chosen.name, "fits": told.name}
+            findings.append(Finding(KEYPOINTS_FORM, message, hint=hint, evidence=evidence))
+        return LayoutRead(chosen.name, "choice")
+    if told is None:
+        names = " or ".join(layout.name for layout in candidates)
+        message = f"People have {num_points} points, and their lengths do not tell which layout it is: {names}."
+        hint = f"State the layout, {names}: --layout at the command line, layout in the manifest or on the page."
+        problems.append(Problem(KEYPOINTS_LAYOUT, message, field="layout", hint=hint))
+    elif told.name != candidates[0].name:
+        findings.append(Finding(KEYPOINTS_FORM, str(told), severity="info", evidence={"layout": told.name}))
+    return told
+
+
+def rearranged(people: People, layout: KeypointLayout) -> People:
+    """Joints of a layout in place of the points in the order of a file; hands behind the points stay."""
+    num_points = len(layout.points)
+    if people.shape[1] < num_points or layout == CANDIDATES[num_points][0]:
+        return people
+    return np.concatenate([arranged(people[:, :num_points], layout), people[:, num_points:]], axis=1)
+
+
+def _title(name: str) -> str:
+    """Name of a layout as its makers write it, or nearly: ``BODY_25B``, ``COCO_17``."""
+    return name.upper().replace("-", "_")
+
+
+_Sample = Sequence[Mapping[str, Float[np.ndarray, "people points 2"]]]
+
+
+def _sampled(frames: Frames, num_points: int) -> _Sample:
+    """Points of people by camera in some of the frames, NaN where they were not detected."""
+    numbers = sorted({number for by_frame in frames.values() for number, people in by_frame.items() if people.size})
+    num_people = sum(len(people) for by_frame in frames.values() for people in by_frame.values())
+    every = 1 + num_people // _MAX_PEOPLE
+    return [
+        {
+            camera: _seen(by_frame[number][:, :num_points])
+            for camera, by_frame in frames.items()
+            if number in by_frame and by_frame[number].shape[1] >= num_points and len(by_frame[number])
+        }
+        for number in numbers[::every]
+    ]
+
+
+def _seen(people: People) -> Float[np.ndarray, "people points 2"]:
+    return np.where(is_detected(people)[..., None], people[..., :2], np.nan)
+
+
+def _told(sample: _Sample, candidates: Sequence[KeypointLayout], cameras: Sequence[Camera]) -> LayoutRead | None:
+    """Layout that the people tell; ``None`` if several remain."""
+    people = [points for frame in sample for points in frame.values()]
+    points = np.concatenate([np.empty((0, len(candidates[0].points), 2)), *people])
+    is_seen = np.isfinite(points).all(-1).any(0)
+    if all(len({layout.points[place] for layout in candidates}) == 1 for place in np.flatnonzero(is_seen)):
+        return LayoutRead(candidates[0].name, "points")
+    return _best(points, candidates, "pictures") or _best(located(sample, cameras, _MAX_LOCATED), candidates, "world")
+
+
+def _best(
+    points: Float[np.ndarray, "people points dims"],
+    candidates: Sequence[KeypointLayout],
+    told_by: Literal["pictures", "world"],
+) -> LayoutRead | None:
+    """Layout that fits the people clearly better than all others; ``None`` without one."""
+    if not len(points):
+        return None
+    misfit = misfits(points, candidates)
+    misfit = misfit[np.isfinite(misfit).all(1)]
+    if not len(misfit):
+        return None
+    best = int(misfit.mean(0).argmin())
+    lead = np.delete(misfit, best, axis=1) - misfit[:, [best]]
+    least = np.maximum(_MIN_LEAD, np.maximum(_NUM_ERRORS * lead.std(0), _MIN_LEAD_OF_ONE) / np.sqrt(len(lead)))
+    if misfit[:, best].mean() > _MAX_MISFIT or (lead.mean(0) < least).any():
+        return None
+    return LayoutRead(candidates[best].name, told_by, len(misfit))
