@@ -16,11 +16,14 @@ _LENS_LENGTHS = frozenset({4, 5, 8, 12, 14})
 # Names of a single coefficient, and of several, whatever their number.
 _COEFFICIENT = re.compile(r"(k|p|kappa|radial\w*|tangential\w*)_?\d+|(?!undist).*dist(ort|coef|_coef).*", re.IGNORECASE)
 _COEFFICIENTS = re.compile(r"k|p|kc|(radial|tangential).*|.*(coe?ff?(s|ic)|(?<!un)dist(?!anc)).*", re.IGNORECASE)
-# Names of lists that are no lens: errors, boxes, points, times, colours.
-_NO_LENS = re.compile(
-    "err|rms|resid|reproj|std|sigma|cov|box|roi|(?<!cor)rect|crop|corner|point|time|stamp|colou?r|rgb|gain",
-    re.IGNORECASE,
+# Names of lists that are no lens: how well something is known, whatever it is; and boxes, points, times, colours.
+_STATISTICS = re.compile(
+    "(?<![a-z])(err|rms|std|cov)|error|rmse|resid|reproj|sigma|deviat|std(?![a-z])|covar", re.IGNORECASE
 )
+_NO_LENS = re.compile(
+    "box|roi(?![a-z])|(?<!cor)rect|crop|corner|point|time|stamp|colou?r|rgb|gain|white", re.IGNORECASE
+)
+_LENS_WORD = re.compile("lens|dist|coef", re.IGNORECASE)
 _SIDE = re.compile(r"w|h|.*(width|height|cols|rows)", re.IGNORECASE)
 _MIN_SIDE_PX = 16.0
 _UNIT_TOLERANCE = 1e-3
@@ -34,9 +37,9 @@ def lens_fields(fields: Mapping[str, Any], known: frozenset[str], distortion: An
     """
     read = _numbers(distortion)
     for path, name, value in _leaves(fields, known):
-        numbers = _numbers(value)
-        if numbers is None or numbers.ndim == 0:
-            # Text or a table under the name of a distortion decides, too.
+        numbers = _numbers(value) if isinstance(value, list) else None
+        if numbers is None:
+            # A number, a text or a table under the name of a coefficient or of a distortion decides, too.
             is_lens = bool(value) and not isinstance(value, bool) and _COEFFICIENT.fullmatch(name) is not None
         elif numbers.size == max(numbers.shape):
             # Lists of whole numbers are indices, pixels or counts.
@@ -102,10 +105,13 @@ def _numbers(value: Any) -> np.ndarray | None:
 
 def _is_other(name: str, numbers: np.ndarray, read: np.ndarray | None) -> bool:
     """Return whether a list is no distortion, or one without an effect."""
-    if not numbers.any() or _NO_LENS.search(name):
+    if not numbers.any() or _STATISTICS.search(name) or (_NO_LENS.search(name) and not _LENS_WORD.search(name)):
         return True
     if read is not None and np.array_equal(numbers, read.ravel()):
         return True
     # A quaternion, a plane, or the last row of a transform or of a projection.
     directions = {4: (numbers, numbers[:3]), 12: (numbers[8:11],)}.get(numbers.size, ())
-    return any(abs(float(np.linalg.norm(direction)) - 1.0) < _UNIT_TOLERANCE for direction in directions)
+    return any(
+        np.abs(direction).max() < 1.0 + _UNIT_TOLERANCE and abs(np.linalg.norm(direction) - 1.0) < _UNIT_TOLERANCE
+        for direction in directions
+    )

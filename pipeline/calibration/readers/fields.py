@@ -6,7 +6,6 @@ for points that are rows; the place of the principal point tells.
 
 import re
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -122,8 +121,10 @@ def read_size(name: str, fields: Mapping[str, Any], reading: Reading) -> Any:
             stated[field] = flat(value)
         elif isinstance(value, list) and _SHAPE.fullmatch(_plain(field)):
             stated[field] = value[1::-1]
-    for width, height in product(_named(fields, _WIDTH), _named(fields, _HEIGHT)):
-        stated[f"{width}, {height}"] = [fields[width], fields[height]]
+    widths, heights = _named(fields, _WIDTH), _named(fields, _HEIGHT)
+    if widths and heights:
+        pairs = [*((width, heights[0]) for width in widths), *((widths[0], height) for height in heights)]
+        stated |= {f"{width} and {height}": [fields[width], fields[height]] for width, height in pairs}
     sizes = list(stated.values())
     if any(size != sizes[0] for size in sizes):
         message = f"The fields {listed_names(list(stated))} state different sizes of the picture."

@@ -79,7 +79,7 @@ def _by_pose2sim(raw: Sequence[RawCamera], reading: Reading) -> list[RawCamera]:
         f"{reading.file}: Pose2Sim wrote the file. If it was made of a TOML file, its pictures are stated a pixel too "
         "large: the size of the videos counts."
     )
-    reading.note_about(enlarged, "stated with 64 times its distortion by Pose2Sim, which is divided by 64")
+    reading.note_about(enlarged, "stated by Pose2Sim with 64 times the distortion, which is divided by 64")
     return [
         replace(
             camera,

@@ -15,7 +15,22 @@ def names(fields: dict[str, Any], distortion: Any = None) -> list[str]:
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
-@pytest.mark.parametrize("name", ["discCoef", "dist_params", "distorsion", "Dist", "coeffs", "kc", "abc", "R_lens"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "discCoef",
+        "dist_params",
+        "distorsion",
+        "Dist",
+        "coeffs",
+        "kc",
+        "abc",
+        "R_lens",
+        "rgb_distortion",
+        "firstDist",
+        "lens_terms",
+    ],
+)
 def test_list_as_long_as_a_lens_is_found_under_any_name(name: str, count: int) -> None:
     lens = LENS[:count]
     assert names({name: lens}) == names({name: [lens]}) == names({name: [[number] for number in lens]}) == [name]
@@ -43,6 +58,10 @@ def test_coefficients_are_found_by_name_whatever_their_number(fields: dict[str, 
     assert names(fields) == [*fields]
 
 
+def test_numbers_beyond_any_lens_are_found_too() -> None:
+    assert names({"a": [1e308, 0.5, 1e308, 0.5], "b": [float("inf"), 0.5] * 6}) == ["a", "b"]
+
+
 def test_lens_inside_another_field_is_named_by_its_path() -> None:
     assert names({"sensor": {"lens": {"c": LENS[:5]}, "gain": 3}}) == ["sensor.lens.c"]
 
@@ -57,6 +76,11 @@ def test_lens_inside_another_field_is_named_by_its_path() -> None:
         {"P": [905, 0, 655, 12.5, 0, 903, 351, -3.25, 0.36, 0.48, 0.8, 1.5]},
         {"crop": [0.1, 0.1, 0.8, 0.9], "area": [0, 0, 1280, 720], "boardCorners": [0.5] * 8, "white_rgba": [0.4] * 4},
         {"errors": [0.31, 0.29, 0.4, 0.35, 0.3], "rms_by_view": [0.2] * 12, "std_deviations": [0.01] * 8},
+        {
+            "distortion_std": [0.01] * 5,
+            "distCoeffsStdDeviations": [0.01] * 8,
+            "k1_error": 0.01,
+        },
         {"timestamps": [0.01, 0.02, 0.03, 0.05]},
         {"distance": [1.1, 1.2, 1.3], "distance_m": 3.4, "undistorted": True, "undistort_map": [0.5] * 3},
         {"focal": [905.5, 903.2], "translation_2": [0.1, 0.2, 0.3], "E": [[0.1] * 3] * 3},

@@ -108,7 +108,7 @@ def test_pose2sim_enlarges_the_lens_of_its_own_calibrations(tmp_path: Path, dist
     (one,) = contents.cameras
     assert one.size_px == (1920, 1080)
     np.testing.assert_allclose(one.distortion, [*distortion, 0.0, 0.0, 0.0], rtol=1e-12)
-    assert "24021 is stated with 64 times its distortion" in contents.notes[1]
+    assert "24021 is stated by Pose2Sim with 64 times the distortion" in contents.notes[1]
 
 
 def test_pose2sim_keeps_the_lens_of_qualisys_in_its_way_there_and_back(tmp_path: Path) -> None:
