@@ -11,6 +11,7 @@ import av
 import numpy as np
 import pytest
 
+from pipeline.calibration.registry import read_calibration
 from pipeline.capture.preflight import main, report
 from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.recordings import Recording
@@ -223,6 +224,18 @@ def test_a_calibration_of_another_size_is_adapted_with_a_warning(folder: Path, t
     for camera in session.cameras:
         assert camera.size_px == (64, 48)
         np.testing.assert_allclose(camera.matrix, [[25.0, 0.0, 15.5], [0.0, 25.0, 11.5], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("size_px", [(65, 49), (63, 47)])
+def test_calibration_whose_sides_are_one_pixel_off_takes_the_size_of_the_videos(
+    folder: Path, tmp_path: Path, size_px: tuple[int, int]
+) -> None:
+    path = calibration(tmp_path / "c.json", ["a", "b"], size_px=size_px)
+    session = open_session(folder, path)
+    for camera, stated in zip(session.cameras, read_calibration(path), strict=True):
+        assert camera.size_px == (64, 48)
+        np.testing.assert_array_equal(camera.matrix, stated.matrix)
+    assert [finding.code for finding in session.findings] == ["calibration_adapted"] * 2
 
 
 def test_a_calibration_without_sizes_takes_those_of_the_videos(folder: Path, tmp_path: Path) -> None:
