@@ -23,6 +23,8 @@ _WINDOW_S, _SHORTEST_S = 0.5, 0.2
 _MAX_COVERAGE, _MIN_FOREIGN = 0.5, 0.5
 # Distance of an observation from another person's joint, at that person, within which it shows the joint.
 _REACH_M = 0.08
+# Distance between the middles of two people within which limbs may be taken for the other's.
+_NEAR_M = 1.5
 
 
 def end_phantoms(
@@ -79,6 +81,8 @@ def _num_foreign(
         their_rows = rows + track.start_frame - neighbour.start_frame
         inside = np.flatnonzero((their_rows >= 0) & (their_rows < neighbour.num_frames))
         inside = inside[support[other][their_rows[inside]] > support[number][rows[inside]]]
+        apart_m = _middle_m(neighbour.xyz_m[their_rows[inside]]) - _middle_m(track.xyz_m[rows[inside]])
+        inside = inside[np.linalg.norm(apart_m, axis=-1) <= _NEAR_M]
         if other == number or not len(inside):
             continue
         xyz_m = neighbour.xyz_m[their_rows[inside]]
@@ -91,6 +95,13 @@ def _num_foreign(
                 apart_px = np.linalg.norm(joint_px[:, of_joint] - points_px, axis=-1)
                 is_foreign[inside, k] |= apart_px < reach_px[:, of_joint]
     return np.asarray((is_foreign & is_seen[number][rows]).sum((1, 2)))
+
+
+def _middle_m(xyz_m: Float[np.ndarray, "rows joints 3"]) -> Float[np.ndarray, "rows 3"]:
+    """Middle of the known joints; NaN where none is known."""
+    known = np.isfinite(xyz_m)
+    count = known.sum(1)
+    return np.where(known, xyz_m, 0.0).sum(1) / np.where(count > 0, count, np.nan)
 
 
 def _other_side(name: str) -> str:
