@@ -1,7 +1,7 @@
 """Landmarks of a track by name, and lengths of bones from them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -170,15 +170,13 @@ def bone_lengths_m(landmarks: Landmarks) -> Float[np.ndarray, " joints"]:
     """
     shoulders, hips = _both("shoulder"), _both("hip")
     of_limbs_m = limb_lengths_m(landmarks)
-    # The trunk is seen by most cameras.
-    alike = replace(landmarks, views=None)
     measured_m = {
-        "Arm": _Lengths.between(alike, shoulders[:1], shoulders[1:]).median_m / 2,
-        "UpLeg": _Lengths.between(alike, hips[:1], hips[1:]).median_m / 2,
+        "Arm": _Lengths.between(landmarks, shoulders[:1], shoulders[1:]).median_m / 2,
+        "UpLeg": _Lengths.between(landmarks, hips[:1], hips[1:]).median_m / 2,
         **{kind: of_limbs_m[lower] for kind, (_, lower) in _ENDS.items()},
-        "Head": _Lengths.between(alike, shoulders, _both("ear")).median_m,
+        "Head": _Lengths.between(landmarks, shoulders, _both("ear")).median_m,
     }
-    trunk_m = _Lengths.between(alike, hips, shoulders).median_m
+    trunk_m = _Lengths.between(landmarks, hips, shoulders).median_m
     measured_m |= {kind: trunk_m * _SHARES[kind] / _TRUNK_SHARE for kind in (*TRUNK, "Shoulder")}
     statures_m = np.array([length_m / _SHARES[kind] for kind, length_m in measured_m.items()])
     known_m = statures_m[np.isfinite(statures_m)]
