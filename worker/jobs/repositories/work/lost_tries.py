@@ -54,9 +54,9 @@ def lines(connection: Connection, tenants: Collection[str]) -> list[ColumnElemen
     run_for_s = (now() - chunks.c.claimed_at).label("run_for_s")
     columns = chunks.c.id, chunks.c.job_id, chunks.c.state, chunks.c.lost_tries, jobs.c.tenant, due_for_s, run_for_s
     lost: dict[str, list[Row[Any]]] = defaultdict(list)
-    num_running: Counter[str] = Counter()
+    at_work: Counter[str] = Counter()
     for chunk in connection.execute(select(*columns).join(jobs).where(*_is_lost())):
-        num_running[chunk.tenant] += chunk.state == ChunkState.RUNNING
+        at_work[chunk.tenant] += chunk.state == ChunkState.RUNNING
         if chunk.state == ChunkState.READY or chunk.run_for_s < _LIVELY_S:
             lost[chunk.tenant].append(chunk)
     if not lost:
@@ -69,7 +69,7 @@ def lines(connection: Connection, tenants: Collection[str]) -> list[ColumnElemen
         most_lost = max(chunk.lost_tries for chunk in of_tenant)
         if has_rivals and most_lost > 1 and (len(ready) < len(of_tenant) or due_s < 0.0):
             barred.append(tenant)
-        elif num_running[tenant] < MAX_RUNNING:
+        elif at_work[tenant] < MAX_RUNNING:
             ready = [chunk for chunk in ready if chunk.due_for_s >= 0.0]
             due += [chunk.id for chunk in ready if chunk.lost_tries == 1 or not has_rivals]
             overdue += [chunk.id for chunk in ready if due_s >= _BEHIND_S * most_lost]
