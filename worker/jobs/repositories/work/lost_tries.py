@@ -46,9 +46,9 @@ def lines(connection: Connection, tenants: Collection[str]) -> list[ColumnElemen
     Parameters
     ----------
     tenants
-        Tenants that have work. While there are others, a tenant with a chunk that has lost two tries runs one retry at
-        a time, and only when all of its lost chunks are due. Such a chunk then takes no idle worker, which the others
-        will need: it waits for its place among first tries.
+        Tenants that have work. While there are others, a tenant begins one retry at a time, and only when all of its
+        lost chunks are due. With a chunk that has lost two tries it takes no idle worker, which the others will need:
+        the chunk waits for its place among first tries, and what stands behind waits for the chunk.
     """
     due_for_s = (now() - func.coalesce(chunks.c.due_at, 0.0)).label("due_for_s")
     run_for_s = (now() - chunks.c.claimed_at).label("run_for_s")
@@ -67,9 +67,10 @@ def lines(connection: Connection, tenants: Collection[str]) -> list[ColumnElemen
         ready = [chunk for chunk in of_tenant if chunk.state == ChunkState.READY]
         due_s = min(chunk.due_for_s for chunk in of_tenant)
         most_lost = max(chunk.lost_tries for chunk in of_tenant)
-        if has_rivals and most_lost > 1 and (len(ready) < len(of_tenant) or due_s < 0.0):
+        if has_rivals and most_lost > 1:
             barred.append(tenant)
-        elif at_work[tenant] < MAX_RUNNING:
+        is_next = not has_rivals or (len(ready) == len(of_tenant) and due_s >= 0.0)
+        if is_next and at_work[tenant] < MAX_RUNNING:
             ready = [chunk for chunk in ready if chunk.due_for_s >= 0.0]
             due += [chunk.id for chunk in ready if chunk.lost_tries == 1 or not has_rivals]
             overdue += [chunk.id for chunk in ready if due_s >= _BEHIND_S * most_lost]

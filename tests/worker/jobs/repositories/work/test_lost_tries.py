@@ -167,6 +167,18 @@ def test_a_chunk_with_two_lost_tries_takes_no_idle_worker_that_other_tenants_wil
     assert jobs.claim().job_id == job_id
 
 
+def test_jobs_that_stand_behind_take_no_idle_worker_that_other_tenants_will_need(jobs: StoreBench) -> None:
+    lose_often(jobs, 2)
+    jobs.execute(sa.update(chunks).where(chunks.c.lost_tries > 0).values(due_at=now() - 30.0))
+    fresh, other = queue(jobs, "one", num_chunks=1), queue(jobs, "two", num_chunks=1)
+    held = [jobs.claim() for _ in range(2)]
+    assert {work.job_id for work in held} >= {other}
+    assert fresh not in {work.job_id for work in held}
+    assert claim(jobs) is None
+    for work in held:
+        jobs.finish(work)
+
+
 def test_a_tenant_alone_waits_for_no_other_chunk(jobs: StoreBench) -> None:
     for _ in range(2):
         queue(jobs, "one", num_chunks=1)
