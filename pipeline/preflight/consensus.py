@@ -129,7 +129,7 @@ def agreement_of(camera: Camera, number: int, sightings: SimultaneousPeople, loc
             continue
         wrong = [_compare(_panned(camera, turn), instants, people_m, own) for turn in _WRONG_TURNS_DEG]
         by_chance, possible = np.sum(wrong, axis=0)
-        agreement = CameraAgreement(num_agreeing, num_compared, by_chance / max(possible, 1))
+        agreement = CameraAgreement(num_agreeing, num_compared, float(by_chance) / max(int(possible), 1))
         if agreement.agrees or agreement.contradicts:
             break
     return agreement

@@ -216,11 +216,13 @@ def _check_rest(
     is_enough = sightings.num_independent(set(located.instant.tolist())) >= MIN_INSTANTS
     elsewhere = [number for number, agreement in enumerate(agreements) if agreement.contradicts]
     trusted = agreeing or [number for number in range(len(rig)) if number not in elsewhere]
+    listed: list[int] = []
     for number, agreement in enumerate(agreements):
         pairs = [(min(number, other), max(number, other)) for other in trusted if other != number]
         is_doubtful = not agreement.agrees and sightings.num_people(number) >= NUM_INSTANTS
         if number not in elsewhere and not (is_doubtful and evidence.disagrees(pairs, best)):
             continue
+        listed.append(number)
         message = (
             f"The camera sees people elsewhere than {first_names([names[other] for other in trusted])} do: "
             f"{agreement.num_agreeing} of {agreement.num_compared} people agree."
@@ -232,7 +234,7 @@ def _check_rest(
         }
         severity = "error" if number in elsewhere and is_enough else "warning"
         yield Finding(CAMERA_DISAGREES, message, names[number], severity, _MOVED_CAMERA, numbers)
-    for shift in find_shifted(rig, located.without_views(elsewhere), located.instant):
+    for shift in find_shifted(rig, located.without_views(listed), located.instant):
         severity = "error" if shift.share > _MAX_SHARE and is_enough else "warning"
         yield Finding(CAMERA_DISAGREES, shift.message, names[shift.camera], severity, _MOVED_CAMERA, shift.evidence)
     for number in range(len(rig)):

@@ -31,15 +31,17 @@ _LEAST_ERROR = 0.5
 _MEDIAN_LENGTH = 1.177
 # Determinant of a normal matrix over its cubed trace, below which two other cameras do not determine a point.
 _MIN_DETERMINANT = 1e-5
+# Cameras of which the correction is tried.
+_MAX_SUSPECTS = 3
 # Fewer bodies do not determine a shift and its error.
 _MIN_BODIES = 8
 _MAX_CHANCE = 1e-6
 """Probability of a shift by chance, below which the shift is certain."""
-_MIN_SHIFT, _BIAS = 0.4, 1.75
+_MIN_SHIFT, _BIAS = 0.4, 1.0
 """Smallest shift that counts, and that of a single person, in standard deviations of a joint's coordinate.
 
 Detectors err alike on one person at all instants, by the clothes and the side that a camera sees: the shift of a right
-camera before three or four people is 0.1 to 0.6 of a deviation. Of several people these errors cancel like noise.
+camera before two to four people is 0.1 to 0.44 of a deviation. Of several people these errors cancel like noise.
 """
 
 
@@ -106,10 +108,23 @@ def find_shifted(
         certain = [shift for shift in shifts if shift.is_certain and shift.camera not in known]
         if not certain:
             break
-        worst = max(certain, key=lambda shift: shift.gain)
+        # Of cameras that explain nearly as much the wrong one is the camera whose correction leaves least to explain.
+        suspects = sorted(certain, key=lambda shift: -shift.gain)[:_MAX_SUSPECTS]
+        rigs = {shift.camera: _corrected(corrected, shift) for shift in suspects}
+        worst = suspects[0]
+        if len(suspects) > 1:
+            worst = min(suspects, key=lambda shift: _total_gain(measure_shifts(rigs[shift.camera], points_px, instant)))
         shifted.append(worst)
-        corrected[worst.camera] = move_camera(corrected[worst.camera], worst.step)
+        corrected = rigs[worst.camera]
     return shifted
+
+
+def _corrected(cameras: Sequence[Camera], shift: CameraShift) -> list[Camera]:
+    return [move_camera(camera, shift.step) if k == shift.camera else camera for k, camera in enumerate(cameras)]
+
+
+def _total_gain(shifts: Sequence[CameraShift]) -> float:
+    return sum(shift.gain for shift in shifts)
 
 
 def measure_shifts(
