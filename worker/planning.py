@@ -179,6 +179,8 @@ def _inputs(session: PlannableSession) -> tuple[str, ...]:
         files.append(units)
     if (up := session.preflight.up) != "z":
         files.append(f"up {up}")
+    if (layout := session.preflight.layout) is not None:
+        files.append(f"layout {layout.name}")
     if not has_videos(session):
         return (*files, repr(session.preflight.timebase.frame_rate_hz))
     if (clock := session.preflight.clock) != "declared":

@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -32,6 +32,7 @@ from rich.progress import (
 from rich.progress import Progress as ProgressBars
 from rich.text import Text
 
+from pipeline.capture.preflight_record import LayoutRead
 from pipeline.errors import InputError, PipelineError, SessionRefused
 from pipeline.findings import Finding, worst_first
 from pipeline.problem_codes.commands import INTERRUPTED
@@ -119,6 +120,12 @@ def shown_time(moment: datetime) -> str:
 def warn(sentence: str) -> None:
     """Print a warning on stderr."""
     console.print(Text.assemble(("warning ", "yellow"), sentence), soft_wrap=True)
+
+
+def show_layout(layout: LayoutRead | None, warnings: Collection[str]) -> None:
+    """Print the layout in which keypoints were read, unless a warning of the session states it."""
+    if layout is not None and str(layout) not in warnings:
+        console.print(str(layout), soft_wrap=True)
 
 
 def users_cache() -> Path | None:

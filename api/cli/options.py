@@ -15,6 +15,7 @@ from pipeline.choices import Choice
 from pipeline.config import ReconstructionConfig
 from pipeline.detect.providers.find import current_provider
 from pipeline.errors import InputError, Problem
+from pipeline.layouts import FILE_LAYOUTS
 from pipeline.problem_codes.commands import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_PROVIDER, UNKNOWN_UNITS
 from pipeline.problem_codes.model import Code
 from pipeline.problem_codes.specs import FRAME_RANGE
@@ -80,6 +81,14 @@ ProviderOption = Annotated[
     typer.Option(
         metavar="|".join(get_args(ProviderChoice)),
         help="What runs the networks, see docs/providers.md. Default: MULTICAP_PROVIDER, else auto.",
+        show_default=False,
+    ),
+]
+LayoutOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(FILE_LAYOUTS),
+        help="Layout of keypoints whose files do not name them. Default: the number of points and the people tell it.",
         show_default=False,
     ),
 ]

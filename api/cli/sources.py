@@ -11,6 +11,7 @@ import typer
 from api.cli.options import (
     KeypointRateOption,
     KeypointsOption,
+    LayoutOption,
     PairByOrderOption,
     UnitsOption,
     UpOption,
@@ -66,6 +67,7 @@ class SourceOptions:
         Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
     ] = None
     frame_rate: KeypointRateOption = None
+    layout: LayoutOption = None
     pair_by_order: PairByOrderOption = False
     units: UnitsOption = None
     up: UpOption = "z"
@@ -91,6 +93,9 @@ class SourceOptions:
         if self.keypoints is None and self.timestamps is not None:
             message = "Timestamps belong to keypoints; videos have their own times."
             yield Problem(SOURCES, message, hint="Omit --timestamps.")
+        if self.keypoints is None and self.layout is not None:
+            message = "A layout belongs to keypoints; detectors of videos have their own."
+            yield Problem(SOURCES, message, hint="Omit --layout.")
         if self.keypoints is not None and self.offset:
             message = "Offsets belong to videos; keypoints have timestamps."
             yield Problem(SOURCES, message, hint="Omit --offset.")
@@ -113,6 +118,7 @@ class SourceOptions:
             pair_by_order=self.pair_by_order,
             keeps_poses=keeps_poses,
             up=known_up(self.up),
+            layout=self.layout,
         )
 
     def open_videos(self, calibration: Path | None, *, keeps_poses: bool = True) -> CaptureSession:

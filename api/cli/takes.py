@@ -31,7 +31,7 @@ class TakeSource:
     calibration: Path | None  # ``None``: the batch has none, and neither has the take
     frame_rate_hz: float | None  # Rate of keypoints without timestamps, or of images
 
-    def open(self, units: Units | None, pair_by_order: bool, up: Up = "z") -> Session:
+    def open(self, units: Units | None, pair_by_order: bool, up: Up = "z", layout: str | None = None) -> Session:
         """Open the session; raises ``InputError`` with all problems of its files."""
         if self.calibration is None:
             raise InputError([Problem(TAKE_UNCALIBRATED, "There is no calibration.", hint="Give --calibration.")])
@@ -44,6 +44,7 @@ class TakeSource:
             keypoints=None if self.keypoints is None else [self.keypoints],
             timestamps=self.timestamps,
             frame_rate=rate_hz,
+            layout=None if self.keypoints is None else layout,
             pair_by_order=pair_by_order,
             units=units,
             up=up,

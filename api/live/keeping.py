@@ -30,6 +30,8 @@ _log = structlog.get_logger(__name__)
 _BLOCK_BYTES = 2**20
 # Files that the archive of a camera may have.
 _MAX_FRAMES_OF_CAMERA = 500_000
+# Layouts that are written as they are, and have as many points as others.
+_STATED = frozenset({"coco-17", "coco-18", "body-25"})
 # Several times the time of writing the files on one core.
 _S_PER_BYTE = 1800 / 2**30
 _START_S = 60.0
@@ -117,6 +119,7 @@ async def keep_session(
     archives = await services.checks.run(owner, _write_files, services, kept.path, folder, cameras, start.layout)
     manifest = {
         "name": start.name,
+        **({"layout": start.layout} if archives and start.layout in _STATED else {}),
         "cameras": [{"name": camera, "file": archive} for camera, archive in archives.items()],
         "metadata": {"source": "live"},
     }

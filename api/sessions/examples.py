@@ -41,6 +41,7 @@ _PREFLIGHT: dict[str, Any] = {
             "evidence": {"file": "cam_0.mp4", "num_frames": 1},
         }
     ],
+    "layout": None,
 }
 
 _SESSION: dict[str, Any] = {

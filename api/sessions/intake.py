@@ -49,6 +49,7 @@ from pipeline.problem_codes.requests import (
     CALIBRATION_UNPOSED,
     CAMERAS_OF_KEYPOINTS,
 )
+from pipeline.problem_codes.sessions import KEYPOINTS_LAYOUT
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
 from worker.jobs.model.sessions import InputFile, Purpose, Session
@@ -157,8 +158,8 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
         arrival = _parsed(sent)
     arrival = await run_in_threadpool(_with_calibration, records, arrival, sent.folder)
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
-    if form.keypoints and arrival.manifest:
-        errors.extend(_facts_of_videos(arrival.manifest))
+    if arrival.manifest:
+        errors.extend((_facts_of_videos if form.keypoints else _facts_of_keypoints)(arrival.manifest))
     preflight: Preflight | None = None
     record_path, thumbnails = record_path_in(sent.folder), sent.folder / str(uuid_utils.uuid7())
     thumbnails.mkdir()
@@ -297,6 +298,7 @@ def _as_before(manifest: Manifest, source: Session) -> Manifest:
         "clock": preflight.clock,
         "sync": preflight.sync,
         "timeline": preflight.timeline,
+        "layout": preflight.layout.name if preflight.layout and preflight.layout.told_by == "choice" else None,
         "pair_by_order": any(finding.code == PAIRED_IN_SORTED_ORDER for finding in preflight.findings),
     }
     if not any(file.kind == TIMESTAMPS for file in source.files):
@@ -342,6 +344,17 @@ def _facts_of_videos(manifest: Manifest) -> Iterator[ErrorItem]:
                 )
 
 
+def _facts_of_keypoints(manifest: Manifest) -> Iterator[ErrorItem]:
+    """Find what a manifest of videos states that is of keypoints alone."""
+    if manifest.layout is not None:
+        yield ErrorItem(
+            code=KEYPOINTS_LAYOUT,
+            message="A layout belongs to keypoints; detectors of videos have their own.",
+            pointer=pointer_to(MANIFEST, "layout"),
+            hint="Omit layout.",
+        )
+
+
 def record_path_in(folder: Path) -> Path:
     """Path for the preflight's record; no file of the client's has such a name."""
     return folder / f"{uuid_utils.uuid7()}.npz"
@@ -357,6 +370,8 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
         arguments.append(f"--units={manifest.units}")
     if manifest.up != "z":
         arguments.append(f"--up={manifest.up}")
+    if manifest.layout is not None:
+        arguments.append(f"--layout={manifest.layout}")
     if manifest.clock != "declared":
         arguments.append(f"--clock={manifest.clock}")
     if manifest.cameras:
@@ -386,6 +401,8 @@ def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
 
     Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
     """
+    if item.code == KEYPOINTS_LAYOUT:
+        return item.model_copy(update={"pointer": pointer_to(MANIFEST, "layout")})
     of_camera = [index for index, camera in enumerate(manifest.cameras) if camera.name == item.camera]
     if of_camera and ("recording" in item.code or item.field in _OF_CAMERA):
         stated = manifest.cameras[of_camera[-1]].model_fields_set

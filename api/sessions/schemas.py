@@ -31,6 +31,19 @@ def _json(value: dict[str, Any]) -> dict[str, Any]:
     return value
 
 
+Layout = Literal[
+    "coco-17",
+    "coco-wholebody-23",
+    "coco-wholebody-133",
+    "halpe-26",
+    "halpe-136",
+    "body-25",
+    "coco-18",
+    "trt-pose-18",
+    "body-25b",
+    "mediapipe-33",
+    "human36m-17",
+]
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 
 SessionName = Annotated[
@@ -125,6 +138,11 @@ class Manifest(BaseModel):
         default="z",
         description="Axis of the calibration that points up, after the turn that its format needs by itself: the world "
         "is turned so that it becomes Z.",
+    )
+    layout: Layout | None = Field(
+        default=None,
+        description="Layout of the points of keypoints whose files do not name them. Null: the number of points and "
+        "the people tell it; if they do not, the answer `keypoints_layout` asks for it.",
     )
     clock: Clock = Field(
         default="declared",
@@ -269,6 +287,17 @@ class TimebaseOut(ResponseModel):
     num_frames: int = Field(description="Number of output frames.")
 
 
+class LayoutOut(ResponseModel):
+    """Layout in which points without names were read."""
+
+    name: str = Field(description="Name of the layout, as `layout` of the manifest states it.")
+    told_by: Literal["choice", "number", "pictures", "world", "points"] = Field(
+        description="How the layout was told: stated by the manifest; by the number of points; by lengths of people in "
+        "the pictures or in the world; or the detected points are the same in all layouts."
+    )
+    num_people: int = Field(description="Detections of people whose lengths told it; 0 otherwise.")
+
+
 class PreflightOut(ResponseModel):
     """Result of the check of a session's files."""
 
@@ -277,6 +306,9 @@ class PreflightOut(ResponseModel):
     warnings: tuple[str, ...] = Field(description="Sentences of the findings.")
     findings: tuple[FindingOut, ...] = Field(
         default=(), description="Findings of the check; none for sessions of versions that had sentences only."
+    )
+    layout: LayoutOut | None = Field(
+        default=None, description="Layout of keypoints whose files do not name their points; null for others."
     )
 
     @classmethod
@@ -288,6 +320,7 @@ class PreflightOut(ResponseModel):
             timebase=TimebaseOut(**fields_of(preflight.timebase, TimebaseOut)),
             warnings=preflight.warnings,
             findings=tuple(FindingOut(**fields_of(finding, FindingOut)) for finding in preflight.findings),
+            layout=None if preflight.layout is None else LayoutOut(**fields_of(preflight.layout, LayoutOut)),
         )
 
 

@@ -17,11 +17,12 @@ from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.forms import OPENPOSE
-from pipeline.capture.keypoint_files.layout_choice import LayoutRead, rearranged, tell_layout
+from pipeline.capture.keypoint_files.layout_choice import rearranged, tell_layout
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
 from pipeline.capture.keypoint_files.scales import rescaled
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
 from pipeline.capture.pairing import pair
+from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.recordings import Recording, find_input, known_recordings
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
@@ -207,7 +208,7 @@ def open_keypoints(
     left_joints = sys.maxsize if max_joints is None else max_joints
     for name, path in folders.items():
         camera = camera_of.get(name, name)
-        contents_of = read_folder(path, camera, sizes_px.get(camera), left_joints, findings, problems, chosen)
+        contents_of = read_folder(path, camera, sizes_px.get(camera), left_joints, findings, problems)
         frames[name] = contents_of.frames
         counts[name] = contents_of.unnamed.counts
         forms |= contents_of.forms

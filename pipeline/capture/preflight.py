@@ -2,9 +2,9 @@
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--clock CLOCK] [--frame-rate HZ] | --keypoints ZIP...
 [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--recordings JSON] [--units UNITS] [--up AXIS]
-[--pair-by-order]`` prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit code 2. So a
-caller can check a session without loading the numeric libraries, and without opening untrusted files itself.
-``--record FILE`` stores the opened session, so that the files need not be examined again.
+[--layout LAYOUT] [--pair-by-order]`` prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit
+code 2. So a caller can check a session without loading the numeric libraries, and without opening untrusted files
+itself. ``--record FILE`` stores the opened session, so that the files need not be examined again.
 ``--thumbnails FOLDER`` also checks the cameras against each
 other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies are stored in the folder as
 ``thumbnail_name`` says.
@@ -97,6 +97,7 @@ def report(
         up=up,
         findings=tuple(session.findings),
         clock=clock,
+        layout=session.layout,
     )
 
 
@@ -194,6 +195,7 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
             arguments.pair_by_order,
             recordings=[_of_folder(recording, arguments.keypoints) for recording in recordings],
             up=arguments.up,
+            layout=arguments.layout,
         )
     archives = {path.stem: path.name for path in arguments.keypoints}
     # Parts of an array of all cameras have no archives of their own.
@@ -254,6 +256,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--intrinsics", type=Path, help="Calibration in place of --calibration; its poses don't count.")
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
+    parser.add_argument("--layout", help="Layout of keypoints whose files do not name their points.")
     parser.add_argument("--recordings", default="[]", help="JSON list of facts about videos or archives.")
     parser.add_argument("--clock", choices=get_args(Clock), default="declared", help="Clock of the videos' starts.")
     parser.add_argument("--units", choices=UNITS_M, help="Unit of lengths in the calibration.")

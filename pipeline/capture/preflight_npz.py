@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.data.detections import Detections
@@ -148,6 +149,7 @@ def encode_keypoints(session: KeypointSession) -> bytes:
         "joints": asdict(session.joints),
         "timebase": asdict(session.timebase),
         "findings": [finding.to_json() for finding in session.findings],
+        "layout": None if session.layout is None else asdict(session.layout),
     }
     arrays["head"] = np.array(json.dumps(head))
     for k, camera in enumerate(session.cameras):
@@ -175,4 +177,5 @@ def decode_keypoints(content: bytes) -> KeypointSession:
         ),
         folders=head["folders"],
         findings=_decode_findings(head),
+        layout=LayoutRead(**head["layout"]) if head.get("layout") else None,
     )

@@ -94,6 +94,29 @@ class PreflightRecording:
 
 
 @dataclass(frozen=True, slots=True)
+class LayoutRead:
+    """Layout in which points without names were read, and how it was told."""
+
+    name: str  # Name in ``layouts.FILE_LAYOUTS``
+    # ``choice``: it was stated; ``number``: no other layout has as many points; ``pictures``, ``world``: by lengths of
+    # people there; ``points``: the detected points are the same joints in every layout
+    told_by: Literal["choice", "number", "pictures", "world", "points"]
+    num_people: int = 0  # Detections of people that told it
+
+    def __str__(self) -> str:
+        """Sentence for the user."""
+        how = {
+            "choice": "as stated",
+            "number": "told by the number of points",
+            "pictures": f"told by the lengths of {self.num_people:,} people in the pictures",
+            "world": f"told by the lengths of {self.num_people:,} people located by two cameras",
+            "points": "whose detected points are the same in all layouts",
+        }[self.told_by]
+        title = self.name.upper().replace("-", "_")
+        return f"The points of the people are in the order of {title} (layout {self.name}), {how}."
+
+
+@dataclass(frozen=True, slots=True)
 class Preflight:
     """Cameras and clock of a session, and findings about its files."""
 
@@ -110,6 +133,7 @@ class Preflight:
     # Synchronisation, and frames of the files, of jobs of the session that don't state them
     sync: Sync = "declared"
     timeline: Timeline = "take"
+    layout: LayoutRead | None = None  # Layout of keypoints whose files do not name their points
 
     @property
     def duration_s(self) -> float:
@@ -146,6 +170,7 @@ class Preflight:
                 clock=document.get("clock", "declared"),
                 sync=document.get("sync", "declared"),
                 timeline=document.get("timeline", "take"),
+                layout=LayoutRead(**document["layout"]) if document.get("layout") else None,
             )
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
@@ -164,6 +189,7 @@ class Preflight:
             "sync": self.sync,
             "timeline": self.timeline,
             "up": self.up,
+            **({} if self.layout is None else {"layout": asdict(self.layout)}),
         }
 
 

@@ -14,7 +14,7 @@ from pipeline.calibration.sizes import fit_to_video, guessed_camera
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.pairing import MIN_CAMERAS, pair
-from pipeline.capture.preflight_record import Clock
+from pipeline.capture.preflight_record import Clock, LayoutRead
 from pipeline.capture.recordings import Recording, SortedFiles, known_recordings, left_out_parts, sort_files
 from pipeline.capture.slow_motion import slow_motion
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
@@ -104,6 +104,11 @@ class CaptureSession:
     def video_of(self) -> Mapping[str, VideoInfo]:
         """Video of each camera, by camera name, in the cameras' order."""
         return {camera.name: video for camera, video in zip(self.cameras, self.videos, strict=True)}
+
+    @property
+    def layout(self) -> LayoutRead | None:
+        """Layout of keypoints: there are none."""
+        return None
 
     def restricted(self, frames: range | None) -> "CaptureSession":
         """Restrict the session to a range of its output frames (``None``: all), which are numbered from 0.

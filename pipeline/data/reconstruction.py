@@ -1,7 +1,8 @@
 """The result of a reconstruction."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from pipeline.data.animation import Animation, SkeletonMotion
 from pipeline.data.cameras import Camera, Refinement, Synchronization, Timebase
@@ -46,6 +47,8 @@ class Reconstruction:
         Check of the session by its people.
     provider
         Execution provider of the networks; ``None`` if there was nothing to detect.
+    layout
+        Layout of keypoints whose files do not name their points, and how it was told; ``None`` for others.
     is_emptied
         Whether edits removed everybody who was found.
     """
@@ -66,6 +69,7 @@ class Reconstruction:
     synchronization: Synchronization | None = None
     check: SessionCheck = field(default_factory=SessionCheck)
     provider: ProviderName | None = None
+    layout: Mapping[str, Any] | None = None
     is_emptied: bool = False
 
     @property

@@ -135,6 +135,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
         "calibration": _describe_refinement(reconstruction.refinement),
         "sync": None if reconstruction.synchronization is None else sync_document(reconstruction.synchronization),
         "provider": reconstruction.provider,
+        "layout": reconstruction.layout,
         "session_checks": [finding.to_json() for finding in reconstruction.check.findings],
         **({"forced": list(reconstruction.check.forced)} if reconstruction.check.forced else {}),
         "capture_checks": capture_checks(reconstruction, seen, likenesses),

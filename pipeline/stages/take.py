@@ -1,7 +1,7 @@
 """The take of a job from the outputs of its stages: a reconstruction, edited if it was, and its files for viewers."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,7 @@ def assemble(context: Context) -> Reconstruction:
         synchronization=context.clocks(),
         check=context.record(CHECK, SessionCheck),
         provider=context.provider if context.facts.has_videos else None,
+        layout=None if session.layout is None else asdict(session.layout),
     )
     if take is None:
         return reconstruction

@@ -15,6 +15,7 @@ import typer
 from api.cli.console import EXIT_FAILED, JsonOption, StageBars, console, emit, print_table, reporting, users_cache
 from api.cli.options import (
     KeypointRateOption,
+    LayoutOption,
     PairByOrderOption,
     UnitsOption,
     UpOption,
@@ -47,12 +48,13 @@ class _Choices:
     units: Units | None
     up: Up
     pair_by_order: bool
+    layout: str | None
     cache: Path | None
 
     def fingerprint(self, take: TakeSource) -> str:
         """Digest of the files of a take and of all choices."""
         typed = {name: value for name, value in self.typed.items() if name != "processes"}
-        facts = [take.fingerprint(), typed, self.units, self.up, self.pair_by_order]
+        facts = [take.fingerprint(), typed, self.units, self.up, self.pair_by_order, self.layout]
         return sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
@@ -71,6 +73,7 @@ def command(
     up: UpOption = "z",
     pair_by_order: PairByOrderOption = False,
     frame_rate: KeypointRateOption = None,
+    layout: LayoutOption = None,
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
 ) -> None:
@@ -84,7 +87,7 @@ def command(
     ):
         config = checked(chosen)
         takes = find_takes(source, out, calibration, frame_rate)
-        choices = _Choices(config, chosen, known_units(units), known_up(up), pair_by_order, users_cache())
+        choices = _Choices(config, chosen, known_units(units), known_up(up), pair_by_order, layout, users_cache())
         try:
             for number, take in enumerate(takes, 1):
                 if not as_json:
@@ -112,7 +115,7 @@ def _row(take: TakeSource, choices: _Choices, folder: Path, *, show_bars: bool) 
     folder.mkdir(parents=True, exist_ok=True)
     record.unlink(missing_ok=True)
     try:
-        session = take.open(choices.units, choices.pair_by_order, choices.up)
+        session = take.open(choices.units, choices.pair_by_order, choices.up, choices.layout)
         with StageBars(visible=show_bars) as bars:
             sources = [path for path in (take.calibration, take.timestamps) if path is not None]
             written = reconstruct_to_files(

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, users_cache, warn
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, show_layout, users_cache, warn
 from api.cli.options import ProviderOption, checked, take_provider, with_choices
 from api.cli.sources import SourceOptions, parameters, with_source
 from api.cli.space import document, require_space, session_space
@@ -137,6 +137,8 @@ def command(
         session = source.open(calibration)
         for warning in session.warnings:
             warn(warning)
+        if not as_json:
+            show_layout(session.layout, session.warnings)
         sources = (calibration, *([] if source.timestamps is None else [source.timestamps]))
         kept = None if no_cache else cache or users_cache()
         require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))

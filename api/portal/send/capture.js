@@ -24,6 +24,8 @@ export function captureOf({ draft, rig, options }) {
     clock: has("video") ? (isMeasured ? "declared" : draft.clock) : null,
     needsFrameRate: hasPoints && !has("timestamps"),
     frameRate_hz: hasPoints && !has("timestamps") ? draft.frameRate_hz : null,
+    hasPoints,
+    layout: hasPoints ? draft.layout : null,
     spec: options ? { ...shownSpec(draft.spec, options), sync: isMeasured ? "auto" : "declared" } : null,
   };
 }
@@ -53,7 +55,7 @@ export function videosByCamera(rows) {
 }
 
 // Request that makes a session of a capture whose files are sent.
-export function sessionBody({ name, files, calibration, clock, frameRate_hz, spec }) {
+export function sessionBody({ name, files, calibration, clock, frameRate_hz, layout, spec }) {
   const ids = (kind) => files.filter((row) => row.kind === kind).map(({ url }) => url.slice(url.lastIndexOf("/") + 1));
   const cameras = [...videosByCamera(files)].map(([name, rows]) => {
     const [first, ...more] = partsOf(rows) ?? rows;
@@ -69,6 +71,7 @@ export function sessionBody({ name, files, calibration, clock, frameRate_hz, spe
     calibration_id: calibration.id,
     manifest: {
       name: name.trim() || `Take of ${now}`, cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
+      ...(layout && { layout }),
       sync: spec.sync, ...(ids("array").length && { pair_by_order: true }),
     },
   };

@@ -5,7 +5,7 @@ const KEY = "multicap.draft";
 export const FACTS = ["name", "size", "modified", "kind", "numFrames", "camera", "isUsed", "isJoined", "offset_s", "rate", "url", "sent", "isSent"];
 
 export function emptyDraft(kept = {}) {
-  return { name: "", calibrationId: null, clock: "declared", frameRate_hz: null, spec: {}, rows: [], wasSending: false, request: null, sessionId: null, ...kept };
+  return { name: "", calibrationId: null, clock: "declared", frameRate_hz: null, layout: null, spec: {}, rows: [], wasSending: false, request: null, sessionId: null, ...kept };
 }
 
 export function loadDraft() {

@@ -190,8 +190,8 @@ class Sending extends EventTarget {
   #begin() {
     this.#round += 1;
     this.#press += 1;
-    const { clock, frameRate_hz, spec } = this.draft;
-    this.draft = emptyDraft({ clock, frameRate_hz, spec, calibrationId: this.rig.id });
+    const { clock, frameRate_hz, layout, spec } = this.draft;
+    this.draft = emptyDraft({ clock, frameRate_hz, layout, spec, calibrationId: this.rig.id });
     this.session = this.problem = null;
     this.notes = [];
     this.#go("draft");

@@ -22,6 +22,10 @@ import { takesPanel } from "./takes_panel.js";
 
 const HIDDEN = ["sync"]; // stands with the start of the videos
 const MEASURE = [MEASURED, "I don't know: measure their clocks from people and sound"];
+const LAYOUTS = [
+  "coco-17", "human36m-17", "coco-18", "trt-pose-18", "coco-wholebody-23", "body-25", "body-25b", "halpe-26", "mediapipe-33",
+  "coco-wholebody-133", "halpe-136",
+];
 const STARTS = {
   video: [["declared", "together, but for their offsets"], ["timecode", "at their timecodes"], ["creation_time", "at their times of creation"], MEASURE],
   keypoints: [["declared", "together, or at their timestamps"], [MEASURED, "I don't know: measure their clocks from people"]],
@@ -87,7 +91,7 @@ export function open(place) {
 
   // What the files do not say about their times.
   function timePart(isLocked) {
-    const { start, views, needsFrameRate, frameRate_hz: rate } = sending.capture;
+    const { start, views, needsFrameRate, frameRate_hz: rate, hasPoints, layout } = sending.capture;
     if (views.length === 0) return nothing;
     const isVideo = views.some(({ kind }) => kind === "video");
     return html`<label class="field clock"><span>${isVideo ? "The videos start" : "The cameras start"}</span>
@@ -96,7 +100,10 @@ export function open(place) {
       ${needsFrameRate ? html`<label class="field clock"><span>Frame rate of the keypoints, Hz</span>
         <input type="number" class="number" min="1" max="1000" step="any" required .value=${typed(rate)} ?disabled=${isLocked}
           @input=${(event) => { sending.draft.frameRate_hz = event.target.value === "" ? null : event.target.valueAsNumber; sending.changed(); }}>
-        <span class="quiet">Frames a second of the videos that the keypoints are of. A file of timestamps (CSV) does instead.</span></label>` : nothing}`;
+        <span class="quiet">Frames a second of the videos that the keypoints are of. A file of timestamps (CSV) does instead.</span></label>` : nothing}
+      ${hasPoints ? html`<label class="field clock"><span>Layout of the keypoints</span>
+        <select ?disabled=${isLocked} @change=${(event) => { sending.draft.layout = event.target.value || null; sending.changed(); }}>
+          ${[null, ...LAYOUTS].map((name) => html`<option value=${name ?? ""} .selected=${live(name === layout)}>${name ?? "Told by the points"}</option>`)}</select></label>` : nothing}`;
   }
 
   function filesPart(isLocked) {

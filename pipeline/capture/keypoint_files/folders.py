@@ -17,7 +17,6 @@ from pipeline.capture.passed_over import is_passed_over, passed_over
 from pipeline.data.cameras import Camera
 from pipeline.errors import Problem, listed_names
 from pipeline.findings import Finding
-from pipeline.layouts import KeypointLayout
 from pipeline.parsing import UnreadableError, read_json
 from pipeline.paths import StrPath
 from pipeline.problem_codes.findings import FILE_IGNORED
@@ -137,13 +136,11 @@ def read_folder(
     max_joints: int,
     findings: list[Finding],
     problems: list[Problem],
-    layout: KeypointLayout | None = None,
 ) -> Contents:
     """Read the people of a camera; stop above ``max_joints``.
 
     A folder has files of single frames, named by their numbers, or one file of all frames: JSON, CSV, HDF5
-    or an array. ``size_px`` has width and height of the camera's images; ``None`` if unknown. ``layout`` is the chosen
-    layout of points that files do not name; ``None``: as many points have.
+    or an array. ``size_px`` has width and height of the camera's images; ``None`` if unknown.
     """
     found = _Problems(folder)
     files = _Files({}, folder.path, []) if isinstance(folder, freemocap.CameraArray) else _choose(folder, found)
@@ -152,7 +149,7 @@ def read_folder(
         message = f"{len(files.others)} other files in {folder.name} are ignored: {some}."
         findings.append(Finding(FILE_IGNORED, message, severity="info", evidence={"num_files": len(files.others)}))
     forms: set[str] = set()
-    unnamed = UnnamedPoints(layout)
+    unnamed = UnnamedPoints()
     form_in = partial(_form_in, forms, size_px, unnamed)
     frames: dict[int, People] = {}
     num_joints = 0

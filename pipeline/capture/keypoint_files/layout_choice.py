@@ -5,7 +5,6 @@ points in the pictures, and if those do not tell it, by the lengths of people wh
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,6 +14,7 @@ from pipeline.capture.keypoint_files.layout_evidence import located, misfits
 from pipeline.capture.keypoint_files.people import People, is_detected
 from pipeline.capture.keypoint_files.points import arranged
 from pipeline.capture.keypoint_files.unnamed import CANDIDATES
+from pipeline.capture.preflight_record import LayoutRead
 from pipeline.data.cameras import Camera
 from pipeline.errors import Problem
 from pipeline.findings import Finding
@@ -34,28 +34,6 @@ _MIN_LEAD, _MIN_LEAD_OF_ONE, _NUM_ERRORS = 0.05, 0.25, 2.5
 _MAX_MISFIT = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class LayoutRead:
-    """Layout in which points without names were read, and how it was told."""
-
-    name: str  # Name in ``layouts.FILE_LAYOUTS``
-    # ``choice``: it was stated; ``number``: no other layout has as many points; ``pictures``, ``world``: by lengths of
-    # people there; ``points``: the detected points are the same joints in every layout
-    told_by: Literal["choice", "number", "pictures", "world", "points"]
-    num_people: int = 0  # Detections of people that told it
-
-    def __str__(self) -> str:
-        """Sentence for the user."""
-        how = {
-            "choice": "as stated",
-            "number": "told by the number of points",
-            "pictures": f"told by the lengths of {self.num_people:,} people in the pictures",
-            "world": f"told by the lengths of {self.num_people:,} people located by two cameras",
-            "points": "whose detected points are the same in all layouts",
-        }[self.told_by]
-        return f"The points of the people are in the order of {_title(self.name)} (layout {self.name}), {how}."
-
-
 def tell_layout(
     frames: Frames,
     num_points: int,
@@ -66,9 +44,18 @@ def tell_layout(
 ) -> LayoutRead | None:
     """Tell the layout of people with so many points; ``None`` and a problem if several layouts remain.
 
+    The stated layout, ``chosen``, is taken if it has so many points; else that is the problem.
+
     ``cameras`` are calibrated cameras; empty if their poses are unknown.
     """
     candidates = CANDIDATES[num_points]
+    names = " or ".join(layout.name for layout in candidates)
+    if chosen is not None and chosen not in candidates:
+        message = (
+            f"The layout {chosen.name} was stated, which has {len(chosen.points)} points; people have {num_points}."
+        )
+        problems.append(Problem(KEYPOINTS_LAYOUT, message, field="layout", hint=f"State {names}, or no layout."))
+        return None
     if len(candidates) == 1:
         return LayoutRead(candidates[0].name, "number" if chosen is None else "choice")
     told = _told(_sampled(frames, num_points), candidates, cameras)
@@ -80,7 +67,6 @@ def tell_layout(
             findings.append(Finding(KEYPOINTS_FORM, message, hint=hint, evidence=evidence))
         return LayoutRead(chosen.name, "choice")
     if told is None:
-        names = " or ".join(layout.name for layout in candidates)
         message = f"People have {num_points} points, and their lengths do not tell which layout it is: {names}."
         hint = f"State the layout, {names}: --layout at the command line, layout in the manifest or on the page."
         problems.append(Problem(KEYPOINTS_LAYOUT, message, field="layout", hint=hint))
@@ -95,11 +81,6 @@ def rearranged(people: People, layout: KeypointLayout) -> People:
     if people.shape[1] < num_points or layout == CANDIDATES[num_points][0]:
         return people
     return np.concatenate([arranged(people[:, :num_points], layout), people[:, num_points:]], axis=1)
-
-
-def _title(name: str) -> str:
-    """Name of a layout as its makers write it, or nearly: ``BODY_25B``, ``COCO_17``."""
-    return name.upper().replace("-", "_")
 
 
 _Sample = Sequence[Mapping[str, Float[np.ndarray, "people points 2"]]]

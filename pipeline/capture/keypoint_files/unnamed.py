@@ -18,18 +18,14 @@ class UnnamedPoints:
     ``counts`` are the numbers of points of a person in the files that were read.
     """
 
-    def __init__(self, chosen: KeypointLayout | None = None) -> None:
-        self._chosen = chosen
+    def __init__(self) -> None:
         self.counts: set[int] = set()
 
     def layout(self, num_points: int, field: str) -> KeypointLayout:
         """Layout in which so many points are kept until ``layout_choice`` tells theirs: the first of ``CANDIDATES``.
 
-        Raises ``KeypointsError`` if there is none, or if the chosen layout has another number of points.
+        Raises ``KeypointsError`` if there is none.
         """
-        if self._chosen is not None and len(self._chosen.points) != num_points:
-            message = f"A person has {num_points} points; the chosen layout {self._chosen.name} has another number."
-            raise KeypointsError(message, field)
         if num_points not in CANDIDATES:
             known = ", ".join(FILE_LAYOUTS)
             raise KeypointsError(f"A person has {num_points} points; layouts that are read are {known}.", field)

@@ -6,23 +6,27 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import api
 from api.cli.main import app
+from api.sessions.schemas import Layout
 from api.settings import Settings
 from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.calibration.write import encode
 from pipeline.data.rigid import Rigid3
+from pipeline.layouts import FILE_LAYOUTS
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.keypoint_programs import Files, freemocap_array, keypoint_files, write_session
 from tests.warm_programs import WarmPrograms
 
+PORTAL = Path(api.__file__).parent / "portal"
 # One form of each program; tests/pipeline/capture/keypoint_files has the others.
 # All go the same way through the service.
 PROGRAMS = [
@@ -90,6 +94,29 @@ def test_a_session_of_the_service(checking: Live, simulation: Simulation, progra
         {"forms": [program.split(",", maxsplit=1)[0]]}
     ]
     assert {camera["name"] for camera in preflight["cameras"]} == {camera.name for camera in simulation.cameras}
+
+
+def test_layout_of_manifest_is_stated_in_the_preflight_or_refused(checking: Live, simulation: Simulation) -> None:
+    sent = parts(simulation, keypoint_files(simulation, "AlphaPose"))
+
+    def answer(**manifest: Any) -> Any:
+        return checking.client.post("/v1/sessions", files=[*sent, ("manifest", (None, json.dumps(manifest)))])
+
+    told = answer().raise_for_status().json()["preflight"]["layout"]
+    assert (told["name"], told["told_by"]) == ("coco-17", "pictures")
+    assert told["num_people"] > 0
+    stated = answer(layout="human36m-17").raise_for_status().json()["preflight"]
+    assert (stated["layout"]["name"], stated["layout"]["told_by"]) == ("human36m-17", "choice")
+    assert {"layout": "human36m-17", "fits": "coco-17"} in [finding["evidence"] for finding in stated["findings"]]
+    (item,) = problem_of(answer(layout="body-25b"), 422, "invalid_request")["errors"]
+    assert (item["code"], item["pointer"]) == ("keypoints_layout", "/manifest/layout")
+
+
+def test_layouts_of_manifest_and_page_are_those_of_files() -> None:
+    assert set(get_args(Layout)) == set(FILE_LAYOUTS)
+    page = (PORTAL / "send" / "view.js").read_text()
+    listed = page.partition("const LAYOUTS = [")[2].partition("]")[0]
+    assert {name.strip().strip('"') for name in listed.split(",") if name.strip()} == set(FILE_LAYOUTS)
 
 
 @pytest.mark.parametrize("is_timed", [True, False])

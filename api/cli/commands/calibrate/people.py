@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_outputs, show_made, write_made
-from api.cli.console import JsonOption, StageBars, reporting, warn
+from api.cli.console import JsonOption, StageBars, reporting, show_layout, warn
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.known_points.table import read_known_points
@@ -68,6 +68,8 @@ def command(
             joints = detection_joints(config)
         for sentence in () if as_json else session.warnings:
             warn(sentence)
+        if not as_json:
+            show_layout(session.layout, session.warnings)
         made = calibrate_people(
             session.cameras,
             session.times,

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
-from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, emit, reporting, show_findings, warn
+from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, emit, reporting, show_findings, show_layout, warn
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.checks.check import check_cameras
@@ -64,6 +64,7 @@ def _check(
         return check_cameras(cameras)
     for sentence in session.warnings:
         warn(sentence)
+    show_layout(session.layout, session.warnings)
     # Cameras of the session are those of the file at the size of the videos.
     fitted = {camera.name: camera for camera in session.cameras}
     alone = check_cameras([fitted.get(camera.name, camera) for camera in cameras])

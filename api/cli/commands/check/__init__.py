@@ -2,14 +2,24 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from api.cli.commands.sync.clocks import all_bodies, measured_clocks
-from api.cli.console import EXIT_BAD_INPUT, JsonOption, StageBars, console, emit, reporting, show_findings, writing
+from api.cli.console import (
+    EXIT_BAD_INPUT,
+    JsonOption,
+    StageBars,
+    console,
+    emit,
+    reporting,
+    show_findings,
+    show_layout,
+    writing,
+)
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from api.cli.space import document, sentence, session_space
@@ -53,9 +63,10 @@ def command(
         try:
             session = source.open(calibration)
         except InputError as error:
-            findings, space = [from_problem(problem) for problem in error.problems], None
+            findings, space, layout = [from_problem(problem) for problem in error.problems], None, None
         else:
             space = session_space(session, choices)
+            layout = session.layout
             of_pictures = _look(session, thumbnails) if isinstance(session, CaptureSession) else []
             with StageBars(visible=not as_json) as bars:
                 people = (_on_measured_clocks if choices.sync == "auto" else _as_declared)(session, config, bars.update)
@@ -64,9 +75,16 @@ def command(
                 *_once([*of_pictures, *session_findings(session.cameras, people)]),
             ]
     if as_json:
-        emit({"findings": documents(findings), "space": None if space is None else document(space)})
+        emit(
+            {
+                "findings": documents(findings),
+                "layout": None if layout is None else asdict(layout),
+                "space": None if space is None else document(space),
+            }
+        )
     else:
         show_findings(findings, "Nothing is wrong with the session.")
+        show_layout(layout, [finding.message for finding in findings])
         if space is not None:
             console.print(sentence(space))
     if has_error(findings):

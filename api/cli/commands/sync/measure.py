@@ -16,6 +16,7 @@ from api.cli.console import (
     print_table,
     reporting,
     require_writable,
+    show_layout,
     warn,
     writing,
 )
@@ -52,6 +53,8 @@ def command(
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
             warn(sentence)
+        if not as_json:
+            show_layout(session.layout, session.warnings)
         found, sound = measured_clocks(session, detections, joints, bars.update)
         document = sync_document(found) | {"sound": sound_document(sound)}
         if report is not None:

@@ -11,6 +11,7 @@ import pytest
 from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.writing import encode_frame
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.capture.preflight_npz import decode_keypoints, encode_keypoints
 from pipeline.data.detections import Detections
 from pipeline.errors import InputError
 from pipeline.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, SIDES, WHOLE_BODY, finger_joints
@@ -243,8 +244,10 @@ def test_stated_layout_that_fits_is_not_doubted(room: Simulation, tmp_path: Path
 def test_stated_layout_of_another_number_of_points_is_refused(room: Simulation, tmp_path: Path, layout: str) -> None:
     with pytest.raises(InputError) as caught:
         opened(room, tmp_path, "body-25", stated=layout)
-    assert {problem.code for problem in caught.value.problems} == {"keypoints_unreadable"}
-    assert f"25 points; the chosen layout {layout} has" in caught.value.problems[0].message
+    (problem,) = caught.value.problems
+    assert (problem.code, problem.field) == ("keypoints_layout", "layout")
+    assert f"{layout} was stated, which has {layout[-2:]} points; people have 25" in problem.message
+    assert "body-25 or body-25b" in str(problem.hint)
 
 
 def test_unknown_layout_is_refused_with_the_known_names(room: Simulation, tmp_path: Path) -> None:
@@ -279,3 +282,9 @@ def test_a_camera_without_people_has_the_joints_of_the_others(room: Simulation, 
     session = opened(emptied, tmp_path, "body-25b")
     assert session.joints == BODY_FEET
     assert not len(session.detections[room.cameras[0].name].frame)
+
+
+def test_layout_of_a_session_is_kept_in_its_record(room: Simulation, tmp_path: Path) -> None:
+    session = opened(room, tmp_path, "body-25b", num_frames=1)
+    assert session.layout is not None
+    assert decode_keypoints(encode_keypoints(session)).layout == session.layout
