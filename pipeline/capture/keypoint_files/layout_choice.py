@@ -27,6 +27,8 @@ Frames = Mapping[str, Mapping[int, People]]
 
 # People whose lengths are looked at, spread over all frames, and those that two cameras locate.
 _MAX_PEOPLE, _MAX_LOCATED = 4000, 400
+# Least score of a point that is looked at, as a share of the mean score of the person.
+_MIN_SCORE_SHARE = 0.3
 # Limits on the difference of the mean misfits of two layouts: for any number of people, for a single person, and in
 # standard errors. For a person in a picture the misfits differ by 0.3 to 0.5 as a rule, and less than 0 is rare.
 _MIN_LEAD, _MIN_LEAD_OF_ONE, _NUM_ERRORS = 0.05, 0.25, 2.5
@@ -87,7 +89,7 @@ _Sample = Sequence[Mapping[str, Float[np.ndarray, "people points 2"]]]
 
 
 def _sampled(frames: Frames, num_points: int) -> _Sample:
-    """Points of people by camera in some of the frames, NaN where they were not detected."""
+    """Points of people by camera in some of the frames, NaN where they were not detected, or hardly."""
     numbers = sorted({number for by_frame in frames.values() for number, people in by_frame.items() if people.size})
     num_people = sum(len(people) for by_frame in frames.values() for people in by_frame.values())
     every = 1 + num_people // _MAX_PEOPLE
@@ -102,7 +104,11 @@ def _sampled(frames: Frames, num_points: int) -> _Sample:
 
 
 def _seen(people: People) -> Float[np.ndarray, "people points 2"]:
-    return np.where(is_detected(people)[..., None], people[..., :2], np.nan)
+    is_seen = is_detected(people)
+    # Wrong points have low scores, whatever the scale of the detector's scores.
+    score = np.where(is_seen, people[..., 2], 0.0)
+    mean = score.sum(1, keepdims=True) / np.maximum(is_seen.sum(1, keepdims=True), 1)
+    return np.where((is_seen & (score >= _MIN_SCORE_SHARE * mean))[..., None], people[..., :2], np.nan)
 
 
 def _told(sample: _Sample, candidates: Sequence[KeypointLayout], cameras: Sequence[Camera]) -> LayoutRead | None:

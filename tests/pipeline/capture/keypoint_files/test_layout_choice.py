@@ -202,6 +202,26 @@ def test_coco_annotations_that_name_their_points_keep_them(room: Simulation, tmp
     assert any("human36m-17 is not used" in warning for warning in session.warnings)
 
 
+@pytest.mark.parametrize("layout", ["coco-17", "body-25b", "human36m-17"])
+@pytest.mark.parametrize("scale", [1.0, 100.0])
+def test_wrong_points_of_low_scores_do_not_hide_the_layout(
+    room: Simulation, tmp_path: Path, layout: str, scale: float
+) -> None:
+    generator = np.random.default_rng(2)
+
+    def write(people: np.ndarray) -> bytes:
+        people = people.copy()
+        is_wrong = (people[..., 2] > 0) & (generator.random(people.shape[:2]) < 0.2)
+        people[is_wrong, :2] += generator.normal(0.0, 150.0, (is_wrong.sum(), 2))
+        people[is_wrong, 2] = 0.08
+        people[..., 2] *= scale
+        return openpose(people)
+
+    session = opened(room, tmp_path, layout, write=write)
+    assert session.layout is not None
+    assert session.layout.name == layout
+
+
 def test_points_of_random_places_ask_for_the_layout(room: Simulation, tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
 
