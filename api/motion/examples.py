@@ -7,6 +7,7 @@ _MOTION: dict[str, Any] = {
     "schema_version": 1,
     "frame_rate_hz": 25.0,
     "start_time_s": 0.0,
+    "first_source_frame": 0,
     "num_frames": 3,
     "joint_names": ["nose", "left_eye"],
     "bones": [["nose", "left_eye"]],

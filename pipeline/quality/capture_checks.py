@@ -62,7 +62,7 @@ def capture_checks(
     ``seen`` is whether a camera saw any joint of the person in a frame, by track.
     """
     names = [camera.name for camera in reconstruction.cameras]
-    limbs = mismeasured_limbs(reconstruction)
+    limbs = mismeasured_limbs(reconstruction, likenesses.others(len(reconstruction.motions)))
     checks = (
         _check_rig(names),
         _check_videos(reconstruction.damaged),

@@ -1,5 +1,6 @@
 """Limbs that were located with another length than the skeleton's: one side was measured wrong for most of the take."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,10 +31,14 @@ class MismeasuredLimb:
         }
 
 
-def mismeasured_limbs(take: Reconstruction) -> list[MismeasuredLimb]:
-    """Find the limbs whose located length differs from the skeleton's by more than bodies and marks explain."""
+def mismeasured_limbs(take: Reconstruction, people: Sequence[int]) -> list[MismeasuredLimb]:
+    """Find the limbs whose located length differs from the skeleton's by more than bodies and marks explain.
+
+    ``people`` are positions of tracks: pictures of people have limbs of any length.
+    """
     limbs = []
-    for track, motion in zip(take.located, take.motions, strict=False):
+    for number in people:
+        track, motion = take.located[number], take.motions[number]
         located_m = located_limbs_m(Landmarks(track.xyz_m, track.source, take.joints, track.views))
         for (side, kind), median_m in located_m.items():
             length_m = float(motion.bone_length_m[INDEX[f"{side.capitalize()}{kind}"]])

@@ -80,7 +80,8 @@ class _Lengths:
         if landmarks.views is not None and measured.any():
             views = landmarks.views[:, landmarks.joints.indices(names)][measured].min(-1)
             weight = np.maximum(2.0 * views - 3.0, 1.0)
-        return cls(length_m, weight)
+        is_apart = length_m > 0.0  # coincident joints are no measured bone
+        return cls(length_m[is_apart], weight[is_apart])
 
     def joined(self, other: "_Lengths") -> "_Lengths":
         return _Lengths(np.append(self.length_m, other.length_m), np.append(self.weight, other.weight))

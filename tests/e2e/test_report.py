@@ -77,17 +77,17 @@ def test_it_works_from_a_file_and_asks_nobody(report: Path) -> None:
         assert page.locator("#head").get_attribute("max") == "39"
         before = picture(page)
         page.locator("#scene").press("Home")
-        assert page.locator("#clock").inner_text().endswith("frame 0")
+        assert page.locator("#clock").inner_text().endswith("frame 0 (5 of the source)")
         assert picture(page) != before
         page.locator("#scene").press("Shift+ArrowRight")
-        assert page.locator("#clock").inner_text().endswith("frame 10")
+        assert page.locator("#clock").inner_text().endswith("frame 10 (15 of the source)")
         page.keyboard.press("Space")
         expect(page.locator("#clock")).to_contain_text("frame 39")
         expect(page.locator("#play")).to_have_text("Play")
         strip = page.locator(".strip canvas").first
         width = strip.evaluate("canvas => canvas.clientWidth")
         strip.click(position={"x": width * 10.5 / 40, "y": 5})
-        assert page.locator("#clock").inner_text().endswith("frame 10")
+        assert page.locator("#clock").inner_text().endswith("frame 10 (15 of the source)")
         orbited = picture(page)
         page.locator("#scene").scroll_into_view_if_needed()
         scene = page.locator("#scene").bounding_box()

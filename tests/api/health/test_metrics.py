@@ -7,6 +7,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from tests.api.conftest import Live, raw
 
+OF_CHUNKS = ("multicap_oldest_chunk_seconds", "multicap_oldest_chunk_progress", "multicap_stillest_chunk_seconds")
+
 
 def samples(live: Live) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
     answer = live.client.get("/metrics")
@@ -49,7 +51,7 @@ def test_the_oldest_running_chunk_and_the_one_without_progress_are_named(live: L
     store.leases.heartbeat(oldest.chunk_id, oldest.lease_token, oldest.unit_count, 3600.0)
 
     def running() -> dict[str, tuple[dict[str, str], float]]:
-        return {name: (dict(labels), value) for (name, labels), value in samples(live).items() if "_chunk_" in name}
+        return {name: (dict(labels), value) for (name, labels), value in samples(live).items() if name in OF_CHUNKS}
 
     assert running() == {}  # they have just begun
     with sqlite3.connect(live.settings.data_dir / "multicap.db") as database:
