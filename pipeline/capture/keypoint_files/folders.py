@@ -1,5 +1,6 @@
 """Folders of keypoint files, one of each camera: a file of each frame, or one file of all frames."""
 
+import filecmp
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -59,19 +60,24 @@ def camera_folders(
     """List the folders by name; report if there are too few, and tell of ignored files.
 
     Without folders, the parts of FreeMoCap's file of all cameras are listed in their place. Files of the session that
-    are read elsewhere, ``used``, are not reported.
+    are read elsewhere, ``used``, and copies of them are not reported.
     """
     if not folder.is_dir():
         problems.append(Problem(KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name))
         return {}
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith(".") and not is_passed_over(path))
     of_cameras = None if any(path.is_dir() for path in entries) else freemocap.file_of_cameras(entries)
-    known = {of_cameras, *(path.resolve() for path in used)}
-    findings += [
-        Finding(FILE_IGNORED, f"{path.name} is ignored: it is not a folder.", severity="info")
-        for path in entries
-        if not path.is_dir() and path not in known and path.resolve() not in known
-    ]
+    for path in entries:
+        if path.is_dir() or path == of_cameras:
+            continue
+        if any(
+            path.name == other.name and other.is_file() and filecmp.cmp(path, other, shallow=False) for other in used
+        ):
+            continue
+        message = f"{path.name} is ignored: it is not a folder."
+        if path.name == "timestamps.csv":
+            message = "The times in timestamps.csv are not used: state the file as timestamps to use them."
+        findings.append(Finding(FILE_IGNORED, message, severity="info"))
     if of_cameras is not None:
         parts = _attempt(partial(freemocap.cameras_of, of_cameras), of_cameras, None, None, _FILE_HINT)
         if isinstance(parts, Problem):

@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from shutil import copy
 
 import numpy as np
 import pytest
@@ -555,3 +556,7 @@ def test_open_keypoints_timestamps_and_calibration_beside_the_folders_are_not_ig
     folder = scene / "keypoints"
     session = open_keypoints(folder, folder / "calibration.json", folder / "timestamps.csv")
     assert session.warnings == ("other.csv is ignored: it is not a folder.",)
+    copied = open_keypoints(folder, folder / "calibration.json", copy(folder / "timestamps.csv", scene))
+    assert copied.warnings == session.warnings
+    unread = open_keypoints(folder, folder / "calibration.json", frame_rate_hz=25.0)
+    assert any("timestamps.csv are not used: state the file" in warning for warning in unread.warnings)
