@@ -45,7 +45,7 @@ from pipeline.gait.analysis import analyse_gait
 from pipeline.gait.document import gait_document, movement_documents
 from pipeline.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.likenesses.find import find_likenesses
-from pipeline.problem_codes.warnings import CALIBRATION_KEPT
+from pipeline.problem_codes.warnings import CALIBRATION_KEPT, CAMERA_DISAGREES
 from pipeline.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.views import PersonViews, body_joints, has_position, views_of, without_fingers
@@ -215,8 +215,17 @@ def all_checks(report: Mapping[str, Any]) -> list[Finding]:
     of_take = [*of_capture, *of_world]
     known = {(finding.code, finding.camera) for finding in of_take}
     of_session = [Finding.from_json(finding) for finding in report.get("session_checks", ())]
-    # What the whole take shows is more exact than what a few instants show.
-    return [*(finding for finding in of_session if (finding.code, finding.camera) not in known), *of_take]
+    # What the whole take shows is more exact than what a few instants show: of cameras that disagree a little there,
+    # it names those that do.
+    return [
+        *(
+            finding
+            for finding in of_session
+            if (finding.code, finding.camera) not in known
+            and not (finding.code == CAMERA_DISAGREES and finding.severity == "warning" and report["people"])
+        ),
+        *of_take,
+    ]
 
 
 def _severity(code: str) -> Severity:

@@ -6,10 +6,12 @@ import numpy as np
 from pipeline.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
 from pipeline.data.detections import DamagedVideo
 from pipeline.data.people import Doubt, Observations, PersonLoss
-from pipeline.findings import Finding, SessionCheck
+from pipeline.findings import Finding, SessionCheck, Severity
 from pipeline.joints import COCO_17
 from pipeline.likenesses.find import Likenesses
-from pipeline.problem_codes.findings import NOBODY_DETECTED
+from pipeline.problem_codes.findings import CAMERA_SEES_NOBODY, NOBODY_DETECTED
+from pipeline.problem_codes.model import Code
+from pipeline.problem_codes.warnings import CAMERA_DISAGREES
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report
 from pipeline.skeleton.fitting.fit import SkeletonFit
@@ -214,3 +216,20 @@ def test_a_limb_that_was_located_half_as_long_as_the_skeleton_has_it_is_named() 
     (finding,) = (check for check in all_checks(quality_report(take)) if check.code == "limb_mismeasured")
     assert "left forearm of person-1 (125 mm, used are 250 mm)" in finding.message
     assert finding.evidence["limbs"] == [{"id": 1, "limb": "left forearm", "located_m": 0.125, "length_m": 0.25}]
+
+
+def test_the_take_decides_which_cameras_disagree_a_little() -> None:
+    def at_instants(camera: str, severity: Severity, code: Code = CAMERA_DISAGREES) -> dict[str, Any]:
+        return Finding(code, "A few instants say so.", camera, severity).to_json()
+
+    of_session = [
+        at_instants("left", "warning"),
+        at_instants("right", "error"),
+        at_instants("left", "warning", CAMERA_SEES_NOBODY),
+    ]
+    report = {"people": [{"id": 1}], "session_checks": of_session, "capture_checks": [], "world_checks": []}
+    assert [(check.code, check.camera) for check in all_checks(report)] == [
+        ("camera_disagrees", "right"),
+        ("camera_sees_nobody", "left"),
+    ]
+    assert len(all_checks(report | {"people": []})) == len(of_session)
