@@ -184,7 +184,7 @@ class TusProtocol(HttpMiddleware):
     """Rules of tus for all requests to uploads: overridden methods, and the version in every response.
 
     A HEAD that fails by the service's fault is 423: clients that meet 5xx there (tus-js-client) forget the upload and
-    send the file anew, while they ask again after 423.
+    send the whole file again, while they ask again after 423.
 
     ``prefix`` is that of the paths of uploads.
     """

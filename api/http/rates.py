@@ -1,6 +1,6 @@
 """Rate limits of a process: requests of each tenant, and wrong keys of each client network.
 
-Times are those of the monotonic clock: a step of the system's clock shortens and prolongs no minute.
+The monotonic clock counts: a step of the system's clock shortens and prolongs no minute.
 """
 
 import math

@@ -255,7 +255,7 @@ class Rooms:
             elif revisions[recording_id] != room.recording.revision:
                 with contextlib.suppress(NotFound):  # it has ended just now
                     recording = await run_in_threadpool(self._store.recordings.get, recording_id)
-                    # The rows were read after the known state: an earlier one is that of a restored database.
+                    # The rows were read after the known state: an earlier state is in a restored database.
                     is_restored = revisions[recording_id] < known[recording_id]
                     (room.replace if is_restored else room.update)(recording)
 

@@ -27,7 +27,7 @@ def starts_s(videos: Mapping[str, VideoInfo], clock: Clock) -> tuple[Mapping[str
     Returns
     -------
     starts_s
-        Times by camera name; of a session across midnight, timecodes before it count as of the day before.
+        Times by camera name; of a session across midnight, timecodes before it count for the day before.
     problems
         Videos without such a clock.
     """

@@ -52,7 +52,7 @@ class Timebase:
     start_time_s: float
     frame_rate_hz: float
     num_frames: int
-    # Number of output frame 0 in the source: of keypoints that of the earliest camera's first frame; videos begin at 0
+    # Number of output frame 0 in the source: for keypoints the earliest camera's first frame; videos begin at 0
     first_source_frame: int = 0
 
     def time_s(self, frame: int | float) -> float:

@@ -38,7 +38,7 @@ def find_losses(
 ) -> list[PersonLoss]:
     """Find the frames in which people are lost in the middle of the cameras' common view.
 
-    ``tracks`` are as association located them, ``times`` those of the frames of each camera by its name.
+    ``tracks`` are as association located them, ``times`` the times of each camera's frames by its name.
     """
     rate_hz = timebase.frame_rate_hz
     if rate_hz < _FOLLOWED_HZ:

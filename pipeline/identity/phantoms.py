@@ -72,7 +72,7 @@ def _num_foreign(
 ) -> Int[np.ndarray, " rows"]:
     """Number of a person's observations in some rows that show the same joint, of either side, of another person.
 
-    Only people with more observations at that time count: a phantom explains nobody.
+    Only people with more observations at that time count: a phantom explains no person.
     """
     track, seen = persons[number]
     is_foreign = np.zeros((len(rows), *seen.score.shape[1:]), bool)

@@ -52,7 +52,7 @@ def compare(
     for instant, (first, second) in enumerate(zip(left, right, strict=True)):
         if first is not None and second is not None and len(first) and len(second):
             distance = body_distances(fundamental, first, second)
-            # Beyond ``FAR`` all distances are alike: a person whom one camera sees takes no body from another pair.
+            # Beyond ``FAR`` all distances are alike: a person seen by one camera takes no body from another pair.
             distances.append(distance[linear_sum_assignment(np.minimum(distance, FAR))])
             instants.append(instant)
     if not instants:

@@ -116,7 +116,7 @@ def locate_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> L
 
 
 def agreement_of(camera: Camera, number: int, sightings: SimultaneousPeople, located: LocatedPeople) -> CameraAgreement:
-    """Compare the people of a camera with the people whom the other cameras locate.
+    """Compare the people of a camera with the people located by the other cameras.
 
     ``number`` is the position of the camera. People who three other cameras see count, if there are enough of them.
     """

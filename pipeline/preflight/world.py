@@ -54,7 +54,7 @@ def locate(
     """Locate people from pairs of cameras; a person whom several pairs see has several poses.
 
     Returns the place of the instant of each pose, and the poses: joints in metres, NaN where not both cameras see a
-    joint. Of a person whom many cameras see, each camera is paired with the next three alone.
+    joint. Of a person seen by many cameras, each camera is paired with the next three alone.
     """
     instants, poses = [np.empty(0, int)], [np.empty((0, *located.normal.shape[2:3], 3))]
     is_view = located.is_view

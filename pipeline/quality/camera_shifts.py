@@ -38,7 +38,7 @@ _MIN_BODIES = 8
 _MAX_CHANCE = 1e-6
 """Probability of a shift by chance, below which the shift is certain."""
 _MIN_SHIFT, _BIAS = 0.4, 1.0
-"""Smallest shift that counts, and that of a single person, in standard deviations of a joint's coordinate.
+"""Smallest shift that counts, and usual shift of a single person, in standard deviations of a joint's coordinate.
 
 Detectors err alike on one person at all instants, by the clothes and the side that a camera sees: the shift of a right
 camera before two to four people is 0.1 to 0.44 of a deviation. Of several people these errors cancel like noise.

@@ -24,7 +24,7 @@ class Orientation(NamedTuple):
 
 
 def display_orientation(frame: VideoFrame) -> Orientation:
-    """Orientation nearest to the display matrix of a frame, which is that of its container or of its EXIF data."""
+    """Orientation nearest to the display matrix of a frame, from its container or its EXIF data."""
     try:
         side_data = frame.side_data
     except ValueError:

@@ -84,7 +84,7 @@ class PoisonBench:
         return ids
 
     def add_poison(self) -> list[str]:
-        """Queue jobs of videos that nobody reads: the chunk of each camera kills its worker."""
+        """Queue jobs of videos without a reader: the chunk of each camera kills its worker."""
         preflight = Preflight(
             cameras=tuple(PreflightCamera(name, f"{name}.mp4", (640, 480), 25.0, 500) for name in CAMERAS),
             timebase=PreflightTimebase(0.0, 25.0, 500),

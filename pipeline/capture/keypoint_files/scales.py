@@ -1,8 +1,8 @@
 """Scales of the numbers of keypoint files, which the files do not state: told by all values of a camera.
 
 Scores are confidences from 0 to 1, percent, 0 to 255, or logits. Networks without a last sigmoid or softmax, such as
-RTMW and Keypoint R-CNN, write scores of up to 10 or 20 whose scale nobody knows; heatmaps reach 1.4. Positions are
-pixels or shares of the picture, as of OpenPose's ``--keypoint_scale`` 3 (0 to 1) and 4 (-1 to 1).
+RTMW and Keypoint R-CNN, write scores of up to 10 or 20 on no known scale; heatmaps reach 1.4. Positions are
+pixels or shares of the picture, for example by OpenPose's ``--keypoint_scale`` 3 (0 to 1) and 4 (-1 to 1).
 """
 
 from collections.abc import Iterator, Mapping

@@ -101,7 +101,7 @@ def times_from_file(
 ) -> tuple[dict[str, FrameTimes], Timebase | None]:
     """Times from the file of timestamps; output frames run from the first time to the last one.
 
-    Their rate is that of the fastest camera, and the first one has the number of the earliest camera's first frame. It
+    They have the rate of the fastest camera, and the first one has the number of the earliest camera's first frame. It
     is at 0 if that frame is at most a frame later: cameras that share a clock need not run in step.
     """
     times: dict[str, FrameTimes] = {}

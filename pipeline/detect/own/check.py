@@ -23,7 +23,7 @@ _DOMAINS = {"", "ai.onnx"}
 # Reasons of ONNX Runtime for models that are too new.
 _NEW_OPSET = re.compile(r"Opset (\d+) is under development.* till opset (\d+)", re.DOTALL)
 _NEW_IR = re.compile(r"Unsupported model IR version: (\d+), max supported IR version: (\d+)")
-# What it writes before the reason: its code, the file, the node, and a place in its source. The operator is kept.
+# Text of ONNX Runtime before the reason: its code, the file, the node, and a place in its source. The operator stays.
 _PREAMBLE = re.compile(
     r"\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .* failed: ?|Exception during initialization: |"
     r"(?:Non-zero status code returned while running |This is an invalid model\. In Node, \(\"[^\"]*\", )(\w+)"

@@ -25,7 +25,7 @@ LENSES = {
 
 
 def rig_of_12(lens: str) -> tuple[Camera, ...]:
-    """Ring of cameras whose lenses differ; some names are numbers, as of Qualisys and Panoptic."""
+    """Ring of cameras whose lenses differ; some names are numbers, like Qualisys's and Panoptic's."""
     rig = build_cameras(Rig(Layout.RING, 12, (4.0, 3.5), 2.1), np.random.default_rng(68))
     return tuple(
         replace(

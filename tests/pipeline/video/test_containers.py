@@ -68,7 +68,7 @@ class Container:
     video: tuple[str, ...]
     sound: tuple[str, ...]
     options: list[str] = field(default_factory=list)
-    has_starts: bool = True  # Whether it states a start of the sound that is not that of the pictures
+    has_starts: bool = True  # Whether it states a start of the sound apart from the start of the pictures
 
 
 _MOV_VIDEO = ("h264", "h264-b", "hevc", "hevc-b", "mjpeg", "mpeg4", "mpeg4-b")

@@ -13,7 +13,7 @@ _ARRIVAL_MS = 24 * 3600 * 1000
 def orphaned_prefixes(removals: Removals, artifacts: ArtifactStore) -> list[str]:
     """Prefixes of files without a row, of records that were made more than a day ago.
 
-    Their age is that of their id, a UUID of version 7. Folders with other names are not the service's.
+    The id of a record, a UUID of version 7, has the record's age. Folders with other names are not the service's.
     """
     before_ms = time.time() * 1000 - _ARRIVAL_MS
     orphans = []

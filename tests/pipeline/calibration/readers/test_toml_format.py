@@ -83,7 +83,7 @@ def test_pose2sim(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("parts", [64, 128])
 def test_pose2sim_divides_the_lens_of_qualisys(tmp_path: Path, parts: int) -> None:
-    """Numbers with the six decimals of Qualisys's file; the second part is that of pixels that are binned."""
+    """Numbers with the six decimals of Qualisys's file; the second part is for binned pixels."""
     rig = tuple(replace(one, distortion=np.array([-0.110853, 0.070001, 0.000607, 0.0])) for one in RIG)
     parted = tuple(replace(one, distortion=one.distortion / parts) for one in rig)
     path = write(tmp_path / "Calib_qualisys.toml", 1.0, "adjusted = false\nerror = 0.0", parted, "fisheye = false")

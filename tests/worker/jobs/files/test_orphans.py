@@ -1,4 +1,4 @@
-"""Files without a row: those of records that a restored database does not know."""
+"""Files of records that a restored database does not know."""
 
 import time
 import uuid

@@ -40,7 +40,7 @@ def num_running(connection: Connection, tenant: str) -> int:
 def lines(connection: Connection, tenants: Collection[str]) -> list[ColumnElement[bool]]:
     """Conditions of the ready chunks that may be claimed: all of the first one go before all of the next one.
 
-    First tries go first, but not those of a job with a lost try, nor of a tenant with two of them. Retries follow, and
+    First tries go first, except in jobs with a lost try and of tenants with two of them. Retries follow, and
     then the other first tries, which might cost a worker too: none of a job of which a chunk has lost two tries.
 
     Parameters

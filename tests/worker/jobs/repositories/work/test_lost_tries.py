@@ -205,7 +205,7 @@ def test_chunks_that_an_outage_takes_from_many_workers_at_once_run_again_at_once
     held = [jobs.claim(EXPIRED_S if number < 3 else LEASE_S) for number in range(4)]
     jobs.store.leases.reap(LEASE_S)
     again = list(iter(partial(claim, jobs), None))
-    # Two of the lost chunks, and those that nobody has begun yet.
+    # Two of the lost chunks, and the chunks that no worker has begun yet.
     assert [(work.index, work.attempt) for work in again] == [(0, 2), (1, 2), (4, 1), (5, 1)]
     for work in (*again, held[3]):
         jobs.finish(work)
